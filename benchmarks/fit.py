@@ -110,11 +110,11 @@ def measure_growth() -> None:
 
 def iteration_of(fitter: Fitter, objective, image: np.ndarray, shape: np.ndarray) -> Callable[[], object]:
     """Return ten evaluations at the finest level, each with the Hessian and the gradient."""
-    from liaam.fitting.loop.level_image import LevelImage
+    from liaam.fitting.loop.encoded_image import EncodedImage
     from liaam.model.shape import align
 
     pose = align(objective.warp.rest, shape)
-    encoded = LevelImage.at(image, shape, pose, objective.method, "srgb", fitter.model.levels[-1].blur)
+    encoded = EncodedImage.at(image, shape, pose, objective.method, "srgb", fitter.model.levels[-1].blur)
     state, problem = objective.start(objective.warp.parameters(pose.inverse()(shape))), objective.problem(encoded)
     problem.begin(state.p, tuple(state.angles), state.lam)
 

@@ -17,7 +17,7 @@ from threadpoolctl import threadpool_limits
 
 from benchmarks.metrics import in_turn, quartiles, report
 from liaam.fitting import METHODS, SolverOptions, get_method
-from liaam.fitting.loop.level_image import LevelImage
+from liaam.fitting.loop.encoded_image import EncodedImage
 from liaam.fitting.loop.objective import Objective, make_objectives
 from liaam.model import AAM, MESH, VIEWS, Level, View
 from liaam.model.appearance import AppearanceModel
@@ -112,16 +112,16 @@ def make_model(rng: np.random.Generator, method: str = "li", n_modes: int = N_AP
     return AAM(views, triangles, CameraModel(), n_images=25)
 
 
-def make_image(model: AAM, rng: np.random.Generator, method: str = "li") -> LevelImage:
+def make_image(model: AAM, rng: np.random.Generator, method: str = "li") -> EncodedImage:
     """Make a smooth random colour image with the model at its centre, 1.6 image pixels per model pixel."""
     height, width = IMAGE_SIZE
     picture = 0.45 + 0.09 * smooth_noise(rng, height, width, 3.0, 3).transpose(1, 2, 0)
     image = np.rint(255 * picture.clip(0.1, 0.9)).astype(np.uint8)
     pose = Similarity(1.6 * np.eye(2), np.array([width / 2 + 0.3, height / 2 - 0.2]))
-    return LevelImage.at(image, pose(model.shape_model.mean), pose, get_method(method), "srgb", 0.5)
+    return EncodedImage.at(image, pose(model.shape_model.mean), pose, get_method(method), "srgb", 0.5)
 
 
-def make_loops(objective: Objective, image: LevelImage) -> Parts:
+def make_loops(objective: Objective, image: EncodedImage) -> Parts:
     """Make the loop over one iteration and over :data:`STEPS` more. Their difference excludes the overhead."""
     start = objective.start(np.zeros(objective.warp.n_parameters))
     damping = DAMPING.get(objective.method.name, DAMPING["li"])
@@ -140,7 +140,7 @@ def make_loops(objective: Objective, image: LevelImage) -> Parts:
     return {"one": loop(1), "more": loop(1 + STEPS)}
 
 
-def make_parts(objective: Objective, image: LevelImage) -> Parts:
+def make_parts(objective: Objective, image: EncodedImage) -> Parts:
     """Make the parts of an iteration, each separately and from a fixed state."""
     problem, start = objective.problem(image), objective.start(np.zeros(objective.warp.n_parameters))
     state = start.p, tuple(start.angles), start.lam
@@ -174,7 +174,7 @@ def measure(parts: Parts) -> dict[str, np.ndarray]:
     return {name: own[:, 0] for name, own in times.items()}
 
 
-def make_fit(method: str, n_modes: int = N_APPEARANCE_MODES) -> tuple[Objective, LevelImage]:
+def make_fit(method: str, n_modes: int = N_APPEARANCE_MODES) -> tuple[Objective, EncodedImage]:
     """Make the objective of a method for a random model, and an image."""
     rng = np.random.default_rng(20080624)
     model = make_model(rng, method, n_modes)

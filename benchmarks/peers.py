@@ -25,7 +25,7 @@ from benchmarks.track import data_folder
 from experiments.lights import dapples, hard_light
 from liaam.datasets import Dataset, load_folder
 from liaam.fitting import FitResult, Fitter
-from liaam.fitting.loop.level_image import LevelImage
+from liaam.fitting.loop.encoded_image import EncodedImage
 from liaam.fitting.loop.objective import Objective
 from liaam.model import AAM
 from liaam.model.shape import diagonal_of
@@ -63,7 +63,7 @@ class Found(NamedTuple):
 
 
 @dataclass(frozen=True)
-class Row:
+class PeerRow:
     """One line of the table.
 
     Attributes
@@ -112,7 +112,7 @@ class Peer:
     name: str
     modules: tuple[str, ...]
     install: str
-    rows: Callable[[], list[Row]]
+    rows: Callable[[], list[PeerRow]]
 
 
 # ---- material
@@ -182,7 +182,7 @@ def _near(points: np.ndarray | None, shape: np.ndarray) -> bool:
 # ---- the floor
 
 
-def floor_bytes(objective: Objective, image: LevelImage) -> int:
+def floor_bytes(objective: Objective, image: EncodedImage) -> int:
     """Minimum memory traffic of an iteration in bytes; see the table in benchmarks/README.md."""
     n, m, k = len(objective.appearance.mean), objective.n_lambda, objective.method.n_rows
     c = image.patch.n_channels
@@ -192,19 +192,19 @@ def floor_bytes(objective: Objective, image: LevelImage) -> int:
     return points + sample + 4 * m * k * n + (4 * m + 12) * k * n
 
 
-def floor_rows() -> list[Row]:
+def floor_rows() -> list[PeerRow]:
     """Rows of the lower bound."""
     objective, _ = iteration.make_fit("li")
     n_columns = objective.warp.n_parameters
     rng = np.random.default_rng(1)
     what = f"BLAS products of the dense form alone, {iteration.N_PIXELS} pixels"
-    rows = [Row("peers_floor_blas", what, [iteration.make_yardstick(rng, n_columns)] * REPEATS)]
+    rows = [PeerRow("peers_floor_blas", what, [iteration.make_yardstick(rng, n_columns)] * REPEATS)]
     for method in ("soft-li", "li"):
         n_bytes = floor_bytes(*iteration.make_fit(method))
         source = np.zeros(n_bytes // 2, np.uint8)
         what = f"reading and writing the {n_bytes / 1e6:.1f} MB that an iteration of {method} has to move"
         rows.append(
-            Row(f"peers_floor_move_{_word(method)}", what, [partial(np.copyto, source.copy(), source)] * REPEATS)
+            PeerRow(f"peers_floor_move_{_word(method)}", what, [partial(np.copyto, source.copy(), source)] * REPEATS)
         )
     return rows
 
@@ -212,7 +212,7 @@ def floor_rows() -> list[Row]:
 # ---- liaam
 
 
-def liaam_rows() -> list[Row]:
+def liaam_rows() -> list[PeerRow]:
     """Rows of whole fits, and of iterations with the pixels of the reference."""
     rows, pictures, model = [], _heads(), fit.make_model()
     for method in METHODS:
@@ -221,13 +221,13 @@ def liaam_rows() -> list[Row]:
         error = fit.median_error([result.landmarks for result in results], pictures, model.diagonal)
         steps = median_iterations(results)
         what = f"whole fit from a box, {model.n_pixels} pixels, {steps} iterations, {error:.2f} px off"
-        rows.append(Row(f"peers_liaam_{word}", what, fit.fits(fitter, pictures)))
+        rows.append(PeerRow(f"peers_liaam_{word}", what, fit.fits(fitter, pictures)))
         objective, problem = iteration.make_fit(method)
         loops = iteration.make_loops(objective, problem)
         what = f"one iteration, {iteration.N_PIXELS} pixels, rows: {objective.method.n_rows}"
         more, less = ([loops[name]] * REPEATS for name in ("more", "one"))
         name = f"peers_liaam_{word}_iteration"
-        rows.append(Row(name, what, more, less, iteration.STEPS, beside="peers_floor_blas"))
+        rows.append(PeerRow(name, what, more, less, iteration.STEPS, beside="peers_floor_blas"))
     return rows
 
 
@@ -241,7 +241,7 @@ def median_iterations(results: Sequence[FitResult]) -> int:
     return round(float(np.median([result.n_iterations for result in results])))
 
 
-def photograph_rows() -> list[Row]:
+def photograph_rows() -> list[PeerRow]:
     """Rows of the default method on photographs of unseen persons."""
     pictures, model = timed_photographs(), known_photographs().model
     fitter = Fitter(model)
@@ -251,21 +251,21 @@ def photograph_rows() -> list[Row]:
     finds = found_faces(lambda image: fitter.find(image)[0].landmarks)
     about = f"{model.n_pixels} pixels, {model.shape_model.n_points} points, photographs of 640x480"
     return [
-        Row("peers_liaam_photo", f"whole fit from a box, {about}", fit.fits(fitter, pictures)),
-        Row("peers_liaam_photo_found", "search and fit, photographs", searches, found=finds),
-        Row("peers_liaam_photo_video", "the next frame of a video that stands still, photographs", videos),
+        PeerRow("peers_liaam_photo", f"whole fit from a box, {about}", fit.fits(fitter, pictures)),
+        PeerRow("peers_liaam_photo_found", "search and fit, photographs", searches, found=finds),
+        PeerRow("peers_liaam_photo_video", "the next frame of a video that stands still, photographs", videos),
     ]
 
 
 # ---- dlib
 
 
-def dlib_rows() -> list[Row]:
+def dlib_rows() -> list[PeerRow]:
     """Rows of the shape predictor: its own model on photographs, and one trained on the generated heads."""
     return [dlib_trained(), *dlib_photographs()]
 
 
-def dlib_trained() -> Row:
+def dlib_trained() -> PeerRow:
     """A predictor of liaam's landmarks."""
     dlib: Any = __import__("dlib")
     training, pictures = fit.make_pictures()
@@ -282,10 +282,10 @@ def dlib_trained() -> Row:
     shapes = [np.array([(p.x, p.y) for p in call().parts()], float) for call in calls]
     error = fit.median_error(shapes, pictures, fit.make_model().diagonal)
     what = f"regression trees trained on the same {len(training)} heads, from a box, {error:.2f} px off"
-    return Row("peers_dlib_trained", what, calls, beside="peers_liaam_soft_li")
+    return PeerRow("peers_dlib_trained", what, calls, beside="peers_liaam_soft_li")
 
 
-def dlib_photographs() -> list[Row]:
+def dlib_photographs() -> list[PeerRow]:
     """The 68 points, and the detector that they start from."""
     dlib: Any = __import__("dlib")
     pictures = timed_photographs()
@@ -298,8 +298,10 @@ def dlib_photographs() -> list[Row]:
     points = [partial(predictor, image, dlib_box(shape)) for image, shape in pictures]
     faces = [partial(detector, image) for image, _ in pictures]
     return [
-        Row("peers_dlib_68", "regression trees, 68 points from a box, photographs", points, beside="peers_liaam_photo"),
-        Row("peers_dlib_detect", "frontal face detector, photographs", faces, found=found_faces(find)),
+        PeerRow(
+            "peers_dlib_68", "regression trees, 68 points from a box, photographs", points, beside="peers_liaam_photo"
+        ),
+        PeerRow("peers_dlib_detect", "frontal face detector, photographs", faces, found=found_faces(find)),
     ]
 
 
@@ -320,7 +322,7 @@ def dlib_box(shape: np.ndarray):
 # ---- MediaPipe
 
 
-def mediapipe_rows() -> list[Row]:
+def mediapipe_rows() -> list[PeerRow]:
     """Rows of the face mesh on photographs: as single images, and as frames of a video."""
     from mediapipe.python.solutions.face_mesh import FaceMesh  # type: ignore
 
@@ -335,14 +337,14 @@ def mediapipe_rows() -> list[Row]:
     each = [partial(still.process, image) for image, _ in pictures]
     frames = [partial(video.process, image) for video, (image, _) in zip(videos, pictures, strict=True)]
     return [
-        Row(
+        PeerRow(
             "peers_mediapipe_still",
             "face mesh, detection and 468 points, photographs",
             each,
             beside="peers_liaam_photo_found",
             found=found_faces(find),
         ),
-        Row(
+        PeerRow(
             "peers_mediapipe_video",
             "face mesh, the next frame of a video that stands still, photographs",
             frames,
@@ -354,14 +356,14 @@ def mediapipe_rows() -> list[Row]:
 # ---- menpofit
 
 
-def menpofit_rows() -> list[Row]:
+def menpofit_rows() -> list[PeerRow]:
     """Rows of its active appearance models, on grey values and on gradient orientations."""
     from menpo.feature import igo, no_op  # type: ignore
 
     return [*menpofit_feature("grey", no_op), *menpofit_feature("igo", igo)]
 
 
-def menpofit_feature(word: str, feature: Callable) -> list[Row]:
+def menpofit_feature(word: str, feature: Callable) -> list[PeerRow]:
     """The rows of a feature: a whole fit, and one iteration."""
     diagonal = fit.make_model().diagonal
     fitter = menpofit_fitter(feature, diagonal, (0.5, 1.0))
@@ -376,8 +378,8 @@ def menpofit_feature(word: str, feature: Callable) -> list[Row]:
     more, less = menpofit_calls(exact, 1 + STEPS), menpofit_calls(exact, 1)
     name = f"peers_menpofit_{word}"
     return [
-        Row(name, what, calls, beside=beside),
-        Row(f"{name}_iteration", what_iteration, more, less, STEPS, beside=f"{beside}_iteration"),
+        PeerRow(name, what, calls, beside=beside),
+        PeerRow(f"{name}_iteration", what_iteration, more, less, STEPS, beside=f"{beside}_iteration"),
     ]
 
 
@@ -427,7 +429,7 @@ def _pixels(fitter) -> int:
 # ---- OpenCV
 
 
-def opencv_rows() -> list[Row]:
+def opencv_rows() -> list[PeerRow]:
     """Rows of its active appearance model, with a model file made from the same heads."""
     if not hasattr(getattr(cv2, "face", None), "createFacemarkAAM"):
         raise MissingError(f"this OpenCV is without its contributed modules ({OPENCV})")
@@ -445,8 +447,8 @@ def opencv_rows() -> list[Row]:
     what = f"whole fit from a box, {n_pixels} pixels, {n} iterations, {error:.2f} px off"
     name, each = "peers_opencv_aam", f"a {n}th of it, set-up included, {n_pixels} pixels"
     return [
-        Row(name, what, calls, beside="peers_liaam_grey"),
-        Row(f"{name}_iteration", each, calls, steps=n, beside="peers_liaam_grey_iteration"),
+        PeerRow(name, what, calls, beside="peers_liaam_grey"),
+        PeerRow(f"{name}_iteration", each, calls, steps=n, beside="peers_liaam_grey_iteration"),
     ]
 
 
@@ -463,7 +465,7 @@ PEERS = (
 )
 
 
-def rows_of(peer: Peer) -> list[Row]:
+def rows_of(peer: Peer) -> list[PeerRow]:
     """Return a peer's rows, or print why there are none."""
     lacking = [name for name in peer.modules if find_spec(name) is None]
     reason = f"not installed ({peer.install})"
@@ -495,7 +497,7 @@ def one_core() -> Iterator[None]:
             os.sched_setaffinity(0, allowed)
 
 
-def measure(rows: Sequence[Row]) -> dict[str, np.ndarray]:
+def measure(rows: Sequence[PeerRow]) -> dict[str, np.ndarray]:
     """Milliseconds of each row, (rounds x images,)."""
     blocks = {row.name: row.calls for row in rows} | {f"less {row.name}": row.less for row in rows if row.less}
     times = in_turn(blocks, ROUNDS)

@@ -11,7 +11,7 @@ from types import SimpleNamespace
 import numpy as np
 
 from liaam.errors import MethodError
-from liaam.fitting.loop.level_image import LevelImage
+from liaam.fitting.loop.encoded_image import EncodedImage
 from liaam.fitting.loop.objective import Objective, make_objectives
 from liaam.fitting.methods import Method, get_method
 from liaam.formatting import short_repr
@@ -115,7 +115,7 @@ def cramer_rao_bound(
     objective = make_objectives(model, method, thinning=0.0)[-1]
     shapes = model.views[method.view].shape_model
     pose = align(shapes.mean, shape)
-    encoded = LevelImage.at(as_colour(image), shape, pose, method, response, blur=0.0)
+    encoded = EncodedImage.at(as_colour(image), shape, pose, method, response, blur=0.0)
     p = shapes.parameters(pose.inverse()(shape))
     angles = np.array([model.theta, model.theta if theta is None else theta])
     density = _pixels_per_sample(model, shape)[model.views[method.view].warp.every(0.0)]
@@ -139,7 +139,7 @@ def _pixels_per_sample(model: AAM, shape: np.ndarray) -> np.ndarray:
 
 def _covariance(
     objective: Objective,
-    encoded: LevelImage,
+    encoded: EncodedImage,
     response: Response,
     p: np.ndarray,
     angles: np.ndarray,

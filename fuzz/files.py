@@ -169,7 +169,7 @@ def make_journal(rng: Random) -> bytes:
 def check_journal(data: bytes) -> None:
     """Resume from it up to the table, as ``liaam batch`` does."""
     from liaam.batch.journal import Journal
-    from liaam.batch.tables import Table, row_of, write_table
+    from liaam.batch.tables import BatchTable, row_of, write_table
 
     folder = Path("x.parts")
     folder.mkdir(exist_ok=True)
@@ -186,7 +186,7 @@ def check_journal(data: bytes) -> None:
         if len(rows) < journal.total:
             raise journal.damage("a row")
         for suffix in (".csv", ".jsonl"):
-            write_table(Path(f"x{suffix}"), Table(rows, 1, True, _FACTS))
+            write_table(Path(f"x{suffix}"), BatchTable(rows, 1, True, _FACTS))
         journal.digest()
 
 

@@ -98,14 +98,14 @@ def _app(folder: str) -> Any:
     """Return the studio on a folder of one image."""
     from fuzz.engine import tiny
     from liaam.studio.app import Studio, make_app
-    from liaam.studio.settings import Settings
+    from liaam.studio.settings import StudioSettings
 
     home = Path(folder) / "project"
     home.mkdir()
     (home / "p1.png").write_bytes(_png())
     tiny().save(Path(folder) / "m.liaam")
     secrets.token_urlsafe = lambda *_: _ID  # this process does nothing else
-    return make_app(Studio(home, Path(folder) / "m.liaam", Settings(token=TOKEN, drain_seconds=0.1)))
+    return make_app(Studio(home, Path(folder) / "m.liaam", StudioSettings(token=TOKEN, drain_seconds=0.1)))
 
 
 async def _answer(app: Any, request: Request) -> tuple[int, dict[bytes, bytes], bytes]:

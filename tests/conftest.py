@@ -29,7 +29,7 @@ from liaam.cli.main import main as liaam_main
 from liaam.datasets import Sample
 from liaam.io import Landmarks, video_writer
 from liaam.model import AAM, SURROUNDINGS, load_model
-from liaam.training import Lamps, learn_lamps, train
+from liaam.training import LearntLamps, learn_lamps, train
 from scenes import (
     DIFFUSE,
     Head,
@@ -210,7 +210,7 @@ def same_light_scene() -> Scene:
 
 
 @pytest.fixture(scope="session")
-def lamps() -> Lamps:
+def lamps() -> LearntLamps:
     """Learn three lamps from two pictures of the same head, for the methods that learn what light does."""
     lights = (DIFFUSE, lateral("left"), lateral("right"), lateral("left", azimuth=0.5, elevation=0.7))
     options = {"camera": narrow_band_camera(), "seed": 20, "size": SCENE_SIZE, "mixing": "planckian"}
@@ -251,8 +251,12 @@ def fine_model(trained_once, scenes) -> AAM:
 
 @pytest.fixture(scope="session")
 def moving() -> list[Scene]:
-    """Give the frames of a head that turns and talks, as an ordinary camera sees it: 8 bits, broad sensors."""
-    return [moving_scene(i / MOVING_FRAMES) for i in range(MOVING_FRAMES)]
+    """Give the frames of a head that turns and talks, as an ordinary camera sees it: 8 bits, broad sensors.
+
+    It goes back as it came, so that half of the frames need no rendering.
+    """
+    there = [moving_scene(i / MOVING_FRAMES) for i in range(MOVING_FRAMES // 2 + 1)]
+    return [*there, *there[-2:0:-1]]
 
 
 @pytest.fixture(scope="session")

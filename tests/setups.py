@@ -12,7 +12,7 @@ import pytest
 
 from liaam import _core
 from liaam.fitting import get_method
-from liaam.fitting.loop.level_image import LevelImage
+from liaam.fitting.loop.encoded_image import EncodedImage
 from liaam.fitting.loop.objective import Objective, make_objectives
 from liaam.fitting.reference.problem import Problem
 from liaam.io import write_image, write_landmarks
@@ -75,14 +75,14 @@ ENGINES = ("core", "reference")
 
 def make_level(
     model: AAM, image: np.ndarray, start: np.ndarray, objective: Objective, blur: float = 0.5
-) -> tuple[LevelImage, np.ndarray]:
+) -> tuple[EncodedImage, np.ndarray]:
     """Encode one image for an objective, and return the warp parameters of the start."""
     pose = align(model.shape_model.mean, start)
-    encoded = LevelImage.at(image, start, pose, objective.method, model.response, blur, density=objective.density)
+    encoded = EncodedImage.at(image, start, pose, objective.method, model.response, blur, density=objective.density)
     return encoded, model.views[objective.method.view].shape_model.parameters(pose.inverse()(start))
 
 
-def problem_of(objective: Objective, image: LevelImage, engine: str):
+def problem_of(objective: Objective, image: EncodedImage, engine: str):
     """Return an objective's problem at an image, of the core or the reference; skip what the core leaves out."""
     if engine == "reference":
         return Problem(objective, image)

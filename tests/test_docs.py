@@ -31,7 +31,7 @@ from liaam.relighting.lamp import STRONGEST
 from liaam.relighting.relighter import LONGEST
 from liaam.tracking.files import arrays_of
 from liaam.training import options
-from liaam.training.lamps.bank import DARK, Lamps
+from liaam.training.lamps.bank import DARK, LearntLamps
 
 ROOT = Path(__file__).resolve().parents[1]
 
@@ -224,7 +224,7 @@ def test_values_in_docstrings_are_those_of_the_code():
         (liaam.find_label_faults, f"fewer than {label_faults.LEAST_PICTURES} images"),
         (Lamp, f"0 to {STRONGEST:g}."),
         (Relighter.under, f"up to a factor {LONGEST}"),
-        (Lamps, f"plus {DARK * 255:g}/255"),
+        (LearntLamps, f"plus {DARK * 255:g}/255"),
         (video_writer, ", ".join(f"``{suffix}``" for suffix in VIDEO_SUFFIXES)),
         (liaam.AAM, ", ".join(f"``{name}``" for name in VIEWS)),
     ):

@@ -15,7 +15,7 @@ import numpy as np
 import pytest
 
 from liaam.batch import Settings, run_batch
-from liaam.batch.work import Job
+from liaam.batch.work import FitJob
 from liaam.datasets import load_folder
 from liaam.errors import LiaamError
 from liaam.io import VideoReader, write_image, write_landmarks
@@ -77,7 +77,7 @@ COMMANDS = {
     "show": ("show {model} -o {out}/m.png", "m.png"),
     "relight": ("relight {model} {picture} --init {start} -o {out}/lit.png", None),
     "invariant": ("camera invariant {picture} --camera 122 -o {out}", "face0_invariant.png"),
-    "register": ("camera register {picture} {other} -o {out}/same.png", "same.png"),
+    "register": ("camera register {picture} {other} --warp translation -o {out}/same.png", "same.png"),
     "lamps": ("lamps {lamps} --training-lamp 0 -o {out}/x.lamps", "x.lamps"),
 }
 
@@ -251,7 +251,7 @@ def without_seconds(text):
 def known_rows(half_done, monkeypatch):
     """Rows are looked up instead of fitted: what is tested is the journal."""
     rows = {row["path"]: row for row in half_done.rows}
-    monkeypatch.setattr(Job, "row", lambda _job, path: kept(rows[path]))
+    monkeypatch.setattr(FitJob, "row", lambda _job, path: kept(rows[path]))
 
 
 def outcome(world, half_done, folder, files):
@@ -342,7 +342,7 @@ def test_a_journal_of_other_pictures_gives_none_of_its_rows(world, half_done, kn
         (tmp_path / "r.jsonl.parts" / name).write_bytes(content)
     rows = {str(pictures / Path(row["path"]).name): row for row in half_done.rows}
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(Job, "row", lambda _job, path: kept({**rows[path], "path": path}))
+        patch.setattr(FitJob, "row", lambda _job, path: kept({**rows[path], "path": path}))
         assert batch_of(world, output, pictures).fitted == 5
     assert {row["path"] for row in map(json.loads, lines_of(output))} == set(rows)
 

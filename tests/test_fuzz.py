@@ -87,7 +87,7 @@ def test_a_busy_machine_does_not_end_a_child_that_prepares(monkeypatch):
 def test_a_case_depends_on_target_seed_and_number_alone():
     for name, target in TARGETS.items():
         alone = [repr(target.input_of(3, 7)) for _ in range(2)]
-        for case in range(20):
+        for case in range(9):  # this one's, too
             target.input_of(3, case)
         assert repr(target.input_of(3, 7)) == alone[0] == alone[1], name
         others = [repr(target.input_of(4, case)) != repr(target.input_of(3, case)) for case in (7, 8)]
@@ -103,12 +103,12 @@ def test_the_documents_state_the_limits_of_a_case():
 
 def test_a_third_of_the_forged_models_is_accepted(tmp_path):
     n_accepted, path = 0, tmp_path / "forged.liaam"
-    for case in range(200):
+    for case in range(100):
         path.write_bytes(TARGETS["forged"].input_of(5, case))
         with contextlib.suppress(ModelFileError):
             load_model(path)
             n_accepted += 1
-    assert n_accepted >= forged.SHARE_ACCEPTED * 200
+    assert n_accepted >= forged.SHARE_ACCEPTED * 100
 
 
 def test_forged_models_that_are_accepted_are_fitted_without_a_fault():

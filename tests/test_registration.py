@@ -8,7 +8,7 @@ import pytest
 from finite_differences import assert_jacobian
 from liaam.errors import ImageError, MethodError
 from liaam.fitting import FitStatus, get_method
-from liaam.fitting.loop.level_image import LevelImage
+from liaam.fitting.loop.encoded_image import EncodedImage
 from liaam.io import read_image
 from liaam.model.shape import align
 from liaam.model.warp import apply_homography
@@ -199,7 +199,7 @@ def test_columns_are_the_derivative_of_the_residual(method, rng):
     objective = _levels(a, get_method(method), "homography", "srgb", THETA_DEFAULT, mask)[0][-1]
     warp, n_p = objective.warp, objective.warp.n_parameters
     pose = align(warp.rest, warp.rest)
-    image = LevelImage.at(b, warp.rest, pose, objective.method, "srgb", objective.blur)
+    image = EncodedImage.at(b, warp.rest, pose, objective.method, "srgb", objective.blur)
     state = objective.start(rng.normal(0, 0.5, n_p))._replace(angles=np.array([2.0, 2.2]))
     problem = objective.problem(image)
     problem.begin(*state)

@@ -23,7 +23,7 @@ from liaam.model import AAM, SURROUNDINGS, Level
 from liaam.model.mirror import mirrored_model
 from liaam.model.shape import procrustes_mean
 from liaam.photometry import CameraModel
-from liaam.training import Lamps, TrainingOptions
+from liaam.training import LearntLamps, TrainingOptions
 from liaam.training.entries import read_entries
 from liaam.training.faces import face_lamps
 from liaam.training.lamps.bank import carried
@@ -131,14 +131,14 @@ def turned(data: Sequence[Sample]) -> Iterator[Sample]:
             yield Sample(f"{sample.name}{side}", seen, Landmarks(points, contours, tuple(names)))
 
 
-def lamps_of(data: Sequence[Sample], heads: Sequence[Sample]) -> Lamps:
+def lamps_of(data: Sequence[Sample], heads: Sequence[Sample]) -> LearntLamps:
     """Return the lamps of frontal faces, carried to turned ones."""
     entries = read_entries(data).entries
     means = [procrustes_mean(np.array([sample.landmarks.points for sample in each])) for each in (data, heads)]
     known, mean = face_lamps(entries, means[0], CameraModel()), unit_shape(means[1])
     if known is None:
         raise SystemExit("no faces were found on the pictures")
-    return Lamps(mean, carried(known.mean, known.fields, mean), known.names)
+    return LearntLamps(mean, carried(known.mean, known.fields, mean), known.names)
 
 
 def with_modes(model: AAM, counts: Sequence[int]) -> AAM:

@@ -52,7 +52,7 @@ double minimise_on_arc(std::array<double, 3> s, std::array<double, 2> b, double 
     return cost(refined) < lowest ? refined : best;
 }
 
-double best_image_angle(const Objective& objective, const LevelImage& image, Workspace& work) {
+double best_image_angle(const Objective& objective, const EncodedImage& image, Workspace& work) {
     const std::size_t n = objective.n(), m = objective.m();
     evaluate_residual(objective, image, work, true);
     solve_appearance(objective, work, false, false);

@@ -7,7 +7,7 @@ namespace liaam {
 
 // The angle theta_2 within 60 degrees of theta_1 that minimises eq 10 over theta_2 and lambda at the workspace's state;
 // the state's own where no pixel is usable. The method compares the invariant.
-double best_image_angle(const Objective& objective, const LevelImage& image, Workspace& work);
+double best_image_angle(const Objective& objective, const EncodedImage& image, Workspace& work);
 
 // The angle t within `reach` of `centre` that minimises u'Su - 2b'u over u = (cos t, sin t); S as (S00, S01, S11).
 double minimise_on_arc(std::array<double, 3> s, std::array<double, 2> b, double centre, double reach);

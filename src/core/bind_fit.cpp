@@ -9,7 +9,7 @@ using namespace liaam;
 namespace {
 
 // A model and a method, prepared for many images.
-struct Prepared {
+struct PreparedFit {
     std::vector<LevelSpec> levels;
     Encoding encoding = Encoding::soft;
     double theta_1 = 0.0;
@@ -33,8 +33,8 @@ void check_shapes(const Shapes& shapes) {
     require(extent > kSmallest, "the mean shape is too small");
 }
 
-std::unique_ptr<Prepared> prepare(const nb::dict& given) {
-    auto prepared = std::make_unique<Prepared>();
+std::unique_ptr<PreparedFit> prepare(const nb::dict& given) {
+    auto prepared = std::make_unique<PreparedFit>();
     Fields fields(given, prepared->kept);
     const Doubles mean = fields.numbers<double>("mean");
     prepared->encoding = numbered<Encoding>(fields.value<int>("encoding"), Encoding::soft, "encoding");
@@ -62,7 +62,7 @@ std::unique_ptr<Prepared> prepare(const nb::dict& given) {
     return prepared;
 }
 
-Target target_of(const Prepared& prepared, const nb::dict& given, std::vector<nb::object>& kept) {
+Target target_of(const PreparedFit& prepared, const nb::dict& given, std::vector<nb::object>& kept) {
     Fields fields(given, kept);
     Target target;
     const Doubles start = fields.numbers<double>("start"), points = fields.numbers<double>("points");
@@ -91,7 +91,7 @@ Target target_of(const Prepared& prepared, const nb::dict& given, std::vector<nb
 
 constexpr std::ptrdiff_t kMostPixels = std::ptrdiff_t{1} << 31;  // their places are counted in 32 bits
 
-std::vector<LevelResult> run_fit(const Prepared& prepared, const Picture& picture, const nb::dict& given,
+std::vector<FittedLevel> run_fit(const PreparedFit& prepared, const Picture& picture, const nb::dict& given,
                                  const nb::dict& options) {
     std::vector<nb::object> kept;
     const Target target = target_of(prepared, given, kept);
@@ -100,7 +100,7 @@ std::vector<LevelResult> run_fit(const Prepared& prepared, const Picture& pictur
     require(picture.height >= 8 && picture.width >= 8, "the image is smaller than 8 by 8 pixels");
     require(picture.height < kMostPixels / picture.width, "the image has 2^31 pixels or more; crop it to the object");
     Signals signals;
-    std::vector<LevelResult> results;
+    std::vector<FittedLevel> results;
     const RoomOfThread room;
     {
         const Unlocked unlocked;
@@ -111,7 +111,7 @@ std::vector<LevelResult> run_fit(const Prepared& prepared, const Picture& pictur
 }
 
 template <class T>
-std::vector<LevelResult> fit_stored(const Prepared& prepared, const Image<T>& image, const Array<float, 3>& table,
+std::vector<FittedLevel> fit_stored(const PreparedFit& prepared, const Image<T>& image, const Array<float, 3>& table,
                                     bool grey, float floor, const nb::dict& target, const nb::dict& options) {
     check_table<T>(table);
     const Stored<T> view = stored(image);
@@ -127,7 +127,7 @@ std::vector<LevelResult> fit_stored(const Prepared& prepared, const Image<T>& im
     return run_fit(prepared, picture, target, options);
 }
 
-std::vector<LevelResult> fit_light(const Prepared& prepared, const Array<float, 3>& light,
+std::vector<FittedLevel> fit_light(const PreparedFit& prepared, const Array<float, 3>& light,
                                    const std::optional<Array<float, 2>>& finite, bool grey, float floor,
                                    const nb::dict& target, const nb::dict& options) {
     require(light.shape(2) == 4, "light has four channels");
@@ -150,13 +150,13 @@ void bind_fit(nb::module_& module) {
     const auto rows = [](const Similarity& s) {
         return owned(std::vector<double>{s.xx, s.xy, s.x0, s.yx, s.yy, s.y0}, {2, 3});
     };
-    nb::class_<LevelResult>(module, "LevelResult")
-        .def_ro("fit", &LevelResult::fit)
-        .def_prop_ro("pose", [rows](const LevelResult& result) { return rows(result.pose); })
-        .def_prop_ro("to_patch", [rows](const LevelResult& result) { return rows(result.to_patch); })
+    nb::class_<FittedLevel>(module, "FittedLevel")
+        .def_ro("fit", &FittedLevel::fit)
+        .def_prop_ro("pose", [rows](const FittedLevel& result) { return rows(result.pose); })
+        .def_prop_ro("to_patch", [rows](const FittedLevel& result) { return rows(result.to_patch); })
         .def_prop_ro("patch_size",
-                     [](const LevelResult& result) { return std::make_pair(result.patch_height, result.patch_width); });
-    nb::class_<Prepared>(module, "Prepared")
+                     [](const FittedLevel& result) { return std::make_pair(result.patch_height, result.patch_width); });
+    nb::class_<PreparedFit>(module, "PreparedFit")
         .def("fit", fit_stored<std::uint8_t>, "image"_a.noconvert(), "table"_a, "grey"_a, "floor"_a, "target"_a, "options"_a)
         .def("fit", fit_stored<std::uint16_t>, "image"_a.noconvert(), "table"_a, "grey"_a, "floor"_a, "target"_a, "options"_a)
         .def("fit_light", fit_light, "light"_a, "finite"_a.none(), "grey"_a, "floor"_a, "target"_a, "options"_a);

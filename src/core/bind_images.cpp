@@ -12,7 +12,7 @@ using namespace liaam;
 namespace {
 
 // Refuses blocks that do not fit into an image. Without any block, their size may be anything.
-void check_blocks(double height, double width, const Blocks& blocks) {
+void check_blocks(double height, double width, const BlockGrid& blocks) {
     require(blocks.size >= 1.0 && blocks.x >= 0.0 && blocks.y >= 0.0 && blocks.rows >= 0 && blocks.columns >= 0,
             "blocks start within the image and have a size of at least 1");
     require(blocks.x + blocks.size * blocks.columns <= width + 1e-6 * width + 1e-6 &&
@@ -24,7 +24,7 @@ template <class T>
 nb::object average_stored(const Image<T>& image, const Array<float, 3>& table, double x, double y, double size,
                           std::ptrdiff_t rows, std::ptrdiff_t columns) {
     check_table<T>(table);
-    const Blocks blocks{x, y, size, rows, columns};
+    const BlockGrid blocks{x, y, size, rows, columns};
     check_blocks(image.shape(0), image.shape(1), blocks);
     std::vector<float> means;
     if (rows > 0 && columns > 0) {
@@ -38,7 +38,7 @@ nb::object average_stored(const Image<T>& image, const Array<float, 3>& table, d
 
 nb::object average_values(const Array<float, 3>& values, double x, double y, double size,
                                              std::ptrdiff_t rows, std::ptrdiff_t columns) {
-    const Blocks blocks{x, y, size, rows, columns};
+    const BlockGrid blocks{x, y, size, rows, columns};
     check_blocks(values.shape(0), values.shape(1), blocks);
     std::vector<float> means;
     if (rows > 0 && columns > 0) {

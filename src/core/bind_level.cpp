@@ -114,7 +114,7 @@ std::unique_ptr<HeldObjective> make_objective(const nb::dict& given) {
 
 // An encoded image with the arrays that it views.
 struct HeldImage {
-    LevelImage image;
+    EncodedImage image;
     std::vector<nb::object> kept;
 };
 
@@ -126,7 +126,7 @@ Similarity similarity_of(const Rows<const double>& rows) {
 std::unique_ptr<HeldImage> make_image(const nb::dict& given) {
     auto held = std::make_unique<HeldImage>();
     Fields fields(given, held->kept);
-    LevelImage& image = held->image;
+    EncodedImage& image = held->image;
     image.pixels = fields.numbers<float>("pixels");
     image.height = fields.value<int>("height");
     image.width = fields.value<int>("width");
@@ -168,36 +168,36 @@ nb::object contrasts(const std::vector<Contrast>& all) {
 }
 
 void bind_level_fit(nb::module_& module) {
-    nb::class_<LevelFit>(module, "LevelFit")
-        .def_prop_ro("p", [](const LevelFit& fit) { return copied(fit.state.p, {fit.state.p.size()}); })
-        .def_prop_ro("angles", [](const LevelFit& fit) { return fit.state.angles; })
-        .def_prop_ro("lam", [](const LevelFit& fit) { return copied(fit.state.lam, {fit.state.lam.size()}); })
-        .def_prop_ro("costs", [](const LevelFit& fit) { return copied(fit.trace.costs, {fit.trace.costs.size()}); })
+    nb::class_<Solution>(module, "Solution")
+        .def_prop_ro("p", [](const Solution& fit) { return copied(fit.state.p, {fit.state.p.size()}); })
+        .def_prop_ro("angles", [](const Solution& fit) { return fit.state.angles; })
+        .def_prop_ro("lam", [](const Solution& fit) { return copied(fit.state.lam, {fit.state.lam.size()}); })
+        .def_prop_ro("costs", [](const Solution& fit) { return copied(fit.trace.costs, {fit.trace.costs.size()}); })
         .def_prop_ro("path",
-                     [](const LevelFit& fit) {
+                     [](const Solution& fit) {
                          return copied(fit.trace.path, {fit.trace.costs.size(), fit.state.p.size()});
                      })
         .def_prop_ro("angle_history",
-                     [](const LevelFit& fit) {
+                     [](const Solution& fit) {
                          std::vector<double> angles;
                          for (const auto& each : fit.trace.angles) angles.insert(angles.end(), each.begin(), each.end());
                          return owned(std::move(angles), {fit.trace.angles.size(), 2});
                      })
-        .def_prop_ro("n_iterations", [](const LevelFit& fit) { return fit.trace.n_iterations; })
-        .def_prop_ro("converged", [](const LevelFit& fit) { return fit.trace.converged; })
-        .def_prop_ro("held", [](const LevelFit& fit) { return fit.trace.held; })
-        .def_prop_ro("flat", [](const LevelFit& fit) { return fit.trace.flat; })
-        .def_ro("noise_variance", &LevelFit::noise_variance)
-        .def_ro("squares", &LevelFit::squares)
-        .def_ro("weight", &LevelFit::weight)
-        .def_ro("prior_scale", &LevelFit::prior_scale)
-        .def_ro("n_counted", &LevelFit::n_counted)
-        .def_prop_ro("expected_hessian", [](const LevelFit& fit) { return copied(fit.expected_hessian); })
-        .def_prop_ro("usable", [](const LevelFit& fit) { return copied(fit.usable, {fit.usable.size()}); })
-        .def_prop_ro("samples", [](const LevelFit& fit) { return copied(fit.samples, {fit.samples.size()}); })
-        .def_prop_ro("residual", [](const LevelFit& fit) { return copied(fit.residual, {fit.residual.size()}); })
-        .def_prop_ro("contrast", [](const LevelFit& fit) { return contrasts(fit.contrast); })
-        .def_prop_ro("weighted_contrast", [](const LevelFit& fit) { return contrasts(fit.weighted_contrast); });
+        .def_prop_ro("n_iterations", [](const Solution& fit) { return fit.trace.n_iterations; })
+        .def_prop_ro("converged", [](const Solution& fit) { return fit.trace.converged; })
+        .def_prop_ro("held", [](const Solution& fit) { return fit.trace.held; })
+        .def_prop_ro("flat", [](const Solution& fit) { return fit.trace.flat; })
+        .def_ro("noise_variance", &Solution::noise_variance)
+        .def_ro("squares", &Solution::squares)
+        .def_ro("weight", &Solution::weight)
+        .def_ro("prior_scale", &Solution::prior_scale)
+        .def_ro("n_counted", &Solution::n_counted)
+        .def_prop_ro("expected_hessian", [](const Solution& fit) { return copied(fit.expected_hessian); })
+        .def_prop_ro("usable", [](const Solution& fit) { return copied(fit.usable, {fit.usable.size()}); })
+        .def_prop_ro("samples", [](const Solution& fit) { return copied(fit.samples, {fit.samples.size()}); })
+        .def_prop_ro("residual", [](const Solution& fit) { return copied(fit.residual, {fit.residual.size()}); })
+        .def_prop_ro("contrast", [](const Solution& fit) { return contrasts(fit.contrast); })
+        .def_prop_ro("weighted_contrast", [](const Solution& fit) { return contrasts(fit.weighted_contrast); });
 }
 
 // A level at a state, in the parts that the loop calls, in its order: for tests, residual images and relighting.
@@ -245,7 +245,7 @@ class Problem {
     static constexpr const char* kNotEvaluated = "the problem has no residual yet; call evaluate first";
 
     const Objective& objective_;
-    const LevelImage& image_;
+    const EncodedImage& image_;
     Workspace work_;
     Reached reached_ = Reached::nothing;
 };
@@ -294,7 +294,7 @@ void bind_problem(nb::module_& module) {
         .def("arrays", arrays_of);
 }
 
-LevelFit solve_one(const HeldObjective& held, const HeldImage& image, const Array<double, 1>& p,
+Solution solve_one(const HeldObjective& held, const HeldImage& image, const Array<double, 1>& p,
                    std::array<double, 2> angles, const Array<double, 1>& lam, const nb::dict& options, double blur,
                    bool evaluate_last) {
     check_together(held, image);
@@ -302,7 +302,7 @@ LevelFit solve_one(const HeldObjective& held, const HeldImage& image, const Arra
     Options own = options_of(options);
     own.keeps_samples = true;
     Signals signals;
-    LevelFit fit;
+    Solution fit;
     const RoomOfThread room;
     {
         const Unlocked unlocked;
@@ -316,7 +316,7 @@ LevelFit solve_one(const HeldObjective& held, const HeldImage& image, const Arra
 
 void bind_level(nb::module_& module) {
     nb::class_<HeldObjective>(module, "Objective");
-    nb::class_<HeldImage>(module, "LevelImage");
+    nb::class_<HeldImage>(module, "EncodedImage");
     module.def("make_objective", make_objective, "fields"_a);
     module.def("make_image", make_image, "fields"_a);
     bind_level_fit(module);

@@ -72,12 +72,12 @@ std::ptrdiff_t first_block(std::ptrdiff_t low, double size) {
     return static_cast<std::ptrdiff_t>(std::ceil(size == std::floor(size) ? std::floor(at) : at));
 }
 
-void average(const Picture& picture, const Corner& begin, const Corner& end, const Blocks& blocks, Means& means) {
+void average(const Picture& picture, const Corner& begin, const Corner& end, const BlockGrid& blocks, Means& means) {
     const auto width = end.x - begin.x, height = end.y - begin.y;
     if (picture.bytes) return stored_means(picture.bytes->crop(begin.x, begin.y, width, height), picture.table, blocks, means.light);
     if (picture.words) return stored_means(picture.words->crop(begin.x, begin.y, width, height), picture.table, blocks, means.light);
     // Light: the whole image, so that rows stay contiguous; only the rows in question are read.
-    const Blocks within{blocks.x + begin.x, blocks.y, blocks.size, blocks.rows, blocks.columns};
+    const BlockGrid within{blocks.x + begin.x, blocks.y, blocks.size, blocks.rows, blocks.columns};
     value_means(picture.light + 4 * picture.width * begin.y, height, picture.width, 4, within, means.light);
     if (picture.finite)
         value_means(picture.finite + picture.width * begin.y, height, picture.width, 1, within, means.finite);
@@ -87,7 +87,7 @@ void block_means(const Picture& picture, const Region& region, double size, Bloc
     const Corner first{first_block(region.low.x, size), first_block(region.low.y, size)};
     const Corner begin{static_cast<std::ptrdiff_t>(std::floor(first.x * size)),
                        static_cast<std::ptrdiff_t>(std::floor(first.y * size))};
-    Blocks blocks{first.x * size - begin.x, first.y * size - begin.y, size, 0, 0};
+    BlockGrid blocks{first.x * size - begin.x, first.y * size - begin.y, size, 0, 0};
     blocks.columns = static_cast<std::ptrdiff_t>((region.high.x - begin.x - blocks.x) / size + 1e-9);
     blocks.rows = static_cast<std::ptrdiff_t>((region.high.y - begin.y - blocks.y) / size + 1e-9);
     found.means.rows = blocks.rows;
@@ -169,7 +169,7 @@ class Fit {
     }
 
     // Encodes the surroundings of a shape for a level, and returns the state that the level starts from.
-    State prepare(const LevelSpec& level, const std::vector<double>& shape, double margin, LevelResult& result) {
+    State prepare(const LevelSpec& level, const std::vector<double>& shape, double margin, FittedLevel& result) {
         result.pose = align(level.shapes.mean, shape);
         encode_around(level, shape, margin, result);
         const Similarity to_model = inverse(result.pose);
@@ -182,7 +182,7 @@ class Fit {
                 std::vector<double>(level.objective->m(), 0.0)};
     }
 
-    const LevelImage& image() const { return image_; }
+    const EncodedImage& image() const { return image_; }
 
   private:
     // The image averaged once for all levels, as fine as the sharpest needs.
@@ -199,7 +199,7 @@ class Fit {
         block_means(picture_, region, limited(finest, region), room_.around_start);
     }
 
-    void encode_around(const LevelSpec& level, const std::vector<double>& shape, double margin, LevelResult& result) {
+    void encode_around(const LevelSpec& level, const std::vector<double>& shape, double margin, FittedLevel& result) {
         const double scale = scale_of(result.pose);
         double size = block_size(picture_.encoding, scale, level.blur);
         const Region region = around(picture_, shape, margin, size);
@@ -225,8 +225,8 @@ class Fit {
         set_image(level, result, blocks.size);
     }
 
-    void set_image(const LevelSpec& level, const LevelResult& result, double size) {
-        image_ = LevelImage{};
+    void set_image(const LevelSpec& level, const FittedLevel& result, double size) {
+        image_ = EncodedImage{};
         image_.pixels = room_.channels.pixels;
         image_.height = static_cast<int>(room_.channels.height);
         image_.width = static_cast<int>(room_.channels.width);
@@ -249,7 +249,7 @@ class Fit {
     const Target& target_;
     const EncodingConstants& constants_;
     FitRoom& room_;
-    LevelImage image_;
+    EncodedImage image_;
 };
 
 // Looser options for a coarse level, whose solution only starts the next.
@@ -261,7 +261,7 @@ Options coarse(Options options) {
 }
 
 std::array<double, 2> first_angles(const Objective& objective, const Target& target, const Options& options,
-                                   const LevelImage& image, const State& state, Workspace& work) {
+                                   const EncodedImage& image, const State& state, Workspace& work) {
     const Method& method = objective.method;
     if (!method.n_free()) return {target.theta_1, target.theta_2};
     const bool image_only = method.n_free() == 1 && method.directions[0][0] == 0.0;
@@ -315,18 +315,18 @@ Similarity inverse(const Similarity& s) {
     return back;
 }
 
-std::vector<LevelResult> fit_levels(const std::vector<LevelSpec>& levels, const Picture& picture,
+std::vector<FittedLevel> fit_levels(const std::vector<LevelSpec>& levels, const Picture& picture,
                                     const Target& target, const Options& options, const EncodingConstants& constants,
                                     FitRoom& room, const Interrupted& interrupted) {
     Fit fit(levels, picture, target, constants, room);
     Workspace& work = room.work;
-    std::vector<LevelResult> results;
+    std::vector<FittedLevel> results;
     std::vector<double> shape = target.start;
     double margin = target.margin;
     for (const LevelSpec& level : levels) {
         const bool last = &level == &levels.back();
         const Options own = last ? options : coarse(options);
-        LevelResult result;
+        FittedLevel result;
         State start = fit.prepare(level, shape, margin, result);
         start.angles = results.empty() ? first_angles(*level.objective, target, own, fit.image(), start, work)
                                        : results.back().fit.state.angles;

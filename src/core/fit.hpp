@@ -48,15 +48,15 @@ struct Target {
     double theta_1 = 0.0;       // the training camera's angle
     double theta_2 = 0.0;       // of the image's camera, where the method does not estimate it
     bool has_invariant = false;    // theta_2 and lambda have a joint optimum
-    Floats log_noise;              // of one pixel; see LevelImage
+    Floats log_noise;              // of one pixel; see EncodedImage
     double first_log = 0.0, last_log = 1.0;
     Rows<const double> point_precision;  // of all p by the points of another landmarker, or empty
     std::vector<double> points;          // (2 n): landmarks mapped from these points, or empty
 };
 
 // The solution of a level, the similarity from model pixels to image pixels that it refers to, and its encoded patch.
-struct LevelResult {
-    LevelFit fit;
+struct FittedLevel {
+    Solution fit;
     Similarity pose;
     Similarity to_patch;  // image pixels to pixels of the patch
     std::ptrdiff_t patch_height = 0, patch_width = 0;
@@ -80,7 +80,7 @@ struct FitRoom {
 };
 
 // Fits the levels in order; fewer if the fit diverges.
-std::vector<LevelResult> fit_levels(const std::vector<LevelSpec>& levels, const Picture& picture,
+std::vector<FittedLevel> fit_levels(const std::vector<LevelSpec>& levels, const Picture& picture,
                                     const Target& target, const Options& options, const EncodingConstants& constants,
                                     FitRoom& room, const Interrupted& interrupted);
 

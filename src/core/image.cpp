@@ -90,7 +90,7 @@ void mean_blocks(const float* values, std::ptrdiff_t width, std::ptrdiff_t depth
 }  // namespace
 
 template <class T>
-void stored_means(const Stored<T>& image, const LightTable& table, const Blocks& blocks, std::vector<float>& means) {
+void stored_means(const Stored<T>& image, const LightTable& table, const BlockGrid& blocks, std::vector<float>& means) {
     // Rows of pixels are converted to linear light and summed; only the sums are averaged into blocks.
     const Taps across(image.width, blocks.x, blocks.size, blocks.columns);
     const Taps down(image.height, blocks.y, blocks.size, blocks.rows);
@@ -112,17 +112,17 @@ void stored_means(const Stored<T>& image, const LightTable& table, const Blocks&
     }
 }
 
-template void stored_means(const Stored<std::uint8_t>&, const LightTable&, const Blocks&, std::vector<float>&);
-template void stored_means(const Stored<std::uint16_t>&, const LightTable&, const Blocks&, std::vector<float>&);
+template void stored_means(const Stored<std::uint8_t>&, const LightTable&, const BlockGrid&, std::vector<float>&);
+template void stored_means(const Stored<std::uint16_t>&, const LightTable&, const BlockGrid&, std::vector<float>&);
 
 void value_means(const float* values, std::ptrdiff_t height, std::ptrdiff_t width, std::ptrdiff_t depth,
-                 const Blocks& blocks, std::vector<float>& means) {
+                 const BlockGrid& blocks, std::vector<float>& means) {
     means.resize(depth * blocks.rows * blocks.columns);
     mean_blocks(values, width, depth, Taps(height, blocks.y, blocks.size, blocks.rows),
                 Taps(width, blocks.x, blocks.size, blocks.columns), means.data());
 }
 
-void coarser_means(const Means& means, const Blocks& blocks, Means& coarser) {
+void coarser_means(const Means& means, const BlockGrid& blocks, Means& coarser) {
     coarser.rows = blocks.rows;
     coarser.columns = blocks.columns;
     coarser.grey = means.grey;

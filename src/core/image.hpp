@@ -30,7 +30,7 @@ struct LightTable {
 };
 
 // Blocks of pixels of side `size`, at least 1, which may cut through pixels; (0, 0) is the border of the first pixel.
-struct Blocks {
+struct BlockGrid {
     double x = 0.0, y = 0.0, size = 1.0;
     std::ptrdiff_t rows = 0, columns = 0;
 };
@@ -46,14 +46,14 @@ struct Means {
 
 // Averages stored values in linear light.
 template <class T>
-void stored_means(const Stored<T>& image, const LightTable& table, const Blocks& blocks, std::vector<float>& means);
+void stored_means(const Stored<T>& image, const LightTable& table, const BlockGrid& blocks, std::vector<float>& means);
 
 // Averages pixels of `depth` numbers, (h, w, depth).
 void value_means(const float* values, std::ptrdiff_t height, std::ptrdiff_t width, std::ptrdiff_t depth,
-                 const Blocks& blocks, std::vector<float>& means);
+                 const BlockGrid& blocks, std::vector<float>& means);
 
 // Averages means over coarser blocks, or whole ones again, which refer to the blocks of the means.
-void coarser_means(const Means& means, const Blocks& blocks, Means& coarser);
+void coarser_means(const Means& means, const BlockGrid& blocks, Means& coarser);
 
 // Downsamples an image (h, w) to the means of the blocks that tile it, as OpenCV's INTER_AREA.
 void area_means(const float* image, std::ptrdiff_t height, std::ptrdiff_t width, std::ptrdiff_t rows,

@@ -51,7 +51,7 @@ Proposal linearise_state(const Objective& objective, const Controls& controls, b
 }
 
 // The step of q = (p, free angles) with its priors.
-void propose_step(const Objective& objective, const LevelImage& image, const Controls& controls, double damping,
+void propose_step(const Objective& objective, const EncodedImage& image, const Controls& controls, double damping,
                   Workspace& work, Proposal& proposal) {
     const bool known = objective.method.weighting == Weighting::rows && std::isfinite(work.noise_variance);
     const double variance = known ? work.noise_variance : objective.model.correlated * work.squares / work.weight;
@@ -84,7 +84,7 @@ struct Loop {
 };
 
 // Judges the last step; false if it was refused.
-bool accept(const Objective& objective, const LevelImage& image, const Controls& controls, Workspace& work, Loop& loop,
+bool accept(const Objective& objective, const EncodedImage& image, const Controls& controls, Workspace& work, Loop& loop,
             Trace& trace) {
     const double cost = penalised_cost(objective, image, work), rise = controls.expected ? kExpectedRise : kRise;
     if (controls.damping > 0.0 && !(cost <= rise * loop.least)) {  // NaN is refused, too
@@ -102,7 +102,7 @@ bool accept(const Objective& objective, const LevelImage& image, const Controls&
     return true;
 }
 
-void reweigh(const Objective& objective, const LevelImage& image, Workspace& work, Loop& loop) {
+void reweigh(const Objective& objective, const EncodedImage& image, Workspace& work, Loop& loop) {
     for (; loop.rounds > 0 && update_weights(objective, image, work); --loop.rounds) {
         solve_appearance(objective, work, true, true);
         loop.least = std::numeric_limits<double>::infinity();  // new weights invalidate the lowest cost
@@ -167,7 +167,7 @@ void append(const Trace& more, std::size_t n_p, Trace& trace) {
 
 // Steps with the expected gradient from the solution of a level; none if they raise the cost. The weights are kept,
 // unless their number was asked for.
-void score(const Objective& objective, const LevelImage& image, Controls controls, Trace& trace, Workspace& work,
+void score(const Objective& objective, const EncodedImage& image, Controls controls, Trace& trace, Workspace& work,
            const Interrupted& interrupted) {
     const Memory before = work;
     const Trace more = run_level(objective, image, controls, work, interrupted);
@@ -184,7 +184,7 @@ void score(const Objective& objective, const LevelImage& image, Controls control
 
 }  // namespace
 
-Trace run_level(const Objective& objective, const LevelImage& image, const Controls& controls, Workspace& work,
+Trace run_level(const Objective& objective, const EncodedImage& image, const Controls& controls, Workspace& work,
                 const Interrupted& interrupted) {
     const bool averages = objective.method.weighting == Weighting::rows && objective.method.loss == Loss::none;
     const int again = objective.method.loss == Loss::none ? 1 : kRounds;
@@ -222,8 +222,8 @@ Trace run_level(const Objective& objective, const LevelImage& image, const Contr
     return trace;
 }
 
-LevelFit collect(const Objective& objective, Trace trace, const Workspace& work, bool keeps_samples) {
-    LevelFit fit;
+Solution collect(const Objective& objective, Trace trace, const Workspace& work, bool keeps_samples) {
+    Solution fit;
     fit.state = work.state;
     fit.trace = std::move(trace);
     fit.noise_variance = work.noise_variance;
@@ -244,7 +244,7 @@ LevelFit collect(const Objective& objective, Trace trace, const Workspace& work,
     return fit;
 }
 
-LevelFit solve_level(const Objective& objective, const LevelImage& image, const State& start, const Options& options,
+Solution solve_level(const Objective& objective, const EncodedImage& image, const State& start, const Options& options,
                      double blur, bool evaluate_last, Workspace& work, const Interrupted& interrupted) {
     const bool expected = objective.method.step == StepKind::expected, reweighs = objective.method.reweighs();
     const int scoring = options.scoring < 0 ? kScoringSteps : options.scoring;

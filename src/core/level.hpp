@@ -22,7 +22,7 @@ struct Trace {
 using Contrast = std::array<double, 4>;
 
 // The solution of a level, and what covariances and quality need.
-struct LevelFit {
+struct Solution {
     State state;
     Trace trace;
     double noise_variance = 0.0;  // at weight 1; NaN if the weights define none
@@ -62,15 +62,15 @@ struct Controls : Options {
 using Interrupted = std::function<bool()>;
 
 // Runs the loop from the state in the workspace. Always terminates.
-Trace run_level(const Objective& objective, const LevelImage& image, const Controls& controls, Workspace& work,
+Trace run_level(const Objective& objective, const EncodedImage& image, const Controls& controls, Workspace& work,
                 const Interrupted& interrupted);
 
 // Minimises the cost over one image at one level, from a start: the loop with the method's steps, and for `scored` the
 // loop with the expected gradient at the end.
-LevelFit solve_level(const Objective& objective, const LevelImage& image, const State& start, const Options& options,
+Solution solve_level(const Objective& objective, const EncodedImage& image, const State& start, const Options& options,
                      double blur, bool evaluate_last, Workspace& work, const Interrupted& interrupted);
 
 // Collects the solution from the workspace.
-LevelFit collect(const Objective& objective, Trace trace, const Workspace& work, bool keeps_samples = false);
+Solution collect(const Objective& objective, Trace trace, const Workspace& work, bool keeps_samples = false);
 
 }  // namespace liaam

@@ -63,7 +63,7 @@ struct Objective {
 };
 
 // An encoded image, and the map from model pixels to its pixels.
-struct LevelImage {
+struct EncodedImage {
     Floats pixels;  // (h, w, 8)
     int height = 0, width = 0;
     Similarity from_model;

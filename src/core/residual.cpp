@@ -45,7 +45,7 @@ void project_model(const Objective& objective, Workspace& work) {
 
 // Samples the image bilinearly, and projects samples and gradients by P(theta_2). The gradient is the derivative of the
 // interpolant, so that the Jacobian is that of the cost; on a line of pixels it is the one from the right or below.
-void sample(const LevelImage& image, std::size_t k, Workspace& work) {
+void sample(const EncodedImage& image, std::size_t k, Workspace& work) {
     const float* pixels = image.pixels.data();
     const std::size_t below = kChannels * image.width;
     const auto xx = static_cast<float>(image.from_model.xx), xy = static_cast<float>(image.from_model.xy);
@@ -85,7 +85,7 @@ void subtract_appearance(Workspace& work) {
 
 }  // namespace
 
-void evaluate_residual(const Objective& objective, const LevelImage& image, Workspace& work, bool solves) {
+void evaluate_residual(const Objective& objective, const EncodedImage& image, Workspace& work, bool solves) {
     set_metric(objective.method, work);
     if (objective.model.theta_1_is_free()) project_model(objective, work);
     vertices_at(objective.model.mesh, work.state.p, work.vertices);

@@ -8,6 +8,6 @@ namespace liaam {
 
 // Computes residual, spatial gradient and usable pixels of a state; with the mean appearance only and lambda = 0 if
 // lambda is to be solved for.
-void evaluate_residual(const Objective& objective, const LevelImage& image, Workspace& work, bool solves);
+void evaluate_residual(const Objective& objective, const EncodedImage& image, Workspace& work, bool solves);
 
 }  // namespace liaam

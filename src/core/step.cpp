@@ -107,7 +107,7 @@ bool clamped_step(double damping, Workspace& work) {
 }
 
 // Adds the points of another landmarker: a Gaussian of p.
-void add_points(const LevelImage& image, Workspace& work) {
+void add_points(const EncodedImage& image, Workspace& work) {
     for (std::size_t i = 0; i < image.points.size(); ++i)
         for (std::size_t j = 0; j < image.points.size(); ++j) {
             const double more = work.point_variance * image.point_precision[i][j];
@@ -202,7 +202,7 @@ double next_prior_scale(const Model& model, double strength, double variance, Wo
     return next < std::numeric_limits<double>::infinity() ? next : scale;
 }
 
-void add_priors(const Objective& objective, const LevelImage& image, double strength, double variance, Workspace& work) {
+void add_priors(const Objective& objective, const EncodedImage& image, double strength, double variance, Workspace& work) {
     const Model& model = objective.model;
     work.point_variance = variance;
     work.damping_matrix = work.expected_hessian;
@@ -240,7 +240,7 @@ bool clamped_newton_step(double damping, Workspace& work) {
     return found;
 }
 
-double penalised_cost(const Objective& objective, const LevelImage& image, const Workspace& work) {
+double penalised_cost(const Objective& objective, const EncodedImage& image, const Workspace& work) {
     const auto &p = work.state.p, &lam = work.state.lam;
     double squares = work.squares;
     for (std::size_t i = 0; i < p.size(); ++i) squares += work.prior_precision[i] * p[i] * p[i];

@@ -14,7 +14,7 @@ bool has_texture(const Workspace& work, std::size_t n_p);
 
 // Adds the priors, on p and by points of another landmarker, to the normal equations, where a residual of weight 1 has
 // the given variance; updates the scale of the shape prior.
-void add_priors(const Objective& objective, const LevelImage& image, double strength, double variance, Workspace& work);
+void add_priors(const Objective& objective, const EncodedImage& image, double strength, double variance, Workspace& work);
 
 // The Levenberg step, (H + damping diag H) step = -gradient; false if there is none.
 bool damped_step(double damping, Workspace& work);
@@ -24,7 +24,7 @@ bool damped_step(double damping, Workspace& work);
 bool clamped_newton_step(double damping, Workspace& work);
 
 // The cost that an accepted step must not raise: mean squared residual plus the priors on p and lambda.
-double penalised_cost(const Objective& objective, const LevelImage& image, const Workspace& work);
+double penalised_cost(const Objective& objective, const EncodedImage& image, const Workspace& work);
 
 // Squared length of the step in the metric of the damping matrix.
 double squared_length(const Workspace& work);

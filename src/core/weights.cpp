@@ -37,7 +37,7 @@ struct NoiseTable {
     float first, steps, top;
     std::int32_t last;
 
-    explicit NoiseTable(const LevelImage& image)
+    explicit NoiseTable(const EncodedImage& image)
         : table(image.log_noise.data()), first(static_cast<float>(image.first_log)),
           steps(static_cast<float>((image.log_noise.size() - 1) / (image.last_log - image.first_log))),
           top(static_cast<float>(image.log_noise.size() - 1)), last(static_cast<std::int32_t>(image.log_noise.size()) - 2) {}
@@ -64,7 +64,7 @@ struct NoisePlanes {
 };
 
 // The variances of the three logarithms of a block of pixels, its light, and the light's variance.
-void log_variances(const LevelImage& image, const Workspace& work, std::size_t begin, std::size_t size,
+void log_variances(const EncodedImage& image, const Workspace& work, std::size_t begin, std::size_t size,
                    const NoiseTable& table, NoisePlanes& planes) {
     const auto keep = static_cast<float>(image.value_left * image.value_left);
     const float* known = work.known.data() + begin;
@@ -94,7 +94,7 @@ void log_variances(const LevelImage& image, const Workspace& work, std::size_t b
 
 // The variances of the two components of directions: with o = g / sqrt(|g|^2 + s^2),
 // do/dg = (I - o o') / sqrt(|g|^2 + s^2), and the square root follows from |o|.
-void direction_variances(const LevelImage& image, const Workspace& work, std::size_t begin, std::size_t size,
+void direction_variances(const EncodedImage& image, const Workspace& work, std::size_t begin, std::size_t size,
                          NoisePlanes& planes) {
     const auto slope = static_cast<float>(std::pow(image.slope_left / kSoftness, 2));
     const float* values = work.values.data() + kChannels * begin;
@@ -133,7 +133,7 @@ void add_row(std::size_t r, std::size_t k, std::size_t begin, std::size_t size, 
 }
 
 // The variance of each row of `soft` due to noise, to first order, and sums of squared residuals.
-std::vector<RowSums> row_variances(const Objective& objective, const LevelImage& image, Workspace& work) {
+std::vector<RowSums> row_variances(const Objective& objective, const EncodedImage& image, Workspace& work) {
     const std::size_t n = objective.n(), k = objective.k();
     const Floats own = objective.model.sqrt_weights;
     const NoiseTable table(image);
@@ -186,7 +186,7 @@ bool has_changed(const Workspace& work) {
 }
 
 // Square roots of inverse variances (noise plus model), scaled to mean weight 1 over the pixels that count.
-void set_row_weights(const Objective& objective, const LevelImage& image, Workspace& work) {
+void set_row_weights(const Objective& objective, const EncodedImage& image, Workspace& work) {
     const std::size_t n = objective.n(), k = objective.k();
     const Floats own = objective.model.sqrt_weights;
     double precisions = 0.0;
@@ -211,7 +211,7 @@ void set_row_weights(const Objective& objective, const LevelImage& image, Worksp
     for (std::size_t e = 0; e < n * k; ++e) work.base_sqrt_weights[e] = own[e] * std::sqrt(unit / work.variance[e]);
 }
 
-bool weigh_by_rows(const Objective& objective, const LevelImage& image, Workspace& work) {
+bool weigh_by_rows(const Objective& objective, const EncodedImage& image, Workspace& work) {
     const double counted = set_unexplained(row_variances(objective, image, work), work);
     if (!(counted > 0.0) || !(objective.method.loss != Loss::none || has_changed(work))) return false;
     work.unexplained_before = work.unexplained;
@@ -242,7 +242,7 @@ double surprise(const Objective& objective, const Workspace& work, double factor
 }
 
 // Variances of logarithms due to noise, and of the residuals.
-void log_channel_noise(const Objective& objective, const LevelImage& image, Workspace& work) {
+void log_channel_noise(const Objective& objective, const EncodedImage& image, Workspace& work) {
     const std::size_t k = objective.k();
     const NoiseTable table(image);
     const auto keep = static_cast<float>(image.value_left * image.value_left);
@@ -262,7 +262,7 @@ void log_channel_noise(const Objective& objective, const LevelImage& image, Work
 }
 
 // Variances due to noise and to the model's errors: all that does not depend on theta_2.
-bool weigh_by_noise(const Objective& objective, const LevelImage& image, Workspace& work) {
+bool weigh_by_noise(const Objective& objective, const EncodedImage& image, Workspace& work) {
     if (!any_usable(work)) return false;
     const Floats own = objective.model.sqrt_weights;
     const std::size_t k = objective.k();
@@ -342,7 +342,7 @@ bool weigh_by_model(const Objective& objective, Workspace& work) {
 
 }  // namespace
 
-bool update_weights(const Objective& objective, const LevelImage& image, Workspace& work) {
+bool update_weights(const Objective& objective, const EncodedImage& image, Workspace& work) {
     const Weighting weighting = objective.method.weighting;
     const bool changed = weighting == Weighting::rows    ? weigh_by_rows(objective, image, work)
                          : weighting == Weighting::noise ? weigh_by_noise(objective, image, work)
@@ -389,6 +389,6 @@ double median(std::span<double> numbers) {
     return *middle;
 }
 
-float log_noise(const LevelImage& image, float log) { return NoiseTable(image)(log); }
+float log_noise(const EncodedImage& image, float log) { return NoiseTable(image)(log); }
 
 }  // namespace liaam

@@ -7,7 +7,7 @@
 namespace liaam {
 
 // Updates the weights at the current residual; false if they have not changed enough, or no pixel is usable.
-bool update_weights(const Objective& objective, const LevelImage& image, Workspace& work);
+bool update_weights(const Objective& objective, const EncodedImage& image, Workspace& work);
 
 // Square root of noise weights at theta_2, and its relative derivative, which is part of the derivatives of eq 10: with
 // weights fixed at the last angle, the sum of squares is biased towards angles of low noise.
@@ -20,6 +20,6 @@ double loss_weight(Loss loss, double u);
 double median(std::span<double> numbers);
 
 // Standard deviation of a logarithm due to noise, from a table; constant beyond its ends.
-float log_noise(const LevelImage& image, float log);
+float log_noise(const EncodedImage& image, float log);
 
 }  // namespace liaam

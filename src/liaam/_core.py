@@ -38,10 +38,10 @@ def _chosen() -> tuple[str, ModuleType | None]:
         return NUMPY, None
     baseline = _extension("baseline")
     best = asked or (baseline.best_instruction_set() if baseline is not None else "baseline")
-    found = baseline if best == "baseline" else _extension(best)
-    if asked and found is None:
+    extension = baseline if best == "baseline" else _extension(best)
+    if asked and extension is None:
         raise ImportError(f"LIAAM_CPU={asked}: this installation of liaam has no such extension")
-    return (best, found) if found is not None else ("baseline", baseline)
+    return (best, extension) if extension is not None else ("baseline", baseline)
 
 
 INSTRUCTION_SET, _module = _chosen()

@@ -27,8 +27,8 @@ def as_picture(image: np.ndarray) -> np.ndarray:
 
 def ellipses(points: np.ndarray, covariances: np.ndarray) -> np.ndarray:
     """Outlines (m, 32, 2) of the ellipses that contain 95 % of a Gaussian distribution around each point (m, 2)."""
-    known = np.isfinite(covariances).all(axis=(1, 2), keepdims=True)
-    values, axes = np.linalg.eigh(np.where(known, covariances, 0.0))
+    finite = np.isfinite(covariances).all(axis=(1, 2), keepdims=True)
+    values, axes = np.linalg.eigh(np.where(finite, covariances, 0.0))
     # The squared Mahalanobis distance has a chi-squared distribution with two degrees of freedom.
     radii = np.sqrt(-2.0 * np.log(0.05) * np.maximum(values, 0.0))
     turn = np.linspace(0.0, 2.0 * np.pi, 32, endpoint=False)

@@ -1,9 +1,13 @@
 """Error measures of landmarks, and statistics of errors. Those for users are also in :mod:`liaam.evaluation`."""
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from liaam.errors import LiaamError
 from liaam.formatting import finite_or_none
+
+# Least variance along an axis of an ellipse, square pixels: a covariance may be 0, or less by rounding errors
+LEAST_VARIANCE = 1e-12
 
 
 def point_error(shape: np.ndarray, truth: np.ndarray) -> float:
@@ -19,16 +23,19 @@ def landmark_errors(shape: np.ndarray, truth: np.ndarray) -> np.ndarray:
 
     NaN where the landmark is missing in `truth`; infinite where `shape` is not finite.
     """
-    shape, truth = np.asarray(shape, np.float64), np.asarray(truth, np.float64)
+    shape = np.asarray(shape, np.float64)
+    truth = np.asarray(truth, np.float64)
     if shape.shape != truth.shape:
         raise LiaamError(f"shapes of {shape.shape} and {truth.shape} cannot be compared; give (n, 2) points for both")
     with np.errstate(invalid="ignore", over="ignore"):
-        distances = np.hypot(*np.moveaxis(shape - truth, -1, 0))
+        x, y = np.moveaxis(shape - truth, -1, 0)
+        distances = np.hypot(x, y)
     distances = np.where(np.isfinite(shape).all(axis=-1), distances, np.inf)
     return np.where(np.isfinite(truth).all(axis=-1), distances, np.nan)
 
 
 def _known_errors(shape: np.ndarray, truth: np.ndarray) -> np.ndarray:
+    """Distances, (k,) float64, of the k landmarks that are not missing in `truth`."""
     errors = landmark_errors(shape, truth)
     return errors[~np.isnan(errors)]
 
@@ -44,15 +51,17 @@ def within_ellipses(shape: np.ndarray, truth: np.ndarray, covariances: np.ndarra
     level : float
         Probability that an ellipse holds the truth if the covariances are right, 0 to 1.
     """
-    errors, covariances = landmark_errors(shape, truth), np.asarray(covariances, np.float64)
-    known = ~np.isnan(errors) & np.isfinite(covariances).all(axis=(-2, -1))
-    values, axes = np.linalg.eigh(np.where(known[..., None, None], covariances, 0.0))
+    errors = landmark_errors(shape, truth)
+    covariances = np.asarray(covariances, np.float64)
+    is_known = ~np.isnan(errors) & np.isfinite(covariances).all(axis=(-2, -1))
+    variances, axes = np.linalg.eigh(np.where(is_known[..., None, None], covariances, 0.0))
     with np.errstate(invalid="ignore", over="ignore"):
-        apart = np.where(np.isfinite(errors)[..., None], np.subtract(truth, shape), 0.0)
-        along = np.einsum("...ab,...a->...b", axes, apart)
-        squared = np.sum(along**2 / np.maximum(values, 1e-12), axis=-1)  # of a chi-squared distribution
-    inside = np.isfinite(errors) & (squared < -2.0 * np.log1p(-level))
-    return np.where(known, inside.astype(np.float64), np.nan)
+        difference = np.where(np.isfinite(errors)[..., None], np.subtract(truth, shape), 0.0)
+        along_axes = np.einsum("...ab,...a->...b", axes, difference)
+        mahalanobis_squared = np.sum(along_axes**2 / np.maximum(variances, LEAST_VARIANCE), axis=-1)
+    limit = -2.0 * np.log1p(-level)  # the quantile of the chi-squared distribution with two degrees of freedom
+    inside = np.isfinite(errors) & (mahalanobis_squared < limit)
+    return np.where(is_known, inside.astype(np.float64), np.nan)
 
 
 def rms_error(shape: np.ndarray, truth: np.ndarray) -> float:
@@ -61,7 +70,7 @@ def rms_error(shape: np.ndarray, truth: np.ndarray) -> float:
 
 
 def inter_ocular_distance(shape: np.ndarray, left_eye: slice, right_eye: slice) -> float:
-    """Inter-ocular distance (IOD): distance between the centres of both eyes' landmarks, in pixels."""
+    """Inter-ocular distance (IOD): distance between the centres of both eyes' landmarks in (n, 2), in pixels."""
     return float(np.linalg.norm(shape[left_eye].mean(axis=0) - shape[right_eye].mean(axis=0)))
 
 
@@ -81,15 +90,15 @@ def error_statistics(errors: np.ndarray) -> dict[str, float | None]:
     errors = np.asarray(errors, dtype=np.float64)
     errors = np.where(np.isfinite(errors), errors, np.inf)
     with np.errstate(over="ignore", invalid="ignore"):
-        found = {
+        statistics = {
             "median": np.median(errors),
             "p90": np.percentile(errors, 90),
             "rms": root_mean_square(errors),
         }
-    return {name: finite_or_none(value) for name, value in found.items()}
+    return {name: finite_or_none(value) for name, value in statistics.items()}
 
 
-def root_mean_square(values) -> float:
+def root_mean_square(values: ArrayLike) -> float:
     """Root mean square of values."""
     return float(np.sqrt(np.mean(np.square(np.asarray(values, dtype=np.float64)))))
 

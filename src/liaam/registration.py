@@ -11,7 +11,7 @@ import numpy as np
 
 from liaam.errors import ImageError, MethodError
 from liaam.fitting import FitStatus, Method, SolverOptions, get_method
-from liaam.fitting.loop.level_image import slope_left
+from liaam.fitting.loop.encoded_image import slope_left
 from liaam.fitting.loop.levels import FittedLevel, LinearImage, Target, is_sane, solve_levels
 from liaam.fitting.loop.objective import Objective
 from liaam.fitting.loop.options import scored
@@ -239,26 +239,26 @@ def warp_picture(picture: np.ndarray, homography: np.ndarray, size: tuple[int, i
     height, width = size
     if max(height, width, *picture.shape[:2]) <= LARGEST_SIDE:
         return cv2.warpPerspective(picture, homography, (width, height), flags=cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP)
-    found = np.zeros((height, width, *picture.shape[2:]), picture.dtype)
-    _warp_parts(picture, homography, found)
-    return found
+    warped = np.zeros((height, width, *picture.shape[2:]), picture.dtype)
+    _warp_parts(picture, homography, warped)
+    return warped
 
 
-def _warp_parts(picture: np.ndarray, homography: np.ndarray, found: np.ndarray) -> None:
-    """Fill ``found`` part by part, each from a part of the picture, so that no side is too long for OpenCV."""
-    height, width = found.shape[:2]
+def _warp_parts(picture: np.ndarray, homography: np.ndarray, warped: np.ndarray) -> None:
+    """Fill ``warped`` part by part, each from a part of the picture, so that no side is too long for OpenCV."""
+    height, width = warped.shape[:2]
     box = _seen_box(homography, (height, width), picture.shape[:2])
     if box is not None and max(height, width, *(each.stop - each.start for each in box)) <= LARGEST_SIDE:
         part = picture[box]
         if part.size:
             shift = np.array([[1.0, 0.0, -box[1].start], [0.0, 1.0, -box[0].start], [0.0, 0.0, 1.0]])
-            found[:] = warp_picture(part, shift @ homography, (height, width)).reshape(found.shape)
+            warped[:] = warp_picture(part, shift @ homography, (height, width)).reshape(warped.shape)
         return
     if max(height, width) <= LEAST_SIDE:
         return
     middle = max(height, width) // 2
     down = height >= width
-    first, second = (found[:middle], found[middle:]) if down else (found[:, :middle], found[:, middle:])
+    first, second = (warped[:middle], warped[middle:]) if down else (warped[:, :middle], warped[:, middle:])
     there = np.eye(3)
     there[int(down), 2] = middle
     _warp_parts(picture, homography, first)
@@ -301,26 +301,25 @@ def _levels(
     noise = float(noise_deviation(a, response) * np.linalg.norm(LUMINANCE) * np.sqrt(np.prod(size) / (height * width)))
     levels = []
     for patch, (blur, stride) in zip(patches, LEVELS, strict=True):
-        kept = (patch.channels[..., -1] > 0) & wanted
+        selected = (patch.channels[..., -1] > 0) & wanted
         slopes = np.gradient(cv2.GaussianBlur(luminance, (0, 0), blur))
         stands_out = np.hypot(*slopes) / (noise * slope_left(blur))  # gradients in standard deviations of their noise
-        significant = stands_out[kept & (stands_out > SIGNIFICANT)]
+        significant = stands_out[selected & (stands_out > SIGNIFICANT)]
         if blur < SHARP and not (significant.size and np.median(significant) > CLEAR):
             continue
         if method.encoding == "orientation":
-            kept &= stands_out > SIGNIFICANT
-        kept = kept[::stride, ::stride]
-        if kept.sum() < LEAST_PIXELS or max(blur, 1.0) > LARGEST_BLUR * min(size):
+            selected &= stands_out > SIGNIFICANT
+        selected = selected[::stride, ::stride]
+        if selected.sum() < LEAST_PIXELS or max(blur, 1.0) > LARGEST_BLUR * min(size):
             continue
-        mean = patch.channels[::stride, ::stride][kept]
+        mean = patch.channels[::stride, ::stride][selected]
         mean = np.ascontiguousarray(mean[:, : 2 if method.encoding == "orientation" else 3])
         if method.appearance == "invariant":
             mean = mean @ method.image_metric(theta).T.astype(np.float32)
         blank = np.zeros((0, *mean.shape), np.float32)
         appearance = AppearanceModel(mean, blank, np.zeros(0), np.ones(len(mean), np.float32))
-        warp = HomographyWarp(kept, from_a(corners), float(stride), group)
-        own = method, warp, appearance, theta, np.zeros(warp.n_parameters)
-        levels.append(Objective(*own, blur=blur))
+        warp = HomographyWarp(selected, from_a(corners), float(stride), group)
+        levels.append(Objective(method, warp, appearance, theta, prior=np.zeros(warp.n_parameters), blur=blur))
     return levels, from_a.inverse()
 
 

@@ -95,10 +95,10 @@ def joined(results: Sequence[Any], names: Sequence[str] | None = None) -> Column
             tables.append(result.to_columns(name or f"image {i + 1}") if name or unnamed else result.to_columns())
         else:
             raise LiaamError(f"result {i + 1} is {type(result).__name__}; give fits, tracked frames or specimens")
-    known = [table for table in tables if "landmark" in table]
-    if not known:
+    filled = [table for table in tables if "landmark" in table]
+    if not filled:
         return {}
-    first, unknown = known[0], np.full((len(known[0]["landmark"]), 2), np.nan)
+    first, unknown = filled[0], np.full((len(filled[0]["landmark"]), 2), np.nan)
     more = {"names": first["name"], "quality": math.nan, "status": "error"}
     tables = [table if "landmark" in table else landmark_columns(table, unknown, **more) for table in tables]
     other = next((table for table in tables if table.keys() != first.keys()), None)

@@ -19,7 +19,7 @@ from typing import TypeVar
 Item = TypeVar("Item")
 Result = TypeVar("Result")
 
-AHEAD = 2  # Items in progress per worker: the current one and the next
+AHEAD = 2  # Items in progress per worker: the current one, and the next, so that none waits for this process
 BEHIND = 8  # Items per thread, finished or not, that may wait for a slow one before them (in_order)
 TICK = 0.1  # Seconds between calls of `tick` while in_order waits
 
@@ -49,18 +49,30 @@ def obey_parent() -> None:
     """Ignore Ctrl-C in a process, which its parent handles, and end when the parent does."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     parent = multiprocessing.parent_process()
-    if parent is not None:
-        threading.Thread(target=lambda: (parent.join(), os._exit(1)), daemon=True).start()
+    if parent is None:
+        return
+
+    def end_with_parent() -> None:
+        parent.join()
+        os._exit(1)  # from a thread, sys.exit would end the thread only
+
+    threading.Thread(target=end_with_parent, daemon=True).start()
 
 
 def flow(
     submit: Callable[[Item], "Future[Result]"], items: Iterable[Item], room: Callable[[], int]
 ) -> Iterator[tuple[Item, "Future[Result]"]]:
-    """Keep a bounded number of items in progress, as many as there is room for now. Yield each with its future."""
-    rest, under_way = iter(items), {}
+    """Keep items in progress, as many as ``room`` returns at the moment. Yield each with its future once it is done.
+
+    If an item is cancelled or fails, no further item starts before it is yielded, so that the caller may stop.
+    """
+    waiting = iter(items)
+    under_way: dict[Future[Result], Item] = {}
 
     def fill() -> None:
-        under_way.update((submit(item), item) for item in islice(rest, max(0, room() - len(under_way))))
+        """Submit as many items as there is room for."""
+        for item in islice(waiting, max(0, room() - len(under_way))):
+            under_way[submit(item)] = item
 
     fill()
     while under_way:
@@ -106,17 +118,19 @@ def in_order(
     thread are in progress, and at most ``BEHIND`` including finished ones that wait for an earlier item. If an item
     fails or the caller stops, no further item starts, and running ones are completed. ``tick`` is called regularly.
     """
-    rest, kept, pool = iter(items), deque[Future[Result]](), limited_threads(threads)
+    waiting = iter(items)
+    in_turn = deque[Future[Result]]()  # what has begun and is not yielded, in the items' order
+    pool = limited_threads(threads)
     try:
         while True:
-            under_way = [future for future in kept if not future.done()]
-            room = min(AHEAD * threads - len(under_way), BEHIND * threads - len(kept))
-            begun = [pool.submit(perform, item) for item in islice(rest, max(0, room))]
-            kept += begun
-            if not kept:
+            under_way = [future for future in in_turn if not future.done()]
+            room = min(AHEAD * threads - len(under_way), BEHIND * threads - len(in_turn))
+            begun = [pool.submit(perform, item) for item in islice(waiting, max(0, room))]
+            in_turn += begun
+            if not in_turn:
                 return
-            if kept[0].done():
-                yield kept.popleft().result()
+            if in_turn[0].done():
+                yield in_turn.popleft().result()
             else:
                 # With a timeout, because on some systems Ctrl-C does not interrupt a wait.
                 wait([*under_way, *begun], TICK, FIRST_COMPLETED)
@@ -126,27 +140,33 @@ def in_order(
 
 
 class _Hold(ContextDecorator):
-    """A process-wide setting that several threads may hold at once. The last one to release it restores it."""
+    """A process-wide setting that several threads may hold at once. The last one to release it restores it.
+
+    ``take`` makes the setting, and returns a function that restores what was set before.
+    """
 
     def __init__(self, take: Callable[[], Callable[[], object]]) -> None:
-        self._take, self._turn, self._holders = take, threading.Lock(), 0
+        self._take = take
+        self._lock = threading.Lock()
+        self._n_holders = 0
         self._restore: Callable[[], object] = lambda: None
 
     def __enter__(self) -> None:
-        with self._turn:
+        with self._lock:
             restore = self._take()  # each time, because other code may have changed the setting
-            if not self._holders:
+            if not self._n_holders:
                 self._restore = restore
-            self._holders += 1
+            self._n_holders += 1
 
     def __exit__(self, *_: object) -> None:
-        with self._turn:
-            self._holders -= 1
-            if not self._holders:
+        with self._lock:
+            self._n_holders -= 1
+            if not self._n_holders:
                 self._restore()
 
 
 def _take_blas() -> Callable[[], object]:
+    """Limit BLAS and OpenMP to one thread; return a function that restores their limits."""
     import scipy.linalg  # noqa: F401 (loads its own BLAS, which must be loaded to be limited)
     from threadpoolctl import threadpool_limits
 
@@ -154,6 +174,7 @@ def _take_blas() -> Callable[[], object]:
 
 
 def _take_opencv() -> Callable[[], object]:
+    """Limit OpenCV to one thread; return a function that restores its limit."""
     import cv2
 
     before = cv2.getNumThreads()
@@ -161,7 +182,8 @@ def _take_opencv() -> Callable[[], object]:
     return partial(cv2.setNumThreads, before)
 
 
-_blas, _opencv = _Hold(_take_blas), _Hold(_take_opencv)
+_blas = _Hold(_take_blas)
+_opencv = _Hold(_take_opencv)
 
 
 def one_blas_thread() -> _Hold:

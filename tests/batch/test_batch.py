@@ -24,7 +24,7 @@ from liaam import __version__
 from liaam.batch import Settings, cluster as cluster_module, find_pictures, listed_pictures, run_batch
 from liaam.batch.journal import Journal, place_of
 from liaam.batch.run import DEATHS, _Batch, earlier_summary
-from liaam.batch.work import Job, _shorts
+from liaam.batch.work import FitJob, _shorts
 from liaam.errors import LiaamError
 from liaam.io import read_collection, read_landmarks, write_collection, write_image, write_landmarks
 from liaam.model.shape import diagonal_of
@@ -276,7 +276,7 @@ def test_starts_and_covariances_are_choices(world, tmp_path):
 
 
 def test_every_object_of_an_image_has_a_row(tmp_path):
-    scenes = make_set(6, Head(5), size=(200, 150))
+    scenes = make_set(6, Head(5), size=(160, 120))
     train_on(scenes, diagonal=60.0, response="srgb").save(tmp_path / "face.liaam")
     write_image(tmp_path / "two.png", np.concatenate([scenes[0].image, scenes[1].image], axis=1))
     write_image(tmp_path / "wall.png", np.full((150, 200, 3), 90, np.uint8))
@@ -328,8 +328,8 @@ def test_a_fault_of_ours_is_a_row_too(world, tmp_path, monkeypatch):
 @pytest.fixture
 def fitted(monkeypatch):
     """Paths that are fitted in this process, in turn."""
-    paths, row = [], Job.row
-    monkeypatch.setattr(Job, "row", lambda job, path: paths.append(path) or row(job, path))
+    paths, row = [], FitJob.row
+    monkeypatch.setattr(FitJob, "row", lambda job, path: paths.append(path) or row(job, path))
     return paths
 
 
@@ -449,7 +449,7 @@ def test_other_settings_are_refused(world, tmp_path, stopped):
 def test_a_batch_that_has_done_nothing_leaves_nothing(world, expected, tmp_path, monkeypatch):
     output, other = tmp_path / "r.csv", Settings("rgb", world.settings.init, 30)
     with monkeypatch.context() as patch, pytest.raises(KeyboardInterrupt, match="no image is finished yet"):
-        patch.setattr(Job, "row", lambda job, path: stop_at(0)(0, 0, ""))
+        patch.setattr(FitJob, "row", lambda job, path: stop_at(0)(0, 0, ""))
         batch_of(world, output)
     assert files_beside(output) == []
     with Journal(tmp_path / "r.csv.parts") as journal:  # killed before the first row
@@ -482,7 +482,7 @@ def test_a_damaged_journal_says_how_to_go_on(world, tmp_path):
     assert (tmp_path / "s.csv.parts").read_text() == "mine"
 
 
-class Deadly(Job):
+class Deadly(FitJob):
     """A job some of whose pictures kill the process."""
 
     def row(self, path):
@@ -494,10 +494,10 @@ class Deadly(Job):
 DEADLY = """
 import os, sys
 from liaam.batch import Settings, run_batch
-from liaam.batch.work import Job
+from liaam.batch.work import FitJob
 
-row = Job.row
-Job.row = lambda job, path: os._exit(3) if path.endswith("face4.png") else row(job, path)
+row = FitJob.row
+FitJob.row = lambda job, path: os._exit(3) if path.endswith("face4.png") else row(job, path)
 if __name__ == "__main__":
     run_batch(sys.argv[1], sys.argv[2], sys.argv[3], Settings("grey", sys.argv[4], 30), jobs=2)
 """
@@ -529,9 +529,18 @@ def job_of(world, kind):
 
 @pytest.fixture(scope="module")
 def cluster():
-    """A scheduler and two workers, all processes of their own but the scheduler."""
+    """A scheduler and two workers, all processes of their own but the scheduler.
+
+    The workers, and those that take the place of the lost, are copies of one process that has imported it all.
+    """
     distributed = pytest.importorskip("distributed")
-    with distributed.LocalCluster(n_workers=2, threads_per_worker=1, processes=True, dashboard_address=None) as cluster:
+    from dask import config
+
+    method = "forkserver" if "forkserver" in multiprocessing.get_all_start_methods() else "spawn"
+    with (
+        config.set({"distributed.worker.multiprocessing-method": method}),
+        distributed.LocalCluster(n_workers=2, threads_per_worker=1, processes=True, dashboard_address=None) as cluster,
+    ):
         yield cluster
 
 
@@ -711,7 +720,7 @@ def damage(world, output, change):
 
 def journal_of(world, output):
     """Leave a journal with one row of two pictures."""
-    job = Job(world.model.read_bytes(), world.settings, str(world.pictures))
+    job = FitJob(world.model.read_bytes(), world.settings, str(world.pictures))
     folder = output.with_name(f"{output.name}.parts")
     with Journal(folder) as journal:
         journal.restart({"liaam": __version__, "model": sha256(job.model_file).hexdigest(), **job.settings.describe()})

@@ -6,7 +6,9 @@ import pytest
 
 from benchmarks import fit, iteration, peer_opencv, peers
 from benchmarks.metrics import recording
-from benchmarks.peers import MissingError, Peer, Row, floor_bytes, rows_of
+from benchmarks.peers import MissingError, Peer, PeerRow, floor_bytes, rows_of
+from liaam.training import train
+from scenes import Head, make_set
 
 
 def test_a_peer_that_is_not_installed_is_said_with_the_line_that_installs_it(capsys):
@@ -51,7 +53,7 @@ def test_photographs_that_are_not_there_are_said(capsys, monkeypatch, tmp_path):
 def test_an_iteration_is_the_difference_of_two_fits_by_the_steps_between(monkeypatch):
     times = {"a": np.array([[30.0, 50.0]]), "less a": np.array([[10.0, 10.0]]), "b": np.array([[7.0]])}
     monkeypatch.setattr(peers, "in_turn", lambda blocks, rounds: {name: times[name] for name in blocks})
-    rows = [Row("a", "", [print], [print], 10), Row("b", "", [print])]
+    rows = [PeerRow("a", "", [print], [print], 10), PeerRow("b", "", [print])]
     measured = peers.measure(rows)
     assert measured["a"].tolist() == [2.0, 4.0]
     assert measured["b"].tolist() == [7.0]
@@ -63,8 +65,11 @@ def test_the_floor_is_that_of_the_readme():
 
 
 def test_the_table_has_a_metric_for_each_row_and_its_ratio_to_ours(monkeypatch, capsys):
-    rows = [Row("peers_liaam_li", "ours", [print]), Row("peers_cat", "theirs", [print], beside="peers_liaam_li")]
-    lone = [Row("peers_lone", "theirs", [print], beside="peers_not_measured")]
+    rows = [
+        PeerRow("peers_liaam_li", "ours", [print]),
+        PeerRow("peers_cat", "theirs", [print], beside="peers_liaam_li"),
+    ]
+    lone = [PeerRow("peers_lone", "theirs", [print], beside="peers_not_measured")]
     monkeypatch.setattr(peers, "PEERS", (Peer("x", (), "", lambda: rows), Peer("y", (), "", lambda: lone)))
     times = {"peers_liaam_li": np.array([2.0]), "peers_cat": np.array([5.0]), "peers_lone": np.array([1.0])}
     monkeypatch.setattr(peers, "measure", lambda rows: times)
@@ -116,10 +121,11 @@ def test_one_core_is_given_back():
     assert before is None or os.sched_getaffinity(0) == before
 
 
-def test_the_model_file_for_opencv_has_what_opencv_reads(small_heads, tmp_path):
-    model = fit.make_model(60.0)
+def test_the_model_file_for_opencv_has_what_opencv_reads(tmp_path):
+    pictures = [(scene.image, scene.landmarks) for scene in make_set(5, Head(5), size=(160, 120))]
+    model = train(pictures, diagonal=60.0, leave_out=False, lamps=None, methods="grey")
     path = tmp_path / "aam.yaml"
-    n_pixels = peer_opencv.write_model(path, model, fit.make_pictures()[0], 3)
+    n_pixels = peer_opencv.write_model(path, model, pictures, 3)
     file = cv2.FileStorage(str(path), cv2.FILE_STORAGE_READ)
     n_points, inner = model.shape_model.n_points, file.getNode("scale0_AA").mat()
     shapes = np.hstack([file.getNode("Q").mat(), file.getNode("S").mat()])

@@ -14,7 +14,7 @@ from liaam.calibration.radiometry import (
     calibrate_response,
     vignetting_from_flat_field,
 )
-from liaam.calibration.response_blocks import Blocks
+from liaam.calibration.response_blocks import MeasuredBlocks
 from liaam.calibration.response_fit import ResponseProblem, ResponseTable, increments
 from liaam.errors import CameraError
 from liaam.photometry import CameraModel, ResponseCurve, log_slope, noise_deviation, to_linear
@@ -401,9 +401,9 @@ def test_positive_increments_are_a_rising_curve_that_inverts(steps):
     np.testing.assert_allclose(curve.log_light(USABLE), increments(USABLE) @ steps, atol=1e-3)
 
 
-def few_blocks(rng) -> Blocks:
+def few_blocks(rng) -> MeasuredBlocks:
     shape, channel = (3, 24), np.arange(24) % 3
-    return Blocks(
+    return MeasuredBlocks(
         stored=rng.uniform(0.05, 0.95, shape),
         deviation=np.full(shape, 0.002),
         usable=np.ones(shape, bool),

@@ -197,7 +197,7 @@ void fit_once(Rng& rng) {
                                         {&coarse.objective, odd(rng, 0.0) == 0.0 ? 0.0 : 1.0, 0.5, shapes}};
     const auto results = fit_levels(levels, photo.picture, target, options, EncodingConstants{}, room, [] { return false; });
     check(!results.empty() && results.size() <= 2, "a fit has one or two levels");
-    for (const LevelResult& result : results) {
+    for (const FittedLevel& result : results) {
         check(result.fit.trace.path.size() == result.fit.trace.costs.size() * coarse.n_p(), "the path has other lengths");
         check(result.fit.usable.size() == coarse.n(), "usable pixels differ in number");
         check(result.fit.state.lam.size() == static_cast<std::size_t>(coarse.m), "lambda has another length");
@@ -210,7 +210,7 @@ void solve_once(Rng& rng) {
     const int height = integer(rng, 2, 20), width = integer(rng, 2, 20);
     std::vector<float> pixels = normals<float>(rng, 8 * height * width), noise(16, 0.1f);
     for (std::size_t i = 7; i < pixels.size(); i += 8) pixels[i] = integer(rng, 0, 9) ? 1.0f : 0.0f;
-    LevelImage image;
+    EncodedImage image;
     image.pixels = pixels;
     image.height = height;
     image.width = width;
@@ -222,7 +222,7 @@ void solve_once(Rng& rng) {
     Options options;
     options.max_iterations = integer(rng, 0, 8);
     static Workspace work;
-    const LevelFit fit = solve_level(arrays.objective, image, start, options, 1.0, integer(rng, 0, 1), work, [] { return false; });
+    const Solution fit = solve_level(arrays.objective, image, start, options, 1.0, integer(rng, 0, 1), work, [] { return false; });
     check(fit.trace.n_iterations <= 2 * options.max_iterations, "too many steps");
     check(fit.state.p.size() == arrays.n_p(), "p has another length");
 }

@@ -20,7 +20,7 @@ import pytest
 
 from liaam import _core
 from liaam.fitting import METHODS, Fitter, SolverOptions, get_method
-from liaam.fitting.loop.levels import FittedLevel, Levels, solve_levels
+from liaam.fitting.loop.levels import CoarseToFine, FittedLevel, solve_levels
 from liaam.photometry.encoding import value_luminance
 from setups import disturb, finest_objective, make_level, model_pixels, stands_light, without_core
 
@@ -60,7 +60,7 @@ def test_one_call_is_the_levels_one_by_one(model, lit_scene, method, dtype):
         size = np.array(image.shape[1::-1]) * scale
         y, x = (np.linspace(0, n - 1, int(m)).astype(int) for n, m in zip(image.shape, size[::-1], strict=False))
         target, _ = fitter.target(image[np.ix_(y, x)], scale * disturb(lit_scene.landmarks))
-        one, other = fitter.levels.fit(target, SHORT), solve_levels(fitter.objectives, target, SHORT)
+        one, other = fitter.coarse_to_fine.fit(target, SHORT), solve_levels(fitter.objectives, target, SHORT)
         assert len(one) == len(other)
         for a, b in zip(one, other, strict=True):
             np.testing.assert_allclose(a.reached, b.reached, atol=2e-2)
@@ -163,14 +163,14 @@ def test_a_fit_in_a_signal_handler_leaves_the_fit_that_it_interrupts_alone(
     model, fine_model, same_light_scene, lit_scene, method
 ):
     """Python runs handlers between two steps of a fit, on its thread: both fits have the bits of one alone."""
-    other, levels = Fitter(fine_model, "rgb").levels, Fitter(model, method).levels
+    other, levels = Fitter(fine_model, "rgb").coarse_to_fine, Fitter(model, method).coarse_to_fine
     other_target, _ = Fitter(fine_model, "rgb").target(same_light_scene.image, disturb(same_light_scene.landmarks))
     target, _ = Fitter(model, method).target(lit_scene.image, disturb(lit_scene.landmarks))
     alone, expected = levels.fit(target, SHORT), other.fit(other_target, SHORT)
     nested = []
 
     def fit_another(_, frame) -> None:
-        if frame.f_code is Levels._call.__code__:
+        if frame.f_code is CoarseToFine._call.__code__:
             signal.setitimer(signal.ITIMER_REAL, 0.0)  # once is enough
             nested.append(other.fit(other_target, SHORT))
 
@@ -247,7 +247,7 @@ def test_large_images_of_floats_are_fitted_level_by_level(model, lit_scene, monk
     whole = Fitter(model, "li").fit(lit_scene.image, start)
     monkeypatch.setattr("liaam.fitting.loop.levels.LARGEST_FLOATS", 10)
     fitter = Fitter(model, "li")
-    assert not fitter.levels.can_take(fitter.target(lit_scene.image, start)[0], SolverOptions())
+    assert not fitter.coarse_to_fine.can_take(fitter.target(lit_scene.image, start)[0], SolverOptions())
     again = Fitter(model, "li").fit(lit_scene.image, start)
     np.testing.assert_allclose(again.landmarks, whole.landmarks, atol=2e-2)
 

@@ -164,7 +164,7 @@ class Calls:
     """The arguments of the core's calls that a whole fit makes."""
 
     def __init__(self, model, scene, method: str = "soft-li") -> None:
-        self.levels = Fitter(model, method).levels
+        self.levels = Fitter(model, method).coarse_to_fine
         self.fields: dict[str, Any] = {}
         self.target: dict[str, Any] = {}
         image = np.rint(scene.image * 255).astype(np.uint8)

@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from liaam.datasets import Dataset, LeftOut, Sample, load_folder
+from liaam.datasets import Dataset, Sample, UnusedFile, load_folder
 from liaam.errors import ImageError, LandmarkError, LiaamError
 from liaam.io import Landmarks, write_collection, write_image, write_landmarks
 
@@ -355,7 +355,7 @@ def test_a_sample_reads_its_image_or_has_it(tmp_path: Path) -> None:
 
 def test_slices_and_selection() -> None:
     samples = tuple(Sample(name, Path(name), Landmarks(SQUARE)) for name in ("01-1", "01-2", "02-1"))
-    dataset = Dataset(samples, (LeftOut(Path("x"), "why"),), "here")
+    dataset = Dataset(samples, (UnusedFile(Path("x"), "why"),), "here")
     assert names(dataset[1:]) == ["01-2", "02-1"]
     assert dataset[1:].left_out == dataset.left_out
     assert dataset[-1].name == "02-1"

@@ -7,7 +7,7 @@ import pytest
 
 from liaam.fitting import Fitter, SolverOptions
 from liaam.fitting.loop.levels import is_sane
-from liaam.fitting.prepared import SLOW
+from liaam.fitting.one_shape_fitter import SLOW
 from liaam.fitting.search import restarts
 from liaam.fitting.search.restarts import APART, fit_again, other_starts
 from liaam.model import SURROUNDINGS
@@ -133,7 +133,7 @@ def test_other_starts_lie_apart_and_within_reason(calibrated, lit_scene, far, le
     start = disturb(lit_scene.landmarks, *far)
     own = Fitter(calibrated)
     target, _ = own.target(lit_scene.image, start)
-    shapes = other_starts(own.objectives[0], target, SolverOptions(), kept=4)
+    shapes = other_starts(own.objectives[0], target, SolverOptions(), count=4)
     assert least <= len(shapes) <= 4
     for i, shape in enumerate(shapes):
         assert is_sane(shape, start)

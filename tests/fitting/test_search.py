@@ -22,7 +22,7 @@ from liaam.fitting.search.finder import (
     search_sizes,
 )
 from liaam.fitting.search.responses import SPECTRA_KEPT, Bank
-from liaam.fitting.search.templates import TEMPLATE, Field, Template
+from liaam.fitting.search.templates import TEMPLATE, Field, OrientationTemplate
 from liaam.model import AAM, MESH, Level
 from liaam.model.shape import diagonal_of, rotation
 from liaam.workers import one_thread
@@ -265,7 +265,7 @@ def random_field(rng: np.random.Generator, *size: int) -> np.ndarray:
 def test_responses_are_mean_cosines_of_orientations(rng, n):
     """At each place, the sum of the real parts, by definition; the templates of a pair have different sizes."""
     values, parts = random_field(rng, 9, 11), [random_field(rng, 3 + i, 5 - i) for i in range(n)]
-    bank = Bank([Template(part, np.zeros(2), 0.0, np.zeros(4)) for part in parts], pad=0)
+    bank = Bank([OrientationTemplate(part, np.zeros(2), 0.0, np.zeros(4)) for part in parts], pad=0)
     peaks = bank.peaks(Field(values, np.ones(2)), 0, count=1, worth=0.0)
     for number, part in enumerate(parts):
         (height, width), norm = part.shape, np.abs(part).sum()
@@ -425,7 +425,7 @@ def test_long_fields_are_compared_by_tiles(rng, monkeypatch, size):
     """Tiles are as large as the memory for spectra, and what they find is the same as without them."""
     parts = [random_field(rng, 5, 7), random_field(rng, 7, 4), random_field(rng, 6, 6)]
     templates, field = (
-        [Template(part, np.zeros(2), 0.0, np.zeros(4)) for part in parts],
+        [OrientationTemplate(part, np.zeros(2), 0.0, np.zeros(4)) for part in parts],
         Field(random_field(rng, *size), np.ones(2)),
     )
     whole = Bank(templates, pad=3).peaks(field, 0, count=50, worth=0.0)

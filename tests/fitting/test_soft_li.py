@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from liaam.fitting import FitStatus, Fitter, SolverOptions
-from liaam.fitting.loop.levels import light_for, prepare_level, solve_levels
+from liaam.fitting.loop.levels import averaged_image, prepare_level, solve_levels
 from liaam.fitting.solution import residual_at, solution_at
 from liaam.model import MESH, SURROUNDINGS
 from liaam.photometry import linear_to_srgb, srgb_to_linear
@@ -37,7 +37,7 @@ def test_it_ends_at_the_zero_of_the_expected_gradients_equation(fine_model, lit_
     objective, solution = fitter.objectives[-1], stages[-1].solution
     assert solution.converged
     target = target.measured(objective.method)
-    about = stages[:-1], fitter.options, light_for(fitter.objectives, target)
+    about = stages[:-1], fitter.options, averaged_image(fitter.objectives, target)
     problem = objective.problem(prepare_level(objective, target, *about)[0])
     problem.begin(solution.p, tuple(solution.angles), solution.lam)
     problem.evaluate(True)

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from liaam.fitting.search.templates import TEMPLATE, Grey, make_templates, shrink, soft_directions
-from liaam.training.kept import compact
+from liaam.training.compacting import compact
 from setups import train_on
 
 
@@ -26,7 +26,7 @@ def test_the_small_model_is_the_model_made_small(model):
 def test_the_pixels_that_a_file_keeps_make_the_same_small_model(scenes):
     whole = train_on(scenes[:4], diagonal=150.0, variance=1.0, methods=())  # is not compact
     few = compact(whole)
-    kept = few.levels[0].appearances["search"].known
+    kept = few.levels[0].appearances["search"].mask
     assert kept.mean() < 0.27
     ours, theirs = (shrink(each).levels[0].appearances["orientation"] for each in (few, whole))
     # Averages at the border of the mesh have few pixels.

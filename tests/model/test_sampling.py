@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given, strategies as st
 
 from liaam import _core, image_reference
-from liaam.model.sampling import Light, block_size, make_patch, sample_texture
+from liaam.model.sampling import AveragedImage, block_size, make_patch, sample_texture
 from liaam.model.shape import Similarity
 
 BOX = np.array([[60.0, 50.0], [110.0, 50.0], [110.0, 100.0], [60.0, 100.0]])
@@ -93,7 +93,7 @@ def test_patches_of_light_averaged_once_are_those_of_the_picture(encoding, kind,
         image[90:93, 100] = np.nan
     pose = at_scale(2.3)
     options: dict[str, Any] = {"encoding": encoding, "response": "srgb"}
-    light = Light.around(image, BOX, pose, blurs=(4.0, 2.0, 1.0), margin=0.4, **options)
+    light = AveragedImage.around(image, BOX, pose, blurs=(4.0, 2.0, 1.0), margin=0.4, **options)
     for blur, margin, moved in ((4.0, 0.4, 0.0), (2.0, 0.1, 2.5), (1.0, 0.1, -4.0)):
         alone, shared = (
             make_patch(of, BOX + moved, pose, blur=blur, margin=margin, **options) for of in (image, light)
@@ -107,7 +107,7 @@ def test_patches_of_light_averaged_once_are_those_of_the_picture(encoding, kind,
 def test_patches_elsewhere_are_made_of_the_picture_itself(rng):
     image = rng.integers(60, 200, (300, 400, 3), dtype=np.uint8)
     options: dict[str, Any] = {"encoding": "soft", "response": "srgb"}
-    light = Light.around(image, BOX, at_scale(2.0), blurs=(2.0, 1.0), margin=0.1, **options)
+    light = AveragedImage.around(image, BOX, at_scale(2.0), blurs=(2.0, 1.0), margin=0.1, **options)
     for shape, scale in ((BOX + 150.0, 2.0), (BOX, 3.1)):  # beyond what was averaged; and much larger than thought
         alone, shared = (
             make_patch(of, shape, at_scale(scale), blur=1.0, margin=0.1, **options) for of in (image, light)

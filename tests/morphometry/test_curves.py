@@ -10,7 +10,7 @@ from liaam.io import read_collection
 from liaam.io.landmarks import Contour
 from liaam.model.shape import align, procrustes_mean, rotation
 from liaam.morphometry import Specimen, curves, measure, read_specimens, with_even_curves
-from liaam.morphometry.curves import CRITERIA, _lengths, _Track, bending_energy, resample, semilandmarks, slide
+from liaam.morphometry.curves import CRITERIA, _JoinedCurves, _lengths, bending_energy, resample, semilandmarks, slide
 
 SOME = settings(max_examples=20, deadline=None)
 seeds = st.integers(0, 2**32 - 1)
@@ -79,7 +79,7 @@ def test_a_step_of_sliding_never_raises_the_criterion(criterion: str, seed: int)
     mean /= np.linalg.norm(mean)
     weights = bending_energy(mean) if criterion == "bending" else np.eye(len(mean))
     chain, sliding = semilandmarks(CURVES)
-    track = _Track(shape, chain, sliding, _lengths(shape[chain]))
+    track = _JoinedCurves(shape, chain, sliding, _lengths(shape[chain]))
     places = track.step(track.lengths, mean, weights)
     assert (np.diff(places) >= 0).all()
     costs = []

@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from liaam.batch.tables import Table, write_table
+from liaam.batch.tables import BatchTable, write_table
 from liaam.errors import LiaamError
 from liaam.io import Landmarks, read_collection, write_collection, write_image, write_landmarks
 from liaam.io.fit_files import FIT_SUFFIXES, write_fit
@@ -157,7 +157,7 @@ def test_damaged_fits_are_skipped(tmp_path: Path, landmarks: object) -> None:
 @pytest.mark.parametrize("names", [(), ("base", "left tip", "x"), ("2", "3", "1")])
 def test_tables_of_batches_keep_the_names_of_landmarks(tmp_path: Path, suffix: str, names: tuple[str, ...]) -> None:
     path, row = tmp_path / f"t{suffix}", row_of("a.png")
-    write_table(path, Table([(json.dumps(row), row)], 3, True, {}, names=names))
+    write_table(path, BatchTable([(json.dumps(row), row)], 3, True, {}, names=names))
     (specimen,) = read_specimens(path)
     assert_fit(specimen)
     assert specimen.names == names
@@ -184,7 +184,7 @@ def test_tables_of_batches(tmp_path: Path, suffix: str, covariance: bool) -> Non
     rows = [row_of("wings/a.png"), row_of("wings/b.png", "error")]
     texts = [json.dumps(row if covariance else {**row, "covariance": None}) for row in rows]
     path = tmp_path / f"t{suffix}"
-    write_table(path, Table(zip(texts, rows, strict=True), 3, covariance, {}))
+    write_table(path, BatchTable(zip(texts, rows, strict=True), 3, covariance, {}))
     first, second = read_specimens(path)
     assert (first.name, second.name, second.status, len(second.points)) == ("a", "b", "error", 0)
     np.testing.assert_array_equal(first.points, POINTS)

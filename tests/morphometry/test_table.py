@@ -3,7 +3,6 @@
 import numpy as np
 import pandas as pd
 import pytest
-from hypothesis import given, settings, strategies as st
 
 from liaam.errors import LiaamError
 from liaam.io import write_columns
@@ -59,16 +58,14 @@ def test_landmarks_by_name() -> None:
         measure([specimen], ["distance:1-9"])
 
 
-@given(seed=st.integers(0, 2**32 - 1), scale=st.sampled_from([None, "0.02", "7-8=3"]))
-@settings(max_examples=4, deadline=None)
-def test_standard_errors_are_those_of_noisy_landmarks(seed: int, scale: str | None) -> None:
+@pytest.mark.parametrize("scale", [None, "0.02", "7-8=3"])
+def test_standard_errors_are_those_of_noisy_landmarks(rng, scale: str | None) -> None:
     """Monte Carlo: the spread over specimens with noise of the given covariances."""
-    rng = np.random.default_rng(seed)
     angles = np.arange(8) * np.pi / 4 + rng.uniform(-0.2, 0.2, 8)
     points = 200 * np.stack([np.cos(angles), np.sin(angles)], axis=1) * rng.uniform(0.7, 1.3, (8, 1))
     roots = rng.normal(0, 0.5, (8, 2, 2))
     covariances = roots @ roots.swapaxes(1, 2)
-    noise = np.einsum("nij,mnj->mni", roots, rng.normal(size=(1500, 8, 2)))
+    noise = np.einsum("nij,mnj->mni", roots, rng.normal(size=(1000, 8, 2)))
     wanted = ("distance:1-4", "angle:1-3-6", "area:1-2-3-4-5-6")
     told = measure([Specimen("a", points, covariances)], wanted, scale)
     seen = measure([Specimen("a", points), *(Specimen("b", points + shift) for shift in noise)], wanted, scale)
@@ -76,7 +73,7 @@ def test_standard_errors_are_those_of_noisy_landmarks(seed: int, scale: str | No
     assert len(columns) == 3 + 1 + 2 * (6 if scale == "7-8=3" else 8)
     for name in columns:
         spread = np.std(seen[name.removesuffix("_se")][1:])
-        # The standard deviation of 1,500 draws has an error of 1.8 %.
+        # The standard deviation of 1,000 draws has an error of 2.2 %.
         assert told[name][0] == pytest.approx(spread, rel=0.09), name
 
 

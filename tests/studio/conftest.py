@@ -9,13 +9,13 @@ from pathlib import Path
 import httpx
 import numpy as np
 import pytest
-from small_projects import TRIANGLE
+from small_projects import TRIANGLE, browser_of
 
 from liaam.io import Contour, Landmarks, write_image, write_landmarks
 from liaam.studio.app import Studio
 from liaam.studio.project import Project
 from liaam.studio.serving import make_server, open_port
-from liaam.studio.settings import Settings
+from liaam.studio.settings import StudioSettings
 from scenes import Head, Scene, make_set
 
 CONTOURS = (Contour(tuple(range(13))), Contour(tuple(range(21, 29)), closed=True))
@@ -28,7 +28,8 @@ def portraits() -> list[Scene]:
 
 
 def portraits_of(n: int) -> list[Scene]:
-    return make_set(n, Head(7), seed=3, size=(320, 240))
+    """Take pictures that other tests show, too: they are rendered once for all."""
+    return make_set(n, Head(5), size=(160, 120))
 
 
 @pytest.fixture(scope="session")
@@ -105,16 +106,12 @@ def serve() -> Iterator[Callable[..., Running]]:
 
     def start(folder: Path, model: Path | None = None, **settings) -> Running:
         listener = open_port("127.0.0.1", 0)
-        studio = Studio(folder, model, Settings(port=listener.getsockname()[1], **settings))
+        studio = Studio(folder, model, StudioSettings(port=listener.getsockname()[1], **settings))
         server = make_server(studio)
         thread = threading.Thread(target=server.run, args=([listener],), daemon=True)
         thread.start()
-        client = httpx.Client(
-            base_url=f"http://127.0.0.1:{studio.settings.port}",
-            headers={"authorization": f"Bearer {studio.settings.token}"},
-            timeout=60,
-            trust_env=False,
-        )
+        url = f"http://127.0.0.1:{studio.settings.port}"
+        client = browser_of(url, headers={"authorization": f"Bearer {studio.settings.token}"})
         running.append(Running(studio, server, thread, client))
         return running[-1]
 

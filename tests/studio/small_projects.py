@@ -1,11 +1,20 @@
 """Projects of small pictures, and what is asked of them in many tests."""
 
+import httpx
 import pytest
 
 from liaam.studio.safety import Refusal
 
 TRIANGLE = {"names": ["a", "b", "c"], "contours": [{"indices": [0, 1, 2], "closed": True}], "mirror": [1, 0, 2]}
 POINTS = [[1.0, 2.0], [30.5, 2.25], [15.0, 20.0]]
+
+
+def browser_of(url: str = "", **options) -> httpx.Client:
+    """Give what asks a studio as a browser does.
+
+    It speaks http, which needs none of the certificates that take long to read, and knows no proxies.
+    """
+    return httpx.Client(**{"base_url": url, "verify": False, "trust_env": False, "timeout": 60, **options})
 
 
 def by_name(project):

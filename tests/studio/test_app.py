@@ -6,9 +6,9 @@ import subprocess
 import sys
 import threading
 
-import httpx
 import numpy as np
 import pytest
+from small_projects import browser_of
 
 from liaam.errors import ImageError, LiaamError
 from liaam.io import Landmarks, read_landmarks, write_image, write_landmarks
@@ -369,7 +369,7 @@ def test_ctrl_c_stops_the_command(folder, command):
     address = process.stdout.readline().split()[-1]
     assert address.startswith("http://127.0.0.1:") and "/?token=" in address
     assert process.stdout.readline() == "Press Ctrl-C to stop it\n"
-    with httpx.Client(trust_env=False, follow_redirects=True, timeout=60) as browser:
+    with browser_of(follow_redirects=True) as browser:
         assert browser.get(address).status_code == 200
         with browser.stream("GET", address.partition("?")[0] + "api/events") as events:
             lines = events.iter_lines()
@@ -381,9 +381,9 @@ def test_ctrl_c_stops_the_command(folder, command):
 
 def test_what_was_saved_survives_a_kill(folder, command, serve):
     home = folder(2)
-    process = command(home, "--port", "0")
+    process = command(home, "--port", "0", "--no-face")
     address = process.stdout.readline().split()[-1]
-    with httpx.Client(trust_env=False, follow_redirects=True, timeout=60) as browser:
+    with browser_of(follow_redirects=True) as browser:
         browser.get(address)
         site = address.partition("?")[0]
         browser.put(site + "api/template", json={"names": ["a", "b", "c"]}).raise_for_status()
@@ -402,7 +402,7 @@ def test_a_training_ends_with_a_server_that_is_killed(folder, command):
 
     process = command(folder(8, 8), "--port", "0")
     address = process.stdout.readline().split()[-1]
-    with httpx.Client(trust_env=False, follow_redirects=True, timeout=60) as browser:
+    with browser_of(follow_redirects=True) as browser:
         browser.get(address)
         site = address.partition("?")[0]
         with browser.stream("GET", site + "api/events") as events:
@@ -469,7 +469,7 @@ def test_other_machines_are_let_in_with_a_warning_only(tmp_path, monkeypatch):
 
     opened, said = threading.Event(), []
     monkeypatch.setattr(serving.webbrowser, "open", lambda address: opened.set())
-    settings = serving.Settings(host="192.168.1.5", port=9000, token="T")
+    settings = serving.StudioSettings(host="192.168.1.5", port=9000, token="T")
     serving._welcome(settings, True, said.append)
     assert said[0].startswith("warning: other machines can reach")
     assert said[1] == "liaam studio: http://192.168.1.5:9000/?token=T"

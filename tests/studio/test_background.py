@@ -2,12 +2,14 @@
 
 import threading
 import time
+from functools import lru_cache
 from pathlib import Path
 
 import pytest
 from small_projects import POINTS, by_name, put, states
 
 from liaam import datasets
+from liaam.fitting import Fitter
 from liaam.io import Landmarks, read_image, read_landmarks, write_image, write_landmarks
 from liaam.studio.background import Background
 from liaam.studio.model_store import ModelStore
@@ -28,6 +30,12 @@ def faces(tmp_path):
     return folder
 
 
+@lru_cache
+def fitter_of(model) -> Fitter:
+    """Prepare a model once for all folders here, which takes longer than a fit."""
+    return Fitter(model)
+
+
 @pytest.fixture
 def begin():
     """Give a function that makes the background of a folder, and the events that it tells."""
@@ -37,7 +45,9 @@ def begin():
         if model is not None:
             models.publish(model, {"source": "file", "trained": None, "pictures": {}})
         trainer = Trainer(project, models, lambda *event: told.append(event))
-        return Background(project, models, trainer, lambda *event: told.append(event)), told
+        background = Background(project, models, trainer, lambda *event: told.append(event))
+        background._fitter_of = fitter_of
+        return background, told
 
     return begin
 

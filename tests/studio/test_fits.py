@@ -33,12 +33,12 @@ from liaam.studio.pictures import Kept, Pictures, averaged, fitted_size, source_
 from liaam.studio.project import Project
 from liaam.studio.routes import attachment, light_of, parse_start
 from liaam.studio.safety import Refusal
-from liaam.studio.settings import Settings
+from liaam.studio.settings import StudioSettings
 from liaam.tracking.motion import rescaled
 from scenes import Scene
 from setups import moving_scene
 
-SETTINGS = Settings(fits_kept=5)
+SETTINGS = StudioSettings(fits_kept=5)
 ONE_LAMP = '{"direction":[0,0,1]}'
 FRONT = [Lamp((0.0, 0.0, 1.0))]
 LIGHT = quote(json.dumps({"lamps": [{"direction": [-1, 0, 0.5]}], "ambient": 0.2}))
@@ -69,7 +69,7 @@ def fits(folder, head_model) -> Fits:
     return make_fits(folder, head_model)
 
 
-def make_fits(folder: Path, model: AAM | None, settings: Settings = SETTINGS) -> Fits:
+def make_fits(folder: Path, model: AAM | None, settings: StudioSettings = SETTINGS) -> Fits:
     pictures, models = Pictures(), ModelStore()
     fits = Fits(settings, models, pictures)
     fits.project = Project(folder, settings)
@@ -166,7 +166,7 @@ class TestFit:
         assert refused.value.status == 404
 
     def test_ten_at_a_time_are_equal(self, folder, head_model):
-        fits = make_fits(folder, head_model, Settings())
+        fits = make_fits(folder, head_model, StudioSettings())
         methods = ["soft-li", "li"] * 5
         with ThreadPoolExecutor(10) as pool:
             made = list(pool.map(lambda method: fit(fits, method=method), methods))

@@ -9,9 +9,9 @@ import h11
 import pytest
 
 from liaam.studio.safety import HEADERS, RETRY_AFTER, Crowd, Guard, Refusal, is_own_host
-from liaam.studio.settings import Settings
+from liaam.studio.settings import StudioSettings
 
-SETTINGS = Settings(
+SETTINGS = StudioSettings(
     port=8765, token="secret", json_bytes=100, upload_bytes=1000, bodies_bytes=1500, uploads_at_once=2,
     body_seconds=5.0, drain_seconds=0.2,
 )  # fmt: skip
@@ -216,7 +216,7 @@ def test_whence_a_request_comes_is_asked_before_its_token():
     ],
 )
 def test_names_of_this_server(host, settings, own):
-    assert is_own_host(host, Settings(**settings)) is own
+    assert is_own_host(host, StudioSettings(**settings)) is own
 
 
 def test_every_answer_has_the_headers_and_keeps_its_own():
@@ -299,7 +299,7 @@ def test_what_is_too_large_is_thrown_away_for_a_while_only():
 
 
 def test_a_body_that_does_not_come_is_not_waited_for():
-    quick = Settings(**{**SETTINGS.__dict__, "body_seconds": 0.1})
+    quick = StudioSettings(**{**SETTINGS.__dict__, "body_seconds": 0.1})
     asked = ask(HOST, TOKEN, method="POST", parts=[b"x", b"y"], wait=60.0, settings=quick)
     assert (asked.status, asked.inside) == (408, [])
     assert asked.error == "the rest of the request did not arrive in time: send it again"
@@ -340,7 +340,7 @@ def test_who_has_sent_all_may_wait_for_the_end_of_the_connection():
 
     headers = [(name.encode(), value.encode()) for name, value in (HOST, TOKEN)]
     scope = {"type": "http", "method": "POST", "path": "/", "query_string": b"", "headers": headers}
-    asyncio.run(Guard(app, Settings(**{**SETTINGS.__dict__, "body_seconds": 60.0}))(scope, receive, None))  # type: ignore[arg-type]
+    asyncio.run(Guard(app, StudioSettings(**{**SETTINGS.__dict__, "body_seconds": 60.0}))(scope, receive, None))  # type: ignore[arg-type]
     assert [message["type"] for message in seen] == ["http.request", "http.disconnect"]
 
 

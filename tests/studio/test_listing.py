@@ -12,7 +12,7 @@ from liaam.errors import ImageError
 from liaam.io import Landmarks, write_image, write_landmarks
 from liaam.studio import folder as listing
 from liaam.studio.project import Project
-from liaam.studio.settings import Settings
+from liaam.studio.settings import StudioSettings
 
 
 def test_pictures_come_in_natural_order_without_hidden_files_and_folders(small):
@@ -125,7 +125,7 @@ def test_of_two_pictures_of_one_stem_the_second_is_broken(small):
 
 
 def test_a_picture_of_too_many_pixels_is_broken(small):
-    project = Project(small.root, Settings(pixels=1000))
+    project = Project(small.root, StudioSettings(pixels=1000))
     assert "40 x 30 pixels, more than 1,000: make" in by_name(project)["p1.png"]["error"]
 
 

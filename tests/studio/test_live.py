@@ -14,7 +14,7 @@ from liaam.studio import live
 from liaam.studio.live import Frame, LiveVideo, LiveVideos, in_whole
 from liaam.studio.model_store import ModelStore
 from liaam.studio.safety import Refusal
-from liaam.studio.settings import Settings
+from liaam.studio.settings import StudioSettings
 from liaam.tracking import Tracker, TrackStatus
 from setups import moving_scene
 
@@ -131,7 +131,7 @@ def test_a_frame_of_another_size_is_refused(n):
 
 
 def test_the_number_of_videos_is_bounded_and_idle_ones_end(head_model, monkeypatch):
-    videos = LiveVideos(store(head_model), Settings(live_kept=2))
+    videos = LiveVideos(store(head_model), StudioSettings(live_kept=2))
     first, second = videos.open(), videos.open()
     videos.get(first.id)
     third = videos.open()

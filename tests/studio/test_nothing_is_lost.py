@@ -16,7 +16,7 @@ from liaam.studio.app import Studio
 from liaam.studio.folder import STATE, Listing
 from liaam.studio.project import Project
 from liaam.studio.safety import Refusal
-from liaam.studio.settings import Settings
+from liaam.studio.settings import StudioSettings
 from liaam.studio.store import Store
 
 NAMES = {"names": ["a", "b", "c"]}
@@ -196,7 +196,7 @@ def test_a_folder_keeps_its_id_and_a_copy_has_another(small):
 
 
 def test_a_second_studio_on_a_folder_is_refused(small):
-    first = Studio(small.root, settings=Settings(port=8123))
+    first = Studio(small.root, settings=StudioSettings(port=8123))
     try:
         with pytest.raises(LiaamError, match="open in another studio") as caught:
             Studio(small.root)

@@ -11,7 +11,7 @@ from small_projects import POINTS, TRIANGLE, by_name, proposal, put, refused, st
 from liaam.io import Landmarks, read_collection, read_landmarks, write_landmarks
 from liaam.studio.model_store import ModelStore, Versions, model_json
 from liaam.studio.project import Project
-from liaam.studio.store import Table
+from liaam.studio.store import StoredTable
 from liaam.studio.training import choose_held_out
 
 MOVED = [[5.0, 6.0], *POINTS[1:]]
@@ -142,7 +142,7 @@ def test_deleted_landmarks_are_not_restored_once_gone_or_for_another_template(pl
     act(placed, "deleted", "p1.png")
     placed.save_template({**TRIANGLE, "names": ["a", "b"], "contours": [], "mirror": None, "mapping": [0, 1]})
     assert "earlier template" in act(placed, "undeleted", "p1.png")["refused"]["p1.png"]
-    Table(placed.store, "deleted").forget()
+    StoredTable(placed.store, "deleted").forget()
     assert "not kept any more" in act(placed, "undeleted", "p1.png")["refused"]["p1.png"]
 
 

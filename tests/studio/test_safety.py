@@ -13,6 +13,7 @@ from pathlib import Path
 import httpx
 import numpy as np
 import pytest
+from small_projects import browser_of
 
 from liaam.io import Landmarks, write_image, write_landmarks
 
@@ -84,7 +85,7 @@ def request(running, target: str, method: str = "GET", *headers: str, body: byte
 
 
 def test_the_address_gives_a_cookie_and_hides_the_token(running):
-    with httpx.Client(base_url=running.url, trust_env=False) as stranger:
+    with browser_of(running.url) as stranger:
         answer = stranger.get("/", params={"token": running.studio.settings.token})
         assert answer.status_code == 303 and answer.headers["location"] == "/"
         cookie = answer.headers["set-cookie"]
@@ -95,7 +96,7 @@ def test_the_address_gives_a_cookie_and_hides_the_token(running):
 
 
 def test_without_the_token_nothing_is_given(running):
-    with httpx.Client(base_url=running.url, trust_env=False) as stranger:
+    with browser_of(running.url) as stranger:
         for path in ("/", "/?token=wrong", "/?token=", "/style.css", "/api/project", "/api/events", "/nowhere"):
             answer = stranger.get(path)
             assert answer.status_code == 401, path
@@ -112,13 +113,14 @@ def test_without_the_token_nothing_is_given(running):
 
 def test_the_token_in_the_address_serves_the_page_only(running):
     token = running.studio.settings.token
-    assert httpx.get(f"{running.url}/api/project?token={token}", trust_env=False).status_code == 401
-    assert httpx.post(f"{running.url}/?token={token}", trust_env=False).status_code == 401
-    assert httpx.get(f"{running.url}/?token=x&token={token}", trust_env=False).status_code == 401
+    for method, path in (("GET", "/api/project?"), ("POST", "/?"), ("GET", "/?token=x&")):
+        with browser_of(running.url) as stranger:  # each without the cookie that another may have got
+            assert stranger.request(method, f"{path}token={token}").status_code == 401
 
 
 def test_a_browser_without_the_token_gets_a_page(running):
-    answer = httpx.get(running.url, headers={"accept": "text/html"}, trust_env=False)
+    with browser_of(running.url, headers={"accept": "text/html"}) as stranger:
+        answer = stranger.get("/")
     assert answer.status_code == 401
     assert answer.headers["content-type"].startswith("text/html")
     assert "liaam studio" in answer.text
@@ -157,12 +159,14 @@ def test_foreign_origins_and_requests_of_other_sites_are_refused(running):
 
 def test_every_response_says_how_to_treat_it(running):
     token = running.studio.settings.token
+    with browser_of(running.url) as stranger:
+        refused = stranger.get("/")
     for answer in (
         running.client.get("/"),
         running.client.get("/api/project"),
         running.client.get("/api/nothing"),
         running.client.get("/", params={"token": token}),
-        httpx.get(running.url, trust_env=False),
+        refused,
         running.client.get("/api/project", headers={"host": "evil.example"}),
         running.client.post("/api/uploads", content=b"x" * 300_000),
     ):

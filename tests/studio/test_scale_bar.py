@@ -92,7 +92,7 @@ def share(project, bar=BAR, of="p1.png", did="scaled", **more):
 
 
 def scales_of(project):
-    return {file.name: landmarks.scale for file, landmarks, _ in project.placed()}
+    return {picture.file.name: picture.landmarks.scale for picture in project.placed()}
 
 
 def test_one_bar_for_all_is_written_exported_and_taken_back(small):

@@ -5,10 +5,10 @@ import sys
 import textwrap
 from dataclasses import replace
 
-import httpx
+import cv2
 import numpy as np
 import pytest
-from small_projects import POINTS, TRIANGLE, by_name, put, refused, states
+from small_projects import POINTS, TRIANGLE, browser_of, by_name, put, refused, states
 
 from liaam.cli.inputs import read_folder
 from liaam.datasets import load_folder
@@ -244,7 +244,7 @@ def test_pages_of_a_set_have_an_address_of_their_own(folder, serve):
     assert client.get("/set/anna/api/pictures/p1.png/image").headers["content-type"] == "image/jpeg"
     for wrong in ("/set/nobody/api/project", "/set/..%2F..%2Fx/api/project", "/set/%2e%2e/api/project"):
         assert client.get(wrong).status_code == 404
-    with httpx.Client(base_url=running.url, trust_env=False) as stranger:
+    with browser_of(running.url) as stranger:
         assert stranger.get("/set/anna/api/project").status_code == 401
     large = b"x" * 2_100_000  # more than a request may have that is no upload
     assert client.post("/set/anna/api/files?name=a.tps", content=large).status_code != 413
@@ -255,19 +255,21 @@ def test_pages_of_a_set_have_an_address_of_their_own(folder, serve):
     )
 
 
-def test_a_set_trains_a_model_of_its_own(folder, serve):
-    running = serve(folder(4, 4))
+def test_a_set_trains_a_model_of_its_own(small, serve, rng):
+    for picture in small.root.glob("p*.png"):
+        write_image(picture, cv2.GaussianBlur(rng.integers(0, 256, (30, 40, 3)).astype(np.uint8), (0, 0), 2))
+    running = serve(small.root)
     client = running.client
     client.post("/api/sets", json={"name": "anna", "same": True})
     first = running.studio.project
     anna = running.studio.of_set("anna")
-    for name in ("p1.png", "p2.png", "p3.png"):
-        put(anna.project, name, first.marks(name)["points"])
+    for name in ("p1.png", "p2.png", "p10.png"):
+        put(anna.project, name, (np.array(POINTS) + rng.uniform(-1, 1, (3, 2))).tolist())
     assert client.post("/set/anna/api/training").status_code == 202
     assert anna.training.wait(120).state == "done", anna.training.state
     assert anna.models.current is not None and running.studio.models.current is None
     assert (first.root / ".liaam-studio" / "sets" / "anna" / "model.liaam").is_file()
-    assert client.get("/set/anna/api/project").json()["model"]["name"] == "project-anna"
+    assert client.get("/set/anna/api/project").json()["model"]["name"] == "small-anna"
     again, models = Project(first.root), {"": ModelStore(), "anna": ModelStore()}
     for name, store in models.items():
         load_studio_model(again.of_set(name), store)

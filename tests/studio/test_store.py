@@ -16,7 +16,7 @@ from small_projects import POINTS, TRIANGLE, by_name, proposal, put, refused, st
 from liaam.io import Landmarks, write_image, write_landmarks
 from liaam.studio.folder import STATE, Folder
 from liaam.studio.project import Project
-from liaam.studio.store import DATABASE, Store, Table
+from liaam.studio.store import DATABASE, Store, StoredTable
 
 
 @pytest.fixture
@@ -38,7 +38,7 @@ def test_values_and_lines_are_kept(store, tmp_path):
     for one in (store, Store(Folder(tmp_path))):
         assert one.all("a") == {"y": [None, "\ud800"], "z": {}} and one.get("b", "x") == 2 and one.get("a", "x") is None
         assert one.lines("a") == [{"n": 1}, {"n": 2}] and one.lines("b") == []
-    Table(store, "a").forget()
+    StoredTable(store, "a").forget()
     assert store.all("a") == {} and store.lines("a")
 
 

@@ -16,7 +16,7 @@ from liaam.studio.folder import plain_name
 from liaam.studio.pictures import Pictures, Uploads
 from liaam.studio.routes import read_json
 from liaam.studio.safety import Refusal
-from liaam.studio.settings import Settings
+from liaam.studio.settings import StudioSettings
 
 
 def colours(height: int = 24, width: int = 32) -> np.ndarray:
@@ -86,7 +86,7 @@ class TestTaken:
         assert np.array_equal(pixels, np.rot90(colours()))
 
     def test_the_newest_few_are_kept(self):
-        uploads = Uploads(Pictures(), Settings(uploads_kept=3))
+        uploads = Uploads(Pictures(), StudioSettings(uploads_kept=3))
         added = [uploads.add(PNG, f"{i}.png") for i in range(5)]
         assert len(uploads._uploads) == 3
         assert [uploads.get(upload.id).name for upload in added[2:]] == ["2.png", "3.png", "4.png"]
@@ -96,20 +96,20 @@ class TestTaken:
             assert refused.value.status == 404
 
     def test_so_many_bytes_are_kept_and_the_newest_in_any_case(self):
-        uploads = Uploads(Pictures(), Settings(uploads_bytes=2 * len(PNG)))
+        uploads = Uploads(Pictures(), StudioSettings(uploads_bytes=2 * len(PNG)))
         added = [uploads.add(PNG, f"{i}.png") for i in range(2)]
         assert len(uploads._uploads) == 2
         uploads.add(PNG, "2.png")
         assert len(uploads._uploads) == 2
         with pytest.raises(Refusal):
             uploads.get(added[0].id)
-        small = Uploads(Pictures(), Settings(uploads_bytes=1))
+        small = Uploads(Pictures(), StudioSettings(uploads_bytes=1))
         assert small.get(small.add(PNG, "a.png").id).data == PNG
         last = small.add(PNG, "b.png")
         assert len(small._uploads) == 1 and small.get(last.id).name == "b.png"
 
     def test_pictures_at_the_limits(self):
-        uploads = Uploads(Pictures(), Settings(pixels=24 * 32, upload_bytes=len(PNG)))
+        uploads = Uploads(Pictures(), StudioSettings(pixels=24 * 32, upload_bytes=len(PNG)))
         assert uploads.add(PNG, "a.png").width == 32
         with pytest.raises(Refusal, match=f"a.png has {len(PNG) + 1:,} bytes, more than {len(PNG):,}: make it smaller"):
             uploads.add(PNG + b"x", "a.png")
@@ -122,7 +122,7 @@ class TestTaken:
         assert len(upload.id) >= 12
 
     def test_a_picture_can_be_decoded_again_while_it_is_kept(self):
-        uploads = Uploads(Pictures(decoded=24 * 32 * 3), Settings(uploads_kept=2))
+        uploads = Uploads(Pictures(decoded=24 * 32 * 3), StudioSettings(uploads_kept=2))
         first = uploads.source(uploads.add(PNG, "a.png").id)
         uploads.add(PNG, "b.png")  # pushes the first one's pixels out
         assert np.array_equal(uploads._pictures.pixels(first), colours())
@@ -134,7 +134,7 @@ class TestTaken:
             uploads._pictures.pixels(first)
 
     def test_from_many_threads(self):
-        uploads = Uploads(Pictures(), Settings(uploads_kept=6))
+        uploads = Uploads(Pictures(), StudioSettings(uploads_kept=6))
         with ThreadPoolExecutor(10) as pool:
             added = list(pool.map(lambda i: uploads.add(PNG, f"{i}.png"), range(40)))
         assert len(uploads._uploads) == 6
@@ -191,18 +191,18 @@ class TestRefused:
         assert len(uploads._uploads) == 0
 
     def test_what_has_more_pixels_than_allowed(self):
-        uploads = Uploads(Pictures(), Settings(pixels=24 * 32 - 1))
+        uploads = Uploads(Pictures(), StudioSettings(pixels=24 * 32 - 1))
         with pytest.raises(Refusal, match="32 x 24 pixels, more than 767") as refused:
             uploads.add(PNG, "a.png")
         assert refused.value.status == 413
 
     def test_what_has_more_bytes_than_allowed(self):
         with pytest.raises(Refusal, match="more than 20") as refused:
-            Uploads(Pictures(), Settings(upload_bytes=20)).add(PNG, "a.png")
+            Uploads(Pictures(), StudioSettings(upload_bytes=20)).add(PNG, "a.png")
         assert refused.value.status == 413
 
     def test_a_thousand_damaged_files_raise_nothing_else(self, rng):
-        uploads = Uploads(Pictures(), replace(Settings(), pixels=100_000))
+        uploads = Uploads(Pictures(), replace(StudioSettings(), pixels=100_000))
         files = [
             PNG,
             file_of(Image.fromarray(colours()), "JPEG"),

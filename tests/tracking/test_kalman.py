@@ -139,8 +139,8 @@ def test_a_gap_takes_no_difference_over_itself():
     before, moments = moments, replace(moments, last=())
     for value in (1e6, 1e6, 1e6):
         moments = kalman.observed(moments, np.array([value]))
-    assert moments.own == before.own
-    assert kalman.observed(moments, np.array([1e6])).own < before.own
+    assert moments.mean_square == before.mean_square
+    assert kalman.observed(moments, np.array([1e6])).mean_square < before.mean_square
 
 
 def test_the_first_guess_is_what_the_moments_say():

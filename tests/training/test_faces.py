@@ -6,7 +6,7 @@ from liaam.datasets import Sample
 from liaam.io import Landmarks, write_image, write_landmarks
 from liaam.model.shape import scaled_mean
 from liaam.photometry import CameraModel
-from liaam.training import Lamps, train
+from liaam.training import LearntLamps, train
 from liaam.training.entries import read_entries
 from liaam.training.faces import face_lamps
 from scenes import Head, make_set
@@ -17,7 +17,7 @@ def heads(n: int, points=lambda shape: shape) -> list[Sample]:
     return [Sample(f"head {i}", s.image, Landmarks(points(s.landmarks))) for i, s in enumerate(scenes)]
 
 
-def found(samples: list[Sample]) -> Lamps | None:
+def found(samples: list[Sample]) -> LearntLamps | None:
     entries = read_entries(samples).entries
     mean = scaled_mean(np.array([entry.points for entry in entries]), 100.0)
     return face_lamps(entries, mean, CameraModel())

@@ -13,7 +13,7 @@ from distributed.comm.addressing import parse_address, parse_host_port
 from distributed.comm.registry import get_backend
 
 from liaam import __version__
-from liaam.batch.work import Job, KeptRow, Pool
+from liaam.batch.work import FitJob, JournalRow, Pool
 from liaam.errors import LiaamError
 from liaam.workers import AHEAD, one_thread
 
@@ -23,7 +23,7 @@ PATIENCE = 30  # Timeout in seconds for the scheduler, and for its first worker
 class _Ready(WorkerPlugin):
     """The job on each worker of the cluster, sent once to all workers, including those that join later."""
 
-    def __init__(self, job: Job) -> None:
+    def __init__(self, job: FitJob) -> None:
         self.job, self.version = job, __version__
 
     def setup(self, worker: Worker) -> None:
@@ -36,19 +36,19 @@ class _Ready(WorkerPlugin):
         self.limits.close()
 
 
-def _fit(name: str, path: str) -> KeptRow:
+def _fit(name: str, path: str) -> JournalRow:
     ready: Any = get_worker().plugins[name]
     return ready.job.row(path)
 
 
 @contextmanager
-def on_cluster(job: Job, address: str) -> Iterator[Pool]:
+def on_cluster(job: FitJob, address: str) -> Iterator[Pool]:
     """Yield a pool of the workers of a scheduler. Another worker takes over the images of a lost one."""
     with _connected(address) as client, _prepared(client, job) as name:
         threads, pending = cast(Any, client.nthreads), WeakSet()
 
-        def submit(path: str) -> Future[KeptRow]:
-            row: Future[KeptRow] = Future()
+        def submit(path: str) -> Future[JournalRow]:
+            row: Future[JournalRow] = Future()
             asked = client.submit(_fit, name, path, pure=False)
             pending.add(asked)
             asked.add_done_callback(partial(_pass_on, row))
@@ -69,7 +69,7 @@ def on_cluster(job: Job, address: str) -> Iterator[Pool]:
             client.cancel(list(pending))  # before the workers forget the job
 
 
-def _pass_on(row: "Future[KeptRow]", asked: Any) -> None:
+def _pass_on(row: "Future[JournalRow]", asked: Any) -> None:
     """Give a row what a worker answered. If a worker is lost after it has answered, another one fits again.
 
     The executor of distributed takes such an answer for an error.
@@ -108,7 +108,7 @@ def _connected(address: str) -> Iterator[Client]:
 
 
 @contextmanager
-def _prepared(client: Client, job: Job) -> Iterator[str]:
+def _prepared(client: Client, job: FitJob) -> Iterator[str]:
     """Send the job to all workers once, and yield the name under which they have it."""
     name = f"liaam-{uuid.uuid4().hex}"
     try:

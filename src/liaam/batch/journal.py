@@ -22,6 +22,8 @@ from liaam.io.files import json_object, make_folder
 
 PAGE = 1000  # Number of images read from the journal at a time
 
+# Of each image: `place` is its key for sorting, `state` the size and time of its file and of its start, `seen` whether
+# it is in the current list, `begun` how often work on it has started without an end, and `digest` that of its row.
 _TABLES = """
 CREATE TABLE IF NOT EXISTS facts (text TEXT NOT NULL);
 CREATE TABLE IF NOT EXISTS pictures (
@@ -30,6 +32,7 @@ CREATE TABLE IF NOT EXISTS pictures (
     UNIQUE (place, path)
 );
 """
+# Adds an image to the list. What was stored for it is kept only if the state is the same.
 _LIST = """
 INSERT INTO pictures (place, path, state, seen) VALUES (?, ?, ?, 1)
 ON CONFLICT (place, path) DO UPDATE SET
@@ -44,8 +47,9 @@ ON CONFLICT (place, path) DO UPDATE SET
 def place_of(path: str) -> bytes:
     """Return a sort key of a path for case-insensitive natural order, 2 before 10."""
 
-    def padded(found: re.Match) -> str:
-        digits = found.group().lstrip("0")
+    def padded(number: re.Match) -> str:
+        """Put the number of digits first, so that text in alphabetical order has numbers in numerical order."""
+        digits = number.group().lstrip("0")
         return f"{len(digits):03d}{digits}"
 
     return os.fsencode(re.sub("[0-9]+", padded, path.casefold()))
@@ -60,14 +64,14 @@ class Journal:
         self._file = folder / "journal.sqlite"
         make_folder(folder)
         with self._explained():
-            self._base = sqlite3.connect(self._file, timeout=0.0, isolation_level=None)
+            self._database = sqlite3.connect(self._file, timeout=0.0, isolation_level=None)
             try:
                 # Exclusive mode before the first access avoids shared memory, which network disks lack.
                 for pragma in ("locking_mode = EXCLUSIVE", "journal_mode = WAL", "synchronous = NORMAL"):
-                    self._base.execute(f"PRAGMA {pragma}").fetchall()
-                self._base.executescript(f"BEGIN EXCLUSIVE; {_TABLES} COMMIT;")
+                    self._database.execute(f"PRAGMA {pragma}").fetchall()
+                self._database.executescript(f"BEGIN EXCLUSIVE; {_TABLES} COMMIT;")
             except BaseException:
-                self._base.close()
+                self._database.close()
                 raise
 
     def __enter__(self) -> "Journal":
@@ -77,32 +81,34 @@ class Journal:
         if self._in_progress:  # stopped, not killed
             with contextlib.suppress(LiaamError), self._change():
                 self._count_begun(-1, *self._in_progress)
-        self._base.close()
+        self._database.close()
 
     @property
     def facts(self) -> dict[str, Any] | None:
         """Settings of the rows; None in a new journal."""
-        found = self._ask("SELECT text FROM facts")
-        facts = json_object(found[0][0]) if found else None
-        if found and facts is None:
+        entries = self._ask("SELECT text FROM facts")
+        if not entries:
+            return None
+        facts = json_object(entries[0][0])
+        if facts is None:
             raise self.damage("its settings cannot be read")
         return facts
 
     def check(self) -> None:
         """Raise if the file is damaged, or a row has changed since it was committed."""
-        (found,) = self._ask("PRAGMA integrity_check(1)")
-        if found != ("ok",):
-            raise self.damage(found[0])
-        for path, *row, digest in self._pages("path, status, row, digest", "row IS NOT NULL"):
-            if _digest(path, *row) != digest:
+        [(verdict,)] = self._ask("PRAGMA integrity_check(1)")
+        if verdict != "ok":
+            raise self.damage(verdict)
+        for path, status, row, digest in self._pages("path, status, row, digest", "row IS NOT NULL"):
+            if _digest(path, status, row) != digest:
                 raise self.damage("a row has changed")
 
     def restart(self, facts: dict[str, Any]) -> None:
         """Delete all rows and store the settings of new ones."""
         with self._change():
-            self._base.execute("DELETE FROM pictures")
-            self._base.execute("DELETE FROM facts")
-            self._base.execute("INSERT INTO facts VALUES (?)", (json.dumps(facts),))
+            self._database.execute("DELETE FROM pictures")
+            self._database.execute("DELETE FROM facts")
+            self._database.execute("INSERT INTO facts VALUES (?)", (json.dumps(facts),))
 
     def list(self, pictures: Iterable[str], start_of: Callable[[str], Path | None]) -> None:
         """Store the list of images without duplicates. Keep the rows of images whose files have not changed.
@@ -110,9 +116,9 @@ class Journal:
         ``start_of`` returns the file with the start of an image, or None.
         """
         with self._change():
-            self._base.execute("UPDATE pictures SET seen = 0")
-            self._base.executemany(_LIST, map(partial(_entry, start_of), pictures))
-            self._base.execute("DELETE FROM pictures WHERE NOT seen")
+            self._database.execute("UPDATE pictures SET seen = 0")
+            self._database.executemany(_LIST, map(partial(_entry, start_of), pictures))
+            self._database.execute("DELETE FROM pictures WHERE NOT seen")
 
     @property
     def total(self) -> int:
@@ -122,11 +128,12 @@ class Journal:
     @property
     def statuses(self) -> dict[str, int]:
         """Number of rows by status."""
-        statuses = "SELECT status, count(*) FROM pictures WHERE row IS NOT NULL GROUP BY status ORDER BY status"
-        found = dict(self._ask(statuses))
-        if not all(isinstance(status, str) for status in found):
+        counts = dict(
+            self._ask("SELECT status, count(*) FROM pictures WHERE row IS NOT NULL GROUP BY status ORDER BY status")
+        )
+        if not all(isinstance(status, str) for status in counts):
             raise self.damage("a row has no status")
-        return found
+        return counts
 
     def todo(self) -> Iterator[str]:
         """Iterate over images that have no row and were not in progress when a process died, in order."""
@@ -134,8 +141,8 @@ class Journal:
 
     def suspects(self) -> dict[str, int]:
         """Images without a row, and how often a process died while they were in progress."""
-        found = self._pages("path, begun", "row IS NULL AND begun > 0")
-        deaths = {os.fsdecode(path): number for path, number in found}
+        entries = self._pages("path, begun", "row IS NULL AND begun > 0")
+        deaths = {os.fsdecode(path): number for path, number in entries}
         if not all(isinstance(number, int) for number in deaths.values()):
             raise self.damage("a number is none")
         return deaths
@@ -148,18 +155,20 @@ class Journal:
         return path
 
     def keep(self, path: str, row: tuple[str, str]) -> None:
-        """Commit (status, row) of an image to disk."""
+        """Commit (status, row as JSON text) of an image to disk."""
+        status, text = row
         name = os.fsencode(path)
-        entry = (*row, _digest(name, *row), place_of(path), name)
         with self._change():
-            self._base.execute(
-                "UPDATE pictures SET status = ?, row = ?, digest = ? WHERE place = ? AND path = ?", entry
+            self._database.execute(
+                "UPDATE pictures SET status = ?, row = ?, digest = ? WHERE place = ? AND path = ?",
+                (status, text, _digest(name, status, text), place_of(path), name),
             )
         self._in_progress.discard(path)
 
     def _count_begun(self, number: int, *paths: str) -> None:
+        """Add a number to how often work on images has started; inside a transaction."""
         entries = [(number, place_of(path), os.fsencode(path)) for path in paths]
-        self._base.executemany("UPDATE pictures SET begun = begun + ? WHERE place = ? AND path = ?", entries)
+        self._database.executemany("UPDATE pictures SET begun = begun + ? WHERE place = ? AND path = ?", entries)
 
     def rows(self) -> Iterator[str]:
         """Iterate over all rows in the order of the images."""
@@ -177,14 +186,17 @@ class Journal:
 
     def remove(self) -> None:
         """Delete the journal."""
-        self._base.close()
+        self._database.close()
         for path in self.folder.glob("journal.sqlite*"):
             path.unlink(missing_ok=True)
         with contextlib.suppress(OSError):  # the folder holds other files
             self.folder.rmdir()
 
     def _pages(self, columns: str, which: str) -> Iterator[tuple]:
-        """Read images page by page, because there may be many and their rows change meanwhile."""
+        """Iterate over the columns of the images for which an SQL condition holds, in order.
+
+        They are read page by page, because there may be many and their rows change meanwhile.
+        """
         last = (b"", b"")
         while True:
             page = self._ask(
@@ -206,23 +218,25 @@ class Journal:
         )
 
     def _ask(self, question: str, values: tuple = ()) -> Sequence[tuple]:
+        """Return all rows of the answer to a query in SQL, with values for its question marks."""
         with self._explained():  # fetching may fail on damaged rows
-            return self._base.execute(question, values).fetchall()
+            return self._database.execute(question, values).fetchall()
 
     @contextmanager
     def _change(self) -> Iterator[None]:
         """Run the block as one transaction."""
         with self._explained():
-            self._base.execute("BEGIN")
+            self._database.execute("BEGIN")
             try:
                 yield
             except BaseException:
-                self._base.execute("ROLLBACK")
+                self._database.execute("ROLLBACK")
                 raise
-            self._base.execute("COMMIT")
+            self._database.execute("COMMIT")
 
     @contextmanager
     def _explained(self) -> Iterator[None]:
+        """Raise the errors of SQLite as errors that say what to do."""
         try:
             yield
         except (sqlite3.Error, UnicodeDecodeError) as error:  # the latter if a message quotes damaged bytes
@@ -243,14 +257,23 @@ def _digest(path: bytes, status: Any, row: Any) -> bytes:
 
 
 def _entry(start_of: Callable[[str], Path | None], path: str) -> tuple[bytes, bytes, str]:
-    path = re.sub(r"^(\./)+(?=.)", "", re.sub("(?<=.)//+", "/", path))  # normpath would resolve .. after a link wrongly
-    return place_of(path), os.fsencode(path), json.dumps([_state(Path(path)), _state(start_of(path))])
+    """Return the values of :data:`_LIST` for an image. One path in several spellings is one image."""
+    # Without repeated slashes and a first "./". normpath would resolve .. after a link wrongly.
+    path = re.sub("(?<=.)//+", "/", path)
+    path = re.sub(r"^(\./)+(?=.)", "", path)
+    state = json.dumps([_state(Path(path)), _state(start_of(path))])
+    return place_of(path), os.fsencode(path), state
 
 
 def _state(path: Path | None) -> tuple[int, int] | None:
-    """Return size and modification time of a file; None if it cannot be accessed (its row will report why)."""
+    """Return size and modification time of a file.
+
+    None if there is none, or if it cannot be accessed, which the row of its image will report.
+    """
+    if path is None:
+        return None
     try:
-        found = None if path is None else path.stat()
+        status = path.stat()
     except (OSError, ValueError):
         return None
-    return None if found is None else (found.st_size, found.st_mtime_ns)
+    return status.st_size, status.st_mtime_ns

@@ -38,21 +38,21 @@ def find_pictures(*sources: str | os.PathLike[str], on_closed: Callable[[str], o
     on_closed = on_closed or _warn
     for source in [os.fspath(source) for source in sources]:
         if os.path.isdir(source):  # noqa: PTH112 (keeps the text unchanged)
-            found = _in_folder(source, on_closed)
+            pictures = _in_folder(source, on_closed)
         elif glob.has_magic(source) and not os.path.lexists(source):
-            found = _of_pattern(source, on_closed)
+            pictures = _of_pattern(source, on_closed)
         else:
             if not os.path.lexists(source):
                 existing_file(source, ImageError, "image")  # raises
-            found = iter([source])  # its row reports other faults
-        first = next(found, None)
+            pictures = iter([source])  # its row reports other faults
+        first = next(pictures, None)
         if first is None:
             raise ImageError(
                 f"{source}: no images ({', '.join(PICTURE_SUFFIXES[:9])} …); give a folder of images, or a quoted "
                 "pattern such as 'images/**'"
             )
         yield first
-        yield from found
+        yield from pictures
 
 
 def listed_pictures(lines: Iterable[bytes]) -> Iterator[str]:

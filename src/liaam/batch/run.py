@@ -16,8 +16,8 @@ from typing import Any
 from liaam import __version__
 from liaam.batch.journal import Journal
 from liaam.batch.pictures import find_pictures
-from liaam.batch.tables import ParsedRow, Table, check_format, row_of, write_table
-from liaam.batch.work import Job, KeptRow, Pool, Settings
+from liaam.batch.tables import BatchTable, ParsedRow, check_format, row_of, write_table
+from liaam.batch.work import FitJob, JournalRow, Pool, Settings
 from liaam.errors import LiaamError, installing
 from liaam.io import Contour, write_text_atomically
 from liaam.io.atomic import check_output
@@ -110,7 +110,7 @@ def run_batch(
     {'converged': 981, 'doubtful': 17, 'error': 2}
     """
     load_model(model)  # its errors name the file
-    job = Job(model_file(model).read_bytes(), settings or Settings(), str(Path.cwd()))
+    job = FitJob(model_file(model).read_bytes(), settings or Settings(), str(Path.cwd()))
     job.check()  # before any work
     _check_workers(jobs, scheduler)
     progress = progress or (lambda done, total, what: None)
@@ -135,7 +135,7 @@ class _Batch:
     """A batch: its output, its job and its workers."""
 
     output: Path
-    job: Job
+    job: FitJob
     jobs: int
     scheduler: str | None
     progress: Progress
@@ -204,7 +204,9 @@ class _Batch:
         self.progress(summary.total, summary.total, f"writing {self.output.name}")
         model = self.job.model
         contours, names = Contour.all_of(model.contours), model.landmark_names
-        table = Table(self._rows(journal), model.n_points, self.job.settings.covariance, self.facts, contours, names)
+        table = BatchTable(
+            self._rows(journal), model.n_points, self.job.settings.covariance, self.facts, contours, names
+        )
         write_table(self.output, table)
         facts = {
             "settings": self.facts,
@@ -240,7 +242,7 @@ class _Batch:
         with on_cluster(self.job, self.scheduler) as pool:
             yield pool
 
-    def _fitted(self, journal: Journal) -> Generator[tuple[str, KeptRow], None, None]:
+    def _fitted(self, journal: Journal) -> Generator[tuple[str, JournalRow], None, None]:
         """Fit the images that have no row, in any order.
 
         Those that were in progress when a process died come last and alone, so that a second death is of one image.
@@ -279,8 +281,8 @@ class _Batch:
         except KeyboardInterrupt:
             if not statuses:
                 raise KeyboardInterrupt("stopped: no image is finished yet") from None
-            kept = f"{statuses.total()} of {total} images are finished and kept in {self.parts}"
-            raise KeyboardInterrupt(f"stopped: {kept}; run the same command again to resume") from None
+            progress_so_far = f"{statuses.total()} of {total} images are finished and kept in {self.parts}"
+            raise KeyboardInterrupt(f"stopped: {progress_so_far}; run the same command again to resume") from None
         return Summary(self.output, dict(sorted(statuses.items())), statuses.total() - before, perf_counter() - begin)
 
 
@@ -293,13 +295,13 @@ def earlier_summary(output: Path) -> dict[str, Any] | None:
     """Return the summary of the batch that wrote a table; None if it is missing, damaged or of another table."""
     try:
         summary = json.loads(summary_file(output).read_bytes())
-        known = summary["bytes"] == output.stat().st_size
+        unchanged = summary["bytes"] == output.stat().st_size
         statuses, settings, pictures = (summary[key] for key in ("statuses", "settings", "pictures"))
         sound = isinstance(settings, dict) and isinstance(pictures, str) and isinstance(statuses, dict)
         counted = sound and all(type(number) is int and number >= 0 for number in statuses.values())
     except (OSError, ValueError, KeyError, TypeError, RecursionError):
         return None
-    return summary if known and counted else None
+    return summary if unchanged and counted else None
 
 
 @contextmanager

@@ -38,6 +38,7 @@ COLUMNS = {
 }
 NAMES = "landmark_names"  # Entry of rows, and of the metadata of Parquet, with the names of the landmarks
 
+# Columns that are lists, and what each holds for a landmark, in this order
 _PARTS = {"landmarks": ("x", "y"), "covariance": ("xx", "xy", "yy")}
 
 
@@ -46,7 +47,7 @@ ParsedRow = tuple[str, dict[str, Any]]
 
 
 @dataclass(frozen=True)
-class Table:
+class BatchTable:
     """Content of a table: its rows, the number of landmarks, and whether the rows have covariances.
 
     ``facts`` are the settings, ``contours`` lines through the landmarks, and ``names`` those of the landmarks or
@@ -62,26 +63,37 @@ class Table:
 
 
 def _columns(covariance: bool) -> list[str]:
+    """Return the names of the columns of a table with or without covariances."""
     return [name for name in COLUMNS if covariance or name != "covariance"]
 
 
 def row_of(text: str, n_points: int, covariance: bool) -> dict[str, Any] | None:
     """Parse a row of JSON. Return None unless it has all columns, each of the right type."""
-    row, names = json_object(text), _columns(covariance)
+    row = json_object(text)
+    names = _columns(covariance)
     if row is None or not row.keys() >= set(names):
         return None
-    sound = all(_is_cell(row[name], COLUMNS[name], n_points * len(_PARTS.get(name, ()))) for name in names)
-    return row if sound else None
+    return row if all(_is_cell(row[name], name, n_points) for name in names) else None
 
 
-def _is_cell(value: Any, kind: str, width: int) -> bool:
+def _is_cell(value: Any, column: str, n_points: int) -> bool:
+    """Return whether a value of JSON may stand in a column; only text is never absent (None)."""
+    kind = COLUMNS[column]
     if kind == "string":
         return isinstance(value, str)
     if value is None:
         return True
-    if width:
-        return isinstance(value, list) and len(value) == width and all(_is_cell(item, "float32", 0) for item in value)
-    return type(value) is int and abs(value) < 2**31 if kind == "int32" else type(value) in (int, float)
+    if column in _PARTS:
+        n_items = n_points * len(_PARTS[column])
+        is_list = isinstance(value, list) and len(value) == n_items
+        return is_list and all(item is None or _is_number(item) for item in value)
+    if kind == "int32":
+        return type(value) is int and abs(value) < 2**31
+    return _is_number(value)
+
+
+def _is_number(value: Any) -> bool:
+    return type(value) in (int, float)  # true and false are none
 
 
 def check_format(output: Path) -> None:
@@ -94,14 +106,15 @@ def check_format(output: Path) -> None:
         )
 
 
-def write_table(output: Path, table: Table) -> None:
+def write_table(output: Path, table: BatchTable) -> None:
     """Write a table atomically in the format of its suffix."""
     with atomic_path(output) as temp:
         _WRITERS[output.suffix.lower()](temp, table)
 
 
-def _write_parquet(path: Path, table: Table) -> None:
-    pa, parquet = importlib.import_module("pyarrow"), importlib.import_module("pyarrow.parquet")
+def _write_parquet(path: Path, table: BatchTable) -> None:
+    pa = importlib.import_module("pyarrow")
+    parquet = importlib.import_module("pyarrow.parquet")
     types = {name: pa.type_for_alias(name) for name in ("string", "float32", "float64", "int32")}
     types["list<float32>"] = pa.list_(pa.float32())
     columns = [(name, types[COLUMNS[name]]) for name in _columns(table.covariance)]
@@ -112,19 +125,31 @@ def _write_parquet(path: Path, table: Table) -> None:
             writer.write_table(pa.Table.from_pylist(group, schema))
 
 
-def _write_csv(path: Path, table: Table) -> None:
+def _write_csv(path: Path, table: BatchTable) -> None:
     """Write flat columns: x1, y1, x2 ... and covariances xx1, xy1, yy1 ...; by names x_tip, y_tip, ..."""
-    marks = [f"_{name}" for name in table.names] or [str(number) for number in range(1, table.n_points + 1)]
-    headers = {name: _headers(name, marks) for name in _columns(table.covariance)}
+    suffixes = [f"_{name}" for name in table.names] or [str(number) for number in range(1, table.n_points + 1)]
+    headers = {name: _headers(name, suffixes) for name in _columns(table.covariance)}
     with path.open("w", encoding="utf-8", newline="") as file:
         writer = csv.writer(file, lineterminator="\n")
         writer.writerow(chain.from_iterable(headers.values()))
         for _, row in table.rows:
-            cells = (row[name] if isinstance(row[name], list) else [row[name]] * len(headers[name]) for name in headers)
+            cells = (_cells(row[name], len(names)) for name, names in headers.items())
             writer.writerow(chain.from_iterable(cells))
 
 
-def _write_lines(path: Path, table: Table) -> None:
+def _headers(column: str, suffixes: Sequence[str]) -> list[str]:
+    """Return the flat columns of a column: of a list, one for each part of each landmark, else the column itself."""
+    if column not in _PARTS:
+        return [column]
+    return [f"{part}{suffix}" for suffix in suffixes for part in _PARTS[column]]
+
+
+def _cells(value: Any, n_columns: int) -> list[Any]:
+    """Return the values of the flat columns of a column. Where a list is absent, each is None."""
+    return value if isinstance(value, list) else [value] * n_columns
+
+
+def _write_lines(path: Path, table: BatchTable) -> None:
     with path.open("w", encoding="utf-8", newline="") as file:
         if not table.names:
             file.writelines(f"{text}\n" for text, _ in table.rows)
@@ -132,7 +157,7 @@ def _write_lines(path: Path, table: Table) -> None:
             file.writelines(json.dumps(row | {NAMES: table.names}) + "\n" for _, row in table.rows)
 
 
-def _write_tps(path: Path, table: Table) -> None:
+def _write_tps(path: Path, table: BatchTable) -> None:
     """Write the landmarks of fits that may be used only, because the format has no status."""
     with path.open("w", encoding="utf-8", newline="") as file:
         for _, row in table.rows:
@@ -166,9 +191,9 @@ def read_rows(path: Path) -> Iterator[dict[str, Any]]:
     n_read = 0
     try:
         for row in _READERS[path.suffix.lower()](path):
-            facts = {"path": str(row["path"]), "status": str(row["status"]), "landmarks": row.get("landmarks")}
+            checked = {"path": str(row["path"]), "status": str(row["status"]), "landmarks": row.get("landmarks")}
             n_read += 1
-            yield row | facts
+            yield row | checked
     except ImportError as fault:
         raise LiaamError(f"{path}: Parquet needs pyarrow; run {installing('batch')}") from fault
     except (ValueError, KeyError, TypeError, OSError, csv.Error, RecursionError) as fault:
@@ -188,13 +213,17 @@ def _read_parquet(path: Path) -> Iterator[dict[str, Any]]:
 def _read_csv(path: Path) -> Iterator[dict[str, Any]]:
     with path.open(encoding="utf-8", newline="") as file:
         reader = csv.DictReader(file)
-        marks = [name[1:] for name in reader.fieldnames or () if re.fullmatch(r"x(\d+|_.+)", name, re.DOTALL)]
-        headers = {name: _headers(name, marks) for name in _PARTS}
-        names = [mark[1:] for mark in marks if mark.startswith("_")]
+        x_columns = [name for name in reader.fieldnames or () if re.fullmatch(r"x(\d+|_.+)", name, re.DOTALL)]
+        suffixes = [name.removeprefix("x") for name in x_columns]
+        headers = {column: _headers(column, suffixes) for column in _PARTS}
+        names = [suffix.removeprefix("_") for suffix in suffixes if suffix.startswith("_")]
         for row in reader:
-            found = {name: [row.get(header) or "" for header in own] for name, own in headers.items()}
-            numbers = {name: [float(cell) for cell in cells] for name, cells in found.items() if all(cells)}
-            yield {**row, NAMES: names, **numbers}
+            lists = {}
+            for column, flat in headers.items():
+                cells = [row.get(header) or "" for header in flat]
+                if all(cells):  # else the list is absent
+                    lists[column] = [float(cell) for cell in cells]
+            yield {**row, NAMES: names, **lists}
 
 
 def _read_lines(path: Path) -> Iterator[dict[str, Any]]:
@@ -203,10 +232,4 @@ def _read_lines(path: Path) -> Iterator[dict[str, Any]]:
 
 
 _READERS = {".parquet": _read_parquet, ".csv": _read_csv, ".jsonl": _read_lines}
-
-
-def _headers(name: str, marks: Sequence[str]) -> list[str]:
-    return [f"{part}{mark}" for mark in marks for part in _PARTS[name]] if name in _PARTS else [name]
-
-
 _WRITERS = {".parquet": _write_parquet, ".csv": _write_csv, ".jsonl": _write_lines, ".tps": _write_tps}

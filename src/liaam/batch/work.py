@@ -27,11 +27,11 @@ from liaam.photometry import CameraModel
 BESIDE = "beside"  # Start from the landmark file beside each image
 ERROR = "error"  # Status of an image that could not be fitted, in addition to those of FitStatus
 
-Row = dict[str, Any]
-KeptRow = tuple[str, str]
+FitRow = dict[str, Any]
+JournalRow = tuple[str, str]
 """Status, and a line of JSON for each object, so that resumed and uninterrupted batches have identical rows."""
 
-Pool = tuple[Callable[[str], "Future[KeptRow]"], Callable[[], int], tuple[type[Exception], ...]]
+Pool = tuple[Callable[[str], "Future[JournalRow]"], Callable[[], int], tuple[type[Exception], ...]]
 """How to fit an image by its path, how many may be in progress now, and what a future raises if a process died."""
 
 
@@ -91,7 +91,7 @@ def _box_text(box: Sequence[float]) -> str:
 
 
 @dataclass(frozen=True, eq=False)
-class Job:
+class FitJob:
     """Everything that a worker needs. It is pickled and sent to the workers of a cluster.
 
     It holds the content of the model file, because the file may change and a cluster may not have access to it, and
@@ -144,12 +144,12 @@ class Job:
         except LiaamError:  # the row will report it
             return None
 
-    def row_of_death(self, path: str) -> KeptRow:
+    def row_of_death(self, path: str) -> JournalRow:
         """Return the row of an image during whose fit a process died more than once."""
         message = f"{path}: the process died while fitting it (killed or out of memory); check it, or make it smaller"
         return self._kept([failed_row(path, message)], None)
 
-    def row(self, path: str) -> KeptRow:
+    def row(self, path: str) -> JournalRow:
         """Fit one image. Report errors in its row, so that the batch continues."""
         begin = perf_counter()
         try:
@@ -161,7 +161,7 @@ class Job:
             rows = [failed_row(path, message)]
         return self._kept(rows, round(perf_counter() - begin, 4))
 
-    def _kept(self, rows: list[Row], seconds: float | None) -> KeptRow:
+    def _kept(self, rows: list[FitRow], seconds: float | None) -> JournalRow:
         """Return the rows of an image as text, with the time, and without covariances unless they are wanted."""
         for row in rows:
             row["seconds"] = seconds
@@ -169,7 +169,7 @@ class Job:
                 del row["covariance"]
         return rows[0]["status"], "\n".join(json.dumps(row, allow_nan=False) for row in rows)
 
-    def _fit(self, path: str) -> list[Row]:
+    def _fit(self, path: str) -> list[FitRow]:
         picture = Path(self.folder, path)
         pixels, start = read_image(picture), self._start(path)
         if start is not None:
@@ -181,7 +181,7 @@ class Job:
         return [self._row_of(fit, path, pixels, None) | {"object": i} for i, fit in enumerate(fits, 1)]
 
     @staticmethod
-    def _row_of(result: FitResult, path: str, pixels: np.ndarray, start: Any) -> Row:
+    def _row_of(result: FitResult, path: str, pixels: np.ndarray, start: Any) -> FitRow:
         return {
             "path": _printable(path),
             "status": str(result.status),
@@ -212,10 +212,10 @@ class Job:
         named = {str(Path(self.folder, start)): str(start), str(Path(self.folder, path)): path}
         named.pop(os.sep, None)  # it is in all paths
         places = "|".join(re.escape(place) for place in sorted(named, key=len, reverse=True))
-        return re.sub(places, lambda found: named[found.group()], message)
+        return re.sub(places, lambda match: named[match.group()], message)
 
 
-def failed_row(path: str, message: str) -> Row:
+def failed_row(path: str, message: str) -> FitRow:
     """Return the row of an image that could not be fitted."""
     numbers = ("quality", "object", "score", "n_found", "theta_deg", "cost", "iterations")
     row = dict.fromkeys((*numbers, "landmarks", "covariance", "seconds"))

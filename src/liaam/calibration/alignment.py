@@ -71,16 +71,16 @@ def align_pictures(
     for i, (picture, name) in enumerate(zip(pictures[1:], names[1:], strict=True)):
         if progress:
             progress(i, len(pictures) - 1, name)
-        found = register(first, picture, response=camera.response, theta=camera.theta)
-        if not found.status.ok:
+        registration = register(first, picture, response=camera.response, theta=camera.theta)
+        if not registration.status.ok:
             raise CameraError(
-                f"{name} could not be aligned with {names[0]} ({found.message}); take the images from a tripod "
+                f"{name} could not be aligned with {names[0]} ({registration.message}); take the images from a tripod "
                 "and skip the alignment, or choose images that differ less"
             )
-        moved.append(rms_error(apply_homography(found.homography, corners), corners))
+        moved.append(rms_error(apply_homography(registration.homography, corners), corners))
         is_still = moved[-1] <= STILL and picture.shape == first.shape
-        sampled, mask = (picture, masks[0]) if is_still else found.warp(picture)
+        sampled, mask = (picture, masks[0]) if is_still else registration.warp(picture)
         aligned.append(sampled)
         masks.append(mask)
-        maps.append(np.linalg.inv(found.homography))
+        maps.append(np.linalg.inv(registration.homography))
     return Aligned(tuple(aligned), tuple(masks), tuple(moved), tuple(maps))

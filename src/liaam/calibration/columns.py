@@ -24,16 +24,20 @@ def read_columns(
     path = existing_file(path, CameraError, kind)
     try:
         text = read_bytes(path, CameraError, LARGEST).decode("utf-8-sig")
-        kept = [(i, line) for i, line in enumerate(text.splitlines(), 1) if line.strip(" ,;\t") and line[0] != "#"]
-        separator = max(",;\t", key=kept[0][1].count)
-        rows = [(i, [cell.strip() for cell in next(csv.reader([line], delimiter=separator))]) for i, line in kept]
+        filled_lines = [
+            (i, line) for i, line in enumerate(text.splitlines(), 1) if line.strip(" ,;\t") and line[0] != "#"
+        ]
+        separator = max(",;\t", key=filled_lines[0][1].count)
+        rows = [
+            (i, [cell.strip() for cell in next(csv.reader([line], delimiter=separator))]) for i, line in filled_lines
+        ]
     except (UnicodeDecodeError, csv.Error, IndexError) as error:
         raise CameraError(f"{path}: this is not a table; give a CSV file of {','.join(columns)}") from error
     order, width = list(range(len(columns))), len(rows[0][1])
     if not is_number(rows[0][1][0]):
         header = [cell.lower() for cell in rows.pop(0)[1]]
-        known = {name.lower(): name for name in columns} | dict(aliases or {})
-        names = [known.get(cell) for cell in header]
+        canonical = {name.lower(): name for name in columns} | dict(aliases or {})
+        names = [canonical.get(cell) for cell in header]
         if wrong := [name for name in columns if names.count(name) != 1]:
             raise CameraError(
                 f"{path}: the header line must name the columns {', '.join(columns)} once each, but "

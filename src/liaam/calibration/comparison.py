@@ -104,15 +104,20 @@ def averaged(
             raise ImageError(f"the mask is {mask.shape[1]}×{mask.shape[0]} pixels, the images {width}×{height}")
         labels = np.where(mask, labels, -1)
     m = len(pictures)
+    # Without noise, observe keeps no distance from the limits of exposure, and does not correct logarithms for it.
     noiseless = replace(camera, noise=NoiseModel(0.0, 0.0))
     surfaces = observe(pictures, [labels] * m, down * across, noiseless, full=block * block, dark=dark)
 
     def maps(values: np.ndarray) -> np.ndarray:
+        """Arrange values (blocks, m) as images (m, down, across), NaN where a block is not well exposed."""
         return np.where(surfaces.exposed, values, np.nan).T.reshape(m, down, across)
 
     log_grey = np.log(np.exp(surfaces.log_rgb) @ LUMINANCE[0])
-    wanted = len(np.unique(labels[labels >= 0]))
-    return Averaged(maps(invariant(surfaces.log_rgb, camera.theta)), maps(log_grey), wanted)
+    return Averaged(
+        invariant=maps(invariant(surfaces.log_rgb, camera.theta)),
+        log_grey=maps(log_grey),
+        wanted=len(np.unique(labels[labels >= 0])),
+    )
 
 
 def agreement(blocks: Averaged) -> list[Agreement]:
@@ -128,12 +133,19 @@ def agreement(blocks: Averaged) -> list[Agreement]:
     list of Agreement
         One for each pair.
     """
-    found = []
+    agreements = []
     for i, j in combinations(range(len(blocks.invariant)), 2):
         both = np.isfinite(blocks.invariant[i]) & np.isfinite(blocks.invariant[j])
-        alike = [_correlation(*values[[i, j]][:, both]) for values in (blocks.invariant, blocks.log_grey)]
-        found.append(Agreement(i, j, alike[0], alike[1], float(both.sum() / max(blocks.wanted, 1))))
-    return found
+        agreements.append(
+            Agreement(
+                first=i,
+                second=j,
+                invariant=_correlation(blocks.invariant[i][both], blocks.invariant[j][both]),
+                log_grey=_correlation(blocks.log_grey[i][both], blocks.log_grey[j][both]),
+                share=float(both.sum() / max(blocks.wanted, 1)),
+            )
+        )
+    return agreements
 
 
 def _correlation(a: np.ndarray, b: np.ndarray) -> float:

@@ -10,6 +10,7 @@ the spread, and the width is a quarter of Scott's, which is optimal for one Gaus
 scenes nine tenths of the angles are then correct, otherwise one third to three quarters.
 """
 
+from dataclasses import dataclass
 from typing import Literal, get_args
 
 import numpy as np
@@ -34,8 +35,11 @@ FEWEST_VALUES = 100  # Least number of pixels for a curve
 LEAST_COLOUR = 1e-3  # Standard deviation of log-chromaticity below which an image has one colour only
 SUBDIVISION = 2  # Cells of a histogram per bin; Shannon's entropy is averaged over as many origins of the bins
 WIDEST_HISTOGRAM = 6000  # Largest number of cells of a histogram, in case of distant outliers
+# Half the width of a histogram, in units of the distance from the median that one in a thousand values exceeds
+REACH = 1.5
 BLOCKS = 8  # Number of blocks along each axis of the image, which the bootstrap draws
 REPLICATES = 40  # Number of bootstrap replicates
+COARSER = 2  # Step, in angles of a curve, of the bootstrap's curves, for speed; a parabola refines their minima
 # Error that the bootstrap does not include, radians: broad sensors and coloured surfaces
 MODEL_ERROR = float(np.deg2rad(1.0))
 NEAR = float(np.deg2rad(10.0))  # Distance up to which angles belong to one minimum, radians
@@ -89,32 +93,28 @@ def theta_from_image(image: np.ndarray, response: Response = "srgb") -> AngleEst
             f"only {usable.sum()} of the image's {usable.size} pixels are well exposed, {FEWEST_PIXELS} are needed: "
             "give one that is neither dark nor overexposed (stored values of 8 to 250 of 255 in every channel)"
         )
-    rows, columns = (np.arange(size) * BLOCKS // size for size in usable.shape)
-    log_rgb, blocks = encoded[..., :3][usable], (rows[:, None] * BLOCKS + columns)[usable]
-    histograms, width = _histograms(log_rgb, blocks, KEPT)
+    log_rgb = encoded[..., :3][usable]
+    histograms, width = _histograms(log_rgb, _block_numbers(*usable.shape)[usable], KEPT)
     whole = [counts.sum(axis=0, keepdims=True) for counts in histograms]
-    entropies, others = (_curve(kind, whole)[0] for kind in ("quadratic", "shannon"))
+    entropies = _curve("quadratic", whole)[0]
     theta = _lowest(THETAS, entropies)
-    disagreement, margin = abs(axis_difference(_lowest(THETAS, others), theta)), _margin(entropies, theta)
-    # Bootstrap replicates, with blocks drawn from those of the image.
-    n = len(histograms[0])
-    drawn = np.random.default_rng(0).multinomial(n, np.full(n, 1 / n), size=REPLICATES).astype(np.float32)
-    curves = _curve("quadratic", [drawn @ counts for counts in histograms[::2]])
-    spread = root_mean_square([axis_difference(_lowest(THETAS[::2], curve), theta) for curve in curves])
-    change, redness, aspect = _light(log_rgb, theta, width)
+    margin = _margin(entropies, theta)
+    disagreement = abs(axis_difference(_lowest(THETAS, _curve("shannon", whole)[0]), theta))
+    spread = _bootstrap_spread(histograms, theta)
+    colours = _colour_variation(log_rgb, theta, width)
     tests = (
         (not PHYSICAL[0] <= theta <= PHYSICAL[1], "the angle is outside the range of cameras (90° to 135°)"),
         (disagreement > WIDEST_SPREAD, f"the other entropy differs by {np.rad2deg(disagreement):.0f}°"),
         (spread > WIDEST_SPREAD, f"parts of the image differ by {np.rad2deg(spread):.0f}°"),
         (margin < LEAST_MARGIN, f"another minimum is only {margin:.2f} bits higher"),
-        (aspect < LINE, "the image's colours lie on a line, as those of skin, with or without shadows"),
-        (change < LEAST_CHANGE, "the colour of the light does not vary in the image"),
-        (redness < LEAST_BLUER, "the darker pixels of a surface are not bluer, as shadows are"),
+        (colours.aspect < LINE, "the image's colours lie on a line, as those of skin, with or without shadows"),
+        (colours.change < LEAST_CHANGE, "the colour of the light does not vary in the image"),
+        (colours.redness < LEAST_BLUER, "the darker pixels of a surface are not bluer, as shadows are"),
     )
     error = float(np.hypot(spread, MODEL_ERROR))
     message = (
         f"the next minimum of the entropy is {margin:.2f} bits higher; the light on surfaces varies by "
-        f"{change:.2f} in log R/B, bluer where they are darker (correlation {redness:.2f})"
+        f"{colours.change:.2f} in log R/B, bluer where they are darker (correlation {colours.redness:.2f})"
     )
     if faults := [fault for failed, fault in tests if failed]:
         error = float("inf")
@@ -122,7 +122,7 @@ def theta_from_image(image: np.ndarray, response: Response = "srgb") -> AngleEst
             f"the entropy is least at {np.rad2deg(theta):.0f}°, which is not reliable: {'; '.join(faults)}. Give "
             "an image of many colours with cast shadows, or better two images under different lights"
         )
-    return AngleEstimate(theta, error, message, change, len(log_rgb))
+    return AngleEstimate(theta, error, message, colours.change, len(log_rgb))
 
 
 def entropy_curve(
@@ -151,14 +151,29 @@ def entropy_curve(
     if kind not in get_args(Entropy):
         raise CameraError(f"entropy {kind!r} is unknown: give one of {', '.join(get_args(Entropy))}")
     log_rgb = np.asarray(log_rgb, dtype=np.float32).reshape(-1, 3)
-    return THETAS.copy(), _curve(kind, _histograms(log_rgb, np.zeros(len(log_rgb), dtype=np.int64), keep)[0])[0]
+    one_block = np.zeros(len(log_rgb), dtype=np.int64)
+    histograms, _ = _histograms(log_rgb, one_block, keep)
+    return THETAS.copy(), _curve(kind, histograms)[0]
+
+
+def _block_numbers(height: int, width: int) -> np.ndarray:
+    """Number of the bootstrap's block at each pixel of an image, (height, width) int64."""
+    rows = np.arange(height) * BLOCKS // height
+    columns = np.arange(width) * BLOCKS // width
+    return rows[:, None] * BLOCKS + columns
 
 
 def _histograms(log_rgb: np.ndarray, blocks: np.ndarray, keep: float) -> tuple[list[np.ndarray], float]:
-    """Counts (blocks, cells) float32 of log-RGB (n, 3) in blocks (n,) along L(theta), for each of the angles.
+    """Histograms of log-RGB (n, 3) float32, of blocks (n,) int64, projected along L(theta), for each of the angles.
 
-    Only the central fraction ``keep`` of the values is counted. The second result is the width of a bin by Scott's
-    rule, for the median spread over directions.
+    Only the central fraction ``keep`` of the values is counted.
+
+    Returns
+    -------
+    histograms : list of (blocks, cells) float32
+        Counts for each of :data:`THETAS`.
+    width : float
+        Width of a bin by Scott's rule, for the median spread over directions.
     """
     if len(log_rgb) < FEWEST_VALUES or not np.isfinite(log_rgb).all():
         raise CameraError(f"entropy needs {FEWEST_VALUES} or more pixels, all finite; there are {len(log_rgb)}")
@@ -172,15 +187,18 @@ def _histograms(log_rgb: np.ndarray, blocks: np.ndarray, keep: float) -> tuple[l
             "the image has one colour only: an angle needs surfaces of several colours, in light and shadow"
         )
     scott = 3.5 * spread * len(chroma) ** (-1 / 3)
-    reach = 1.5 * float(np.quantile(np.abs(chroma).max(axis=1), 0.999))
-    cell = max(FINENESS * scott / SUBDIVISION, 2 * reach / WIDEST_HISTOGRAM)
-    cells, n_blocks = int(2 * reach / cell) + 2, int(blocks.max()) + 1
+    reach = REACH * float(np.quantile(np.abs(chroma).max(axis=1), 0.999))
+    cell_width = max(FINENESS * scott / SUBDIVISION, 2 * reach / WIDEST_HISTOGRAM)
+    n_cells = int(2 * reach / cell_width) + 2
+    n_blocks = int(blocks.max()) + 1
 
     def along(theta: float) -> np.ndarray:
-        place = (chroma @ _direction(theta)) / cell + 0.5 * cells
-        place = np.clip(place, 0, cells - 1).astype(np.int64) + blocks * cells  # outliers fall into the outermost
-        counts = np.bincount(place, minlength=n_blocks * cells).reshape(n_blocks, cells)
+        """Histogram along L(theta), of the cells that hold the central fraction of the values."""
+        position = (chroma @ _direction(theta)) / cell_width + 0.5 * n_cells
+        cells = np.clip(position, 0, n_cells - 1).astype(np.int64)  # outliers fall into the outermost
+        counts = np.bincount(cells + blocks * n_cells, minlength=n_blocks * n_cells).reshape(n_blocks, n_cells)
         share = np.cumsum(counts.sum(axis=0)) / len(chroma)
+        # Less by 1e-9, so that no rounding error includes a further cell.
         first, last = np.searchsorted(share, [0.5 - 0.5 * keep, 0.5 + 0.5 * keep - 1e-9])
         return counts[:, first : last + 1].astype(np.float32)
 
@@ -194,10 +212,19 @@ def _direction(theta: float) -> np.ndarray:
 
 
 def _curve(kind: str, histograms: list[np.ndarray]) -> np.ndarray:
-    """Entropies (b, k), bits, of k histograms (b, cells_k)."""
+    """Entropies (b, k) float64, bits, of k histograms of counts, each (b, cells), whose numbers of cells may differ."""
     entropy = _quadratic if kind == "quadratic" else _shannon
-    each = [entropy(counts / counts.sum(axis=1, keepdims=True)) for counts in histograms]
-    return np.stack(each, axis=1).astype(np.float64)
+    columns = [entropy(counts / counts.sum(axis=1, keepdims=True)) for counts in histograms]
+    return np.stack(columns, axis=1).astype(np.float64)
+
+
+def _bootstrap_spread(histograms: list[np.ndarray], theta: float) -> float:
+    """Root mean square difference from theta, radians, of the angles of images made of blocks that are drawn."""
+    n_blocks = len(histograms[0])
+    rng = np.random.default_rng(0)
+    times_drawn = rng.multinomial(n_blocks, np.full(n_blocks, 1 / n_blocks), size=REPLICATES).astype(np.float32)
+    curves = _curve("quadratic", [times_drawn @ counts for counts in histograms[::COARSER]])
+    return root_mean_square([axis_difference(_lowest(THETAS[::COARSER], curve), theta) for curve in curves])
 
 
 def _shannon(fractions: np.ndarray) -> np.ndarray:
@@ -206,8 +233,10 @@ def _shannon(fractions: np.ndarray) -> np.ndarray:
 
     total = np.zeros(len(fractions))
     for origin in range(SUBDIVISION):
-        padded = np.pad(fractions, ((0, 0), (origin, -(fractions.shape[1] + origin) % SUBDIVISION)))
-        total += entr(padded.reshape(len(fractions), -1, SUBDIVISION).sum(axis=2)).sum(axis=1)
+        to_whole_bin = -(fractions.shape[1] + origin) % SUBDIVISION
+        padded = np.pad(fractions, ((0, 0), (origin, to_whole_bin)))
+        bins = padded.reshape(len(fractions), -1, SUBDIVISION).sum(axis=2)
+        total += entr(bins).sum(axis=1)
     return total / (SUBDIVISION * np.log(2.0))
 
 
@@ -223,40 +252,63 @@ def _quadratic(fractions: np.ndarray) -> np.ndarray:
 def _lowest(thetas: np.ndarray, entropies: np.ndarray) -> float:
     """Angle of least entropy, radians in [0, pi), refined by a parabola through its neighbours."""
     i = int(entropies.argmin())
-    before, here, after = entropies[i - 1], entropies[i], entropies[(i + 1) % len(entropies)]
+    here = entropies[i]
+    before = entropies[i - 1]  # angles repeat after pi, so that the first follows the last
+    after = entropies[(i + 1) % len(entropies)]
     bend = before - 2 * here + after
-    shift = 0.5 * (before - after) / bend if bend > 0 else 0.0
+    shift = 0.5 * (before - after) / bend if bend > 0 else 0.0  # in steps of thetas
     return float((thetas[i] + shift * (thetas[1] - thetas[0])) % np.pi)
 
 
 def _margin(entropies: np.ndarray, theta: float) -> float:
-    """Difference to the next minimum, bits; the range of the curve if there is none."""
+    """Difference of the lowest minimum, at theta, to the next one, bits; the range of the curve if there is none."""
     far = np.abs([axis_difference(angle, theta) for angle in THETAS]) > NEAR
     minima = far & (entropies <= np.roll(entropies, 1)) & (entropies <= np.roll(entropies, -1))
     others = entropies[minima] if minima.any() else entropies.max()
     return float(np.min(others) - entropies.min())
 
 
-def _light(log_rgb: np.ndarray, theta: float, width: float) -> tuple[float, float, float]:
-    """Measure the variation of light among pixels with the same invariant, in bins of a width.
+@dataclass(frozen=True)
+class _ColourVariation:
+    """How colours vary: those of pixels with the same invariant, so by light, and all.
 
-    Return the root mean square difference along the temperature direction, as log(R / B), the correlation of redness
-    and brightness, and the ratio of the spread of all colours across and along their main direction.
+    Attributes
+    ----------
+    change : float
+        Root mean square difference of two pixels with the same invariant along the temperature direction, as
+        log(R / B).
+    redness : float
+        Correlation of redness and brightness of pixels with the same invariant.
+    aspect : float
+        Ratio of the spread of all colours across and along their main direction.
     """
+
+    change: float
+    redness: float
+    aspect: float
+
+
+def _colour_variation(log_rgb: np.ndarray, theta: float, width: float) -> _ColourVariation:
+    """Measure the variation of log-RGB (n, 3) float32; a bin of the invariant has a width, and counts as one value."""
     towards_blue = temperature_direction(theta)
     chroma = log_rgb @ CHROMATICITY.T.astype(np.float32)
     across, along = np.sqrt(np.maximum(np.linalg.eigvalsh(np.cov(chroma, rowvar=False)), 0.0))
-    value, blueness = chroma @ _direction(theta), log_rgb @ towards_blue.astype(np.float32)
-    low, high = np.quantile(value, [0.01, 0.99])
-    inside = (value >= low) & (value <= high)
-    surface = ((value[inside] - low) / width).astype(np.int64)
-    count = np.maximum(np.bincount(surface), 1)
+    invariant = chroma @ _direction(theta)
+    low, high = np.quantile(invariant, [0.01, 0.99])  # outliers would be alone in their bins
+    inside = (invariant >= low) & (invariant <= high)
+    bins = ((invariant[inside] - low) / width).astype(np.int64)
+    count = np.maximum(np.bincount(bins), 1)
 
     def about_mean(values: np.ndarray) -> np.ndarray:
-        return values - (np.bincount(surface, weights=values) / count)[surface]
+        """Subtract the mean of each bin from values (n,) of the pixels inside."""
+        return values - (np.bincount(bins, weights=values) / count)[bins]
 
-    blueness, brightness = about_mean(blueness[inside]), about_mean(log_rgb.mean(axis=1)[inside])
-    sizes = float(np.square(blueness).mean()), float(np.square(brightness).mean())
-    change = float(np.sqrt(2.0 * sizes[0]) * abs(towards_blue[0] - towards_blue[2]))
-    redness = float(-(blueness * brightness).mean() / max(np.sqrt(sizes[0] * sizes[1]), 1e-12))
-    return change, redness, float(across / along)
+    blueness = about_mean((log_rgb @ towards_blue.astype(np.float32))[inside])
+    brightness = about_mean(log_rgb.mean(axis=1)[inside])
+    blueness_variance = float(np.square(blueness).mean())
+    brightness_variance = float(np.square(brightness).mean())
+    # The difference of two values has twice their variance.
+    change = float(np.sqrt(2.0 * blueness_variance) * abs(towards_blue[0] - towards_blue[2]))
+    both = np.sqrt(blueness_variance * brightness_variance)
+    redness = float(-(blueness * brightness).mean() / max(both, 1e-12))
+    return _ColourVariation(change, redness, float(across / along))

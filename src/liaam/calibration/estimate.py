@@ -82,10 +82,10 @@ def huber_location(values: np.ndarray, cutoff: float = 1.5) -> tuple[float, floa
     # The median deviation may be 0, since half of a few values can be equal. The mean deviation bounds it from
     # below; the standard deviation would let a single outlier widen the scale.
     scale = max(robust_deviation(deviations), 0.25 * float(np.abs(deviations).mean()), 1e-9)
-    found = least_squares(lambda centre: (values - centre) / scale, [np.median(values)], loss="huber", f_scale=cutoff)
-    psi = np.clip(found.fun, -cutoff, cutoff)
-    inside = max(float((np.abs(found.fun) < cutoff).mean()), 0.1)
-    return float(found.x[0]), scale * float(np.sqrt(np.square(psi).sum() / (n - 1) / n)) / inside
+    optimum = least_squares(lambda centre: (values - centre) / scale, [np.median(values)], loss="huber", f_scale=cutoff)
+    psi = np.clip(optimum.fun, -cutoff, cutoff)
+    inside = max(float((np.abs(optimum.fun) < cutoff).mean()), 0.1)
+    return float(optimum.x[0]), scale * float(np.sqrt(np.square(psi).sum() / (n - 1) / n)) / inside
 
 
 def jackknife(replicates: np.ndarray) -> np.ndarray:

@@ -22,7 +22,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from liaam.calibration.estimate import robust_deviation
-from liaam.calibration.response_blocks import Blocks, checked_maps, checked_pictures, observe
+from liaam.calibration.response_blocks import MeasuredBlocks, checked_maps, checked_pictures, observe
 from liaam.calibration.response_fit import (
     LEAST_CONTRAST,
     LEAST_SCALE,
@@ -216,19 +216,21 @@ def vignetting_from_flat_field(image: np.ndarray, response: Response = "srgb") -
         return np.concatenate([rest / deviation, z[:TERMS] / TERM_SPREAD])
 
     start = np.concatenate([np.zeros(TERMS), np.linalg.lstsq(tilted, log_light, rcond=None)[0]])
-    found = least_squares(residuals, start, loss="cauchy", f_scale=OUTLYING, x_scale="jac")
-    standard = residuals(found.x)[: len(radius2)]
+    optimum = least_squares(residuals, start, loss="cauchy", f_scale=OUTLYING, x_scale="jac")
+    standard = residuals(optimum.x)[: len(radius2)]
     scale = max(robust_deviation(standard), LEAST_SCALE)
-    covariance = scale**2 * np.linalg.inv(found.jac.T @ found.jac)[:TERMS, :TERMS]
+    covariance = scale**2 * np.linalg.inv(optimum.jac.T @ optimum.jac)[:TERMS, :TERMS]
     rms = float(np.sqrt(np.average(np.square(standard * deviation), weights=robust_weights(standard / scale))))
     if scale > MISFIT and rms > UNEVEN:
         fault = f"the surface is not uniform (its light varies by {100 * rms:.0f} %)"
         return VignettingEstimate(message=f"{_NO_WALL} {fault}; {WHITE_WALL}")
     message = f"From {measured.n} blocks of an evenly lit surface; light falling off to all sides has the same effect."
-    return _vignetting_estimate(found.x[:TERMS], covariance, message)
+    return _vignetting_estimate(optimum.x[:TERMS], covariance, message)
 
 
-def _unlinked(measured: Blocks, logs: np.ndarray | None, response: Response | None) -> RadiometricEstimate | None:
+def _unlinked(
+    measured: MeasuredBlocks, logs: np.ndarray | None, response: Response | None
+) -> RadiometricEstimate | None:
     """Estimate without any observable quantity, if an image shares too few blocks with the others."""
     counts = [len(np.unique(measured.block[row])) for row in measured.usable]
     least = int(np.argmin(counts))
@@ -248,7 +250,7 @@ def _unlinked(measured: Blocks, logs: np.ndarray | None, response: Response | No
     )
 
 
-def _lens_fault(measured: Blocks, wanted: bool) -> str:
+def _lens_fault(measured: MeasuredBlocks, wanted: bool) -> str:
     """Message if vignetting is not wanted, or the positions of the surfaces do not determine it, else empty."""
     if not wanted:
         return "Vignetting was not requested."
@@ -260,7 +262,7 @@ def _lens_fault(measured: Blocks, wanted: bool) -> str:
     )
 
 
-def _radii(measured: Blocks) -> float:
+def _radii(measured: MeasuredBlocks) -> float:
     """90th percentile over surfaces of the difference of r^2 between images."""
     return float(np.percentile(largest_difference(measured.radius2, measured.usable), 90))
 
@@ -306,7 +308,7 @@ def _fit_fault(fit: ResponseFit) -> str:
     )
 
 
-def _held(measured: Blocks) -> tuple[float, float]:
+def _held(measured: MeasuredBlocks) -> tuple[float, float]:
     """Range of nearly all stored values."""
     low, high = np.percentile(measured.stored[measured.usable], [0.5, 99.5])
     return float(low), float(high)
@@ -329,17 +331,17 @@ def _report(fit: ResponseFit, fault: str, lens_fault: str) -> RadiometricEstimat
         response = ResponseCurve(tuple(stored.tolist()), tuple(light.tolist()))
         response_errors = tuple(fit.curve_errors(stored).tolist())
     low, high = held = _held(measured)
-    known = (
+    facts = (
         f"From {measured.n} blocks with stored values of {255 * low:.0f} to {255 * high:.0f} (of 255) at exposures "
         f"that differ by a factor of {np.exp(fit.contrast):.2f}."
     )
     if not problem.power_known:
-        known += (
+        facts += (
             " No ratio of exposures is known, so response, vignetting and exposures are known up to a common power, "
             f"which is assumed (to about {100 * RANGE_SPREAD:.0f} %); the invariant angle does not depend on it."
         )
     if fit.scale > MISFIT:
-        known += (
+        facts += (
             f" Residuals are {fit.scale:.0f} times the noise: check for strong JPEG compression, registration errors, "
             "or different lights."
         )
@@ -352,7 +354,7 @@ def _report(fit: ResponseFit, fault: str, lens_fault: str) -> RadiometricEstimat
         power_known=problem.power_known and not fault,
         rms=fit.rms,
         observable=not fault,
-        message=fault or known,
+        message=fault or facts,
         stored_range=held,
     )
 

@@ -18,14 +18,31 @@ MOST_BLOCKS = 4000  # Largest number of blocks
 TEXTURE = 0.05
 # Fraction of the standard deviation within a block that counts as noise, for small registration errors
 UNREGISTERED = 0.03
+INSIDE = 0.999  # Least fraction of a block inside a moved image; below 1 for the rounding of float32
+CLIPPED = 0.02  # Largest fraction of a block's pixels with a stored value of 0 or 1, which hide a part of the light
+LEAST_DEVIATION = 0.1 / 255  # Standard deviation of a mean from causes other than noise and texture, stored values
 
 
 @dataclass(frozen=True)
-class Blocks:
+class MeasuredBlocks:
     """Measurements of n blocks of one channel each in m images.
 
-    Stored values (m, n) in [0, 1], their standard deviations, and squared distances from the centre, 1 in the corners.
-    Offsets (n, 2) are positions in the first image relative to its centre, in units of half the diagonal.
+    Attributes
+    ----------
+    stored : (m, n) float64
+        Mean stored values, in [0, 1].
+    deviation : (m, n) float64
+        Their standard deviations.
+    usable : (m, n) bool
+        Whether a block is inside the image, well exposed and without texture.
+    radius2 : (m, n) float64
+        Squared distance from the image's centre, 1 in the corners.
+    offset : (n, 2) float64
+        Position in the first image relative to its centre, in units of half the diagonal.
+    channel : (n,) int64
+        Channel of the image.
+    block : (n,) int64
+        Number of the block, which its channels share.
     """
 
     stored: np.ndarray
@@ -73,47 +90,80 @@ def checked_maps(homographies: Sequence[np.ndarray] | None, pictures: list[np.nd
     return maps
 
 
-def observe(pictures: list[np.ndarray], maps: list[np.ndarray], least: int = 2) -> Blocks:
-    """Average blocks of the first image's pixels in all images; keep those that are usable in ``least`` of them."""
+@dataclass(frozen=True)
+class _OneImage:
+    """All blocks of one image: arrays (rows, columns, channels) of what :class:`MeasuredBlocks` has of those chosen."""
+
+    mean: np.ndarray
+    deviation: np.ndarray
+    usable: np.ndarray
+    radius2: np.ndarray
+
+
+def observe(pictures: list[np.ndarray], maps: list[np.ndarray], least: int = 2) -> MeasuredBlocks:
+    """Average blocks of the first image's pixels in all images, and choose those that are usable in ``least`` of them.
+
+    Of more than :data:`MOST_BLOCKS`, every second, third or so is chosen, in the order of rows.
+    """
     height, width = pictures[0].shape[:2]
-    edge = int(np.clip(np.sqrt(height * width / MOST_BLOCKS), min(BLOCK, height // 8, width // 8), 2 * BLOCK))
-    parts = [_observe_one(p, m, (height, width), edge) for p, m in zip(pictures, maps, strict=True)]
-    stored, deviation, usable, radius2 = np.stack(parts, axis=1)
-    y, x, channel = np.mgrid[: stored.shape[1], : stored.shape[2], : stored.shape[3]]
-    offset = np.stack([x - x.max() / 2, y - y.max() / 2], axis=-1) / np.hypot(x.max() / 2, y.max() / 2)
-    kept = (usable.sum(axis=0) >= least).ravel()
-    block = np.arange(kept.size) // stored.shape[3]
-    kept &= block % (len(np.unique(block[kept])) // MOST_BLOCKS + 1) == 0
-    stored, deviation, usable, radius2 = (
-        part.reshape(len(pictures), -1)[:, kept] for part in (stored, deviation, usable > 0, radius2)
+    edge = _block_side(height, width)
+    images = [_observe_one(p, m, (height, width), edge) for p, m in zip(pictures, maps, strict=True)]
+    rows, columns, channels = images[0].mean.shape
+    chosen = (np.sum([image.usable for image in images], axis=0) >= least).ravel()
+    block = np.arange(chosen.size) // channels
+    step = len(np.unique(block[chosen])) // MOST_BLOCKS + 1
+    chosen &= block % step == 0
+
+    def of_chosen(arrays: list[np.ndarray]) -> np.ndarray:
+        return np.stack(arrays).reshape(len(images), -1)[:, chosen]
+
+    y, x, channel = np.mgrid[:rows, :columns, :channels]
+    middle_x = x.max() / 2
+    middle_y = y.max() / 2
+    offset = np.stack([x - middle_x, y - middle_y], axis=-1) / np.hypot(middle_x, middle_y)
+    return MeasuredBlocks(
+        stored=of_chosen([image.mean for image in images]),
+        deviation=of_chosen([image.deviation for image in images]),
+        usable=of_chosen([image.usable for image in images]),
+        radius2=of_chosen([image.radius2 for image in images]),
+        offset=offset.reshape(-1, 2)[chosen],
+        channel=channel.ravel()[chosen],
+        block=block[chosen],
     )
-    offset, channel = offset.reshape(-1, 2)[kept], channel.ravel()[kept]
-    return Blocks(stored, deviation, usable, radius2, offset, channel, block[kept])
 
 
-def _observe_one(picture: np.ndarray, to_first: np.ndarray, size: tuple[int, int], edge: int) -> np.ndarray:
-    """Mean of blocks, its deviation, whether it is usable, and squared radius, (4, rows, columns, channels)."""
+def _block_side(height: int, width: int) -> int:
+    """Side of the blocks of an image, pixels: smaller where eight would not fit along each side."""
+    least = min(BLOCK, height // 8, width // 8)
+    return int(np.clip(np.sqrt(height * width / MOST_BLOCKS), least, 2 * BLOCK))
+
+
+def _observe_one(picture: np.ndarray, to_first: np.ndarray, size: tuple[int, int], edge: int) -> _OneImage:
+    """Average blocks of a side of ``edge`` pixels of the first image, which has a (height, width), in one image."""
     height, width = size
     rows, columns = height // edge, width // edge
     is_moved = not np.allclose(to_first, np.eye(3)) or picture.shape[:2] != size
 
     def block_mean(values: np.ndarray) -> np.ndarray:
+        """Mean of float32 values of the image's pixels over each block, (rows, columns, channels) float64."""
         if is_moved:
             values = warp_picture(values, cv2.invert(to_first)[1], size)
         cut = values[: rows * edge, : columns * edge]
         mean = cv2.resize(cut, (columns, rows), interpolation=cv2.INTER_AREA)
         return mean.reshape(rows, columns, -1).astype(np.float64)
 
-    # Centred, since the variance is a small difference of large float32 numbers.
     values = stored_values(picture)
     noise = noise_deviation(picture)
     mean = block_mean(values)
-    texture = np.sqrt(np.maximum(block_mean(np.square(values - 0.5)) - np.square(mean - 0.5) - noise**2, 0.0))
-    is_inside = block_mean(np.ones(picture.shape[:2], np.float32)) > 0.999
-    is_clipped = block_mean(((values <= 0) | (values >= 1)).astype(np.float32)) > 0.02
-    usable = is_inside & ~is_clipped & (mean >= DARK) & (mean <= SATURATED) & (texture <= TEXTURE * mean + noise)
-    deviation = np.sqrt(noise**2 / edge**2 + (UNREGISTERED * texture) ** 2 + (0.1 / 255) ** 2)
-    y, x = np.mgrid[:rows, :columns] * edge + (edge - 1) / 2
-    there = np.stack([x, y, np.ones_like(x)], axis=-1) @ np.linalg.inv(to_first).T
-    radius2 = squared_radius(there[..., 0] / there[..., 2], there[..., 1] / there[..., 2], *picture.shape[:2])
-    return np.stack([mean, deviation, usable, np.broadcast_to(radius2[..., None], mean.shape)])
+    # Centred, since the variance is a small difference of large float32 numbers.
+    variance = block_mean(np.square(values - 0.5)) - np.square(mean - 0.5)
+    texture = np.sqrt(np.maximum(variance - noise**2, 0.0))
+    is_inside = block_mean(np.ones(picture.shape[:2], np.float32)) > INSIDE
+    is_clipped = block_mean(((values <= 0) | (values >= 1)).astype(np.float32)) > CLIPPED
+    is_exposed = (mean >= DARK) & (mean <= SATURATED)
+    usable = is_inside & ~is_clipped & is_exposed & (texture <= TEXTURE * mean + noise)
+    deviation = np.sqrt(noise**2 / edge**2 + (UNREGISTERED * texture) ** 2 + LEAST_DEVIATION**2)
+    y, x = np.mgrid[:rows, :columns] * edge + (edge - 1) / 2  # the blocks' centres in the first image
+    centres = np.stack([x, y, np.ones_like(x)], axis=-1) @ np.linalg.inv(to_first).T  # homogeneous, in this image
+    radius2 = squared_radius(centres[..., 0] / centres[..., 2], centres[..., 1] / centres[..., 2], *picture.shape[:2])
+    return _OneImage(mean, deviation, usable, np.broadcast_to(radius2[..., None], mean.shape))

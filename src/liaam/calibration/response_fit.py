@@ -11,7 +11,7 @@ from typing import NamedTuple
 import numpy as np
 
 from liaam.calibration.estimate import robust_deviation
-from liaam.calibration.response_blocks import Blocks
+from liaam.calibration.response_blocks import MeasuredBlocks
 from liaam.error_measures import root_mean_square
 from liaam.photometry.camera import falloff_at
 from liaam.photometry.encoding import DARK, SATURATED
@@ -178,7 +178,7 @@ class ResponseProblem:
 
     Attributes
     ----------
-    measured : Blocks
+    measured : MeasuredBlocks
         Blocks of one scene in m images.
     known_logs : (m,) float64, optional
         Log exposures, if they are given.
@@ -188,7 +188,7 @@ class ResponseProblem:
         Number of vignetting coefficients to estimate.
     """
 
-    measured: Blocks
+    measured: MeasuredBlocks
     known_logs: np.ndarray | None
     response: Response | None
     terms: int

@@ -280,11 +280,11 @@ class _Scatter:
         thinned = replace(self, surfaces=self.surfaces.only(slice(None, None, step)))
         near = GRID[int(thinned.costs(GRID).sum(axis=1).argmin())]
         width = 1.5 * float(GRID[1])
-        found = minimize_scalar(
+        minimum = minimize_scalar(
             lambda t: float(self.costs(np.array([t])).sum()), bounds=(near - width, near + width), method="bounded",
             options={"xatol": 1e-6},
         )  # fmt: skip
-        return float(found.x % np.pi)
+        return float(minimum.x % np.pi)
 
     def with_model_error(self, theta: float) -> "_Scatter":
         """Return the scatter with the model variance that explains the median surface's squares at an angle."""

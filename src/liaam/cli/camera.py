@@ -203,16 +203,16 @@ def response_command(
     ratios = None if exposures is None else inputs.numbers_in(exposures, len(images), "--exposures").tolist()
     with progress_bar() as progress:
         maps = align_pictures(pictures, camera, names=[p.name for p in images], progress=progress).homographies
-    found = calibrate_response(pictures, exposures=ratios, homographies=maps, vignetting=vignetting)
-    say(found.message)
-    if not found.observable:
+    estimate = calibrate_response(pictures, exposures=ratios, homographies=maps, vignetting=vignetting)
+    say(estimate.message)
+    if not estimate.observable:
         raise CameraError("nothing was written: these images do not determine the response")
-    lens = found.vignetting
+    lens = estimate.vignetting
     if vignetting:
         say(lens.message)
-    known = lens.coefficients if lens.observable else camera.vignetting
-    camera = with_response(replace(camera, vignetting=known), found.response)
-    write_camera(camera, output, f"response, {inputs.names_of(images)}: {found.message}")
+    coefficients = lens.coefficients if lens.observable else camera.vignetting
+    camera = with_response(replace(camera, vignetting=coefficients), estimate.response)
+    write_camera(camera, output, f"response, {inputs.names_of(images)}: {estimate.message}")
     save_figure(figure_of_response(camera), check_picture(output))
     say(f"{check_picture(output)}: the response beside sRGB, for checking")
 
@@ -234,12 +234,12 @@ def vignetting_command(
     from liaam.calibration import vignetting_from_flat_field
 
     camera, (pixels,) = read_pictures([picture], output)
-    found = vignetting_from_flat_field(pixels, camera.response)
-    say(found.message)
-    if not found.observable:
+    estimate = vignetting_from_flat_field(pixels, camera.response)
+    say(estimate.message)
+    if not estimate.observable:
         raise CameraError("nothing was written: this image does not determine the vignetting")
-    camera = replace(camera, vignetting=found.coefficients)
-    write_camera(camera, output, f"vignetting, {picture.name}: {found.message}")
+    camera = replace(camera, vignetting=estimate.coefficients)
+    write_camera(camera, output, f"vignetting, {picture.name}: {estimate.message}")
 
 
 @group.command("noise")
@@ -256,17 +256,17 @@ def noise_command(
     camera, pictures = read_pictures(images, output)
     if flat:
         boxes = np.rint([inputs.numbers_in(text, 4, "--flat") for text in flat]).astype(int)
-        found = noise_from_flat(pictures, boxes, camera.response)
+        estimate = noise_from_flat(pictures, boxes, camera.response)
     elif len(pictures) == 2:
-        found = noise_from_pair(pictures[0], pictures[1], camera.response)
+        estimate = noise_from_pair(pictures[0], pictures[1], camera.response)
     elif len(pictures) == 1:
-        found = noise_from_image(pictures[0], camera.response)
+        estimate = noise_from_image(pictures[0], camera.response)
     else:
         raise CameraError(f"{len(pictures)} images without --flat: give two of one scene under one light, or one")
-    say(found.message)
-    if not found.observable:
+    say(estimate.message)
+    if not estimate.observable:
         raise CameraError("nothing was written: these images do not determine the noise")
-    write_camera(replace(camera, noise=found.noise), output, f"noise, {inputs.names_of(images)}: {found.message}")
+    write_camera(replace(camera, noise=estimate.noise), output, f"noise, {inputs.names_of(images)}: {estimate.message}")
 
 
 def read_pictures(paths: Sequence[Path], output: Path, at_least: int = 1) -> tuple["CameraModel", list[np.ndarray]]:

@@ -60,8 +60,8 @@ def check(
             raise typer.Exit(1)
         return
     table = table_of("image", "landmarks")
-    for sample, own in faults:
-        for fault in own:
+    for sample, faults_of_sample in faults:
+        for fault in faults_of_sample:
             table.add_row(cell(sample.name), cell(fault.message))
     show_table(table)
     if output is not None:
@@ -92,11 +92,13 @@ def check_pixels(data: Dataset) -> bool:
             return f"{sample.name}: {outside}: they belong to another image, or to one of another size"
         return is_grey(image)
 
-    found = in_threads(look, data.samples)
-    unusable = [each for each in found if isinstance(each, str)]
+    verdicts = in_threads(look, data.samples)
+    unusable = [each for each in verdicts if isinstance(each, str)]
     for fault in unusable:
         complain(fault)
-    grey, colour = ([sample.name for sample, each in zip(data, found, strict=True) if each is g] for g in (True, False))
+    grey, colour = (
+        [sample.name for sample, each in zip(data, verdicts, strict=True) if each is g] for g in (True, False)
+    )
     if grey and colour:
         say(grey_use(grey, colour))
     return bool(unusable)
@@ -118,12 +120,12 @@ def faults_by_sample(samples: list[Sample], shapes: int | str = inputs.AUTO) -> 
             f"{len(groups)} kinds of shape ({sizes}), each checked by itself; 'liaam check --shapes 1' compares all, "
             "and shows images that were mirrored by mistake"
         )
-    found: dict[int, list[LabelFault]] = defaultdict(list)
+    by_sample: dict[int, list[LabelFault]] = defaultdict(list)
     with progress_bar() as progress:
         for group in groups:
             for fault in find_label_faults(list(marks[group]), progress):
-                found[int(group[fault.picture])].append(fault)
-    return [(samples[i], own) for i, own in sorted(found.items())]
+                by_sample[int(group[fault.picture])].append(fault)
+    return [(samples[i], faults_of_sample) for i, faults_of_sample in sorted(by_sample.items())]
 
 
 def write_faults(output: Path, folder: Path, faults: "list[tuple[Sample, list[LabelFault]]]") -> None:
@@ -133,10 +135,10 @@ def write_faults(output: Path, folder: Path, faults: "list[tuple[Sample, list[La
     if real_path(output).is_relative_to(real_path(inputs.folder_of(folder)[0])):
         raise LiaamError(f"{output} is inside the folder to check, which is never changed; give another folder with -o")
     reordered = 0
-    for sample, own in faults:
+    for sample, faults_of_sample in faults:
         place = output / sample.name
         make_folder(place.parent)
-        for fault in own:
+        for fault in faults_of_sample:
             if fault.is_order:
                 marks = fault.corrected_landmarks(sample.landmarks)
                 ending = ".ljson" if marks.contours or marks.names or marks.invisible else ".pts"
@@ -146,7 +148,7 @@ def write_faults(output: Path, folder: Path, faults: "list[tuple[Sample, list[La
                 write_landmarks(file, marks)
                 reordered += 1
         try:
-            picture = overlay_of_faults(sample.read_image(), sample.landmarks.points, own)
+            picture = overlay_of_faults(sample.read_image(), sample.landmarks.points, faults_of_sample)
         except LiaamError as error:  # the landmarks are written without the overlay
             complain(str(error))
             continue
@@ -162,9 +164,9 @@ def warn_of_faults(data: Dataset, folder: Path, shapes: int | str = inputs.AUTO)
     complete = [sample for sample in data if not sample.landmarks.missing.any()]
     if len(complete) < LEAST_PICTURES:
         return
-    found = [(sample, fault) for sample, own in faults_by_sample(complete, shapes) for fault in own]
-    for sample, fault in found[:MAX_WARNINGS]:
+    pairs = [(sample, fault) for sample, faults in faults_by_sample(complete, shapes) for fault in faults]
+    for sample, fault in pairs[:MAX_WARNINGS]:
         complain(f"{sample.name}: {fault.message}")
-    if found:
-        more = f"and {len(found) - MAX_WARNINGS} more; " if len(found) > MAX_WARNINGS else ""
+    if pairs:
+        more = f"and {len(pairs) - MAX_WARNINGS} more; " if len(pairs) > MAX_WARNINGS else ""
         complain(f"{more}training uses them as they are; run 'liaam check {folder}' to see and fix them")

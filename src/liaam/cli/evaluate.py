@@ -94,14 +94,14 @@ def evaluate(
     if model is None:
         if together := describe_objects([sample.name for sample in data]):
             say(together)
-        found = cross_validate(data, folds or 2, training={"camera": camera}, **options)
+        evaluation = cross_validate(data, folds or 2, training={"camera": camera}, **options)
     else:
         # Of several objects in an image there is one start.
         starts = None if init is None else [read_start(init, path, image_size(path)) for path in dict.fromkeys(paths)]
-        found = evaluated(model, data, starts, **options)
-    write(output, found)
-    show_landmarks(found)
-    say(found.report())
+        evaluation = evaluated(model, data, starts, **options)
+    write(output, evaluation)
+    show_landmarks(evaluation)
+    say(evaluation.report())
     say(f"written to {output}")
 
 
@@ -118,23 +118,23 @@ def model_and_folder(sources: list[Path], folds: int | None, init: str | None) -
     return None, sources[0]
 
 
-def write(output: Path, found: "Evaluation") -> None:
+def write(output: Path, evaluation: "Evaluation") -> None:
     """Write all errors as a table; into a folder also those by image and by landmark, and pictures."""
     from liaam.plotting import save_figure
 
     if output.suffix.lower() == ".csv":
-        write_columns(output, found.to_columns())
+        write_columns(output, evaluation.to_columns())
         return
-    write_columns(output / "errors.csv", found.to_columns())
-    write_columns(output / "images.csv", found.by_image())
-    write_columns(output / "landmarks.csv", found.by_landmark())
-    save_figure(found.plot().figure, output / "errors.png")  # type: ignore[arg-type]
-    save_figure(found.plot_worst(SHOWN), output / "worst.png")
+    write_columns(output / "errors.csv", evaluation.to_columns())
+    write_columns(output / "images.csv", evaluation.by_image())
+    write_columns(output / "landmarks.csv", evaluation.by_landmark())
+    save_figure(evaluation.plot().figure, output / "errors.png")  # type: ignore[arg-type]
+    save_figure(evaluation.plot_worst(SHOWN), output / "worst.png")
 
 
-def show_landmarks(found: "Evaluation") -> None:
+def show_landmarks(evaluation: "Evaluation") -> None:
     """Print the landmarks with the largest errors."""
-    columns = found.by_landmark()
+    columns = evaluation.by_landmark()
     order = sorted(range(len(columns["landmark"])), key=lambda i: -columns["median"][i])[:SHOWN]
     table = table_of("landmark", "median", "90th percentile", "in 95 % ellipse")
     for i in sorted(order):

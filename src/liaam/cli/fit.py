@@ -114,7 +114,7 @@ def fit(
         except LiaamError as error:
             return error
 
-    report = Report(every=every, rotations=rotations)
+    report = FitReport(every=every, rotations=rotations)
     threads = min(len(images), all_cores())
     # With a single image, its search may use all cores.
     with one_thread() if threads > 1 else one_blas_thread(), progress_bar() as progress:
@@ -132,7 +132,7 @@ def fit(
 
 
 @dataclass
-class Report:
+class FitReport:
     """What the command prints: a table of the fits, and below it advice with the names of the images concerned."""
 
     every: bool  # whether every object of an image is fitted

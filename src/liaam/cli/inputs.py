@@ -152,10 +152,10 @@ def matches(sample: Sample, pattern: str) -> bool:
 def read_sample(image: Path) -> Sample:
     """Read an image and the landmarks beside it."""
     existing_file(image, LiaamError, "image")
-    found = next((sample for sample in load_folder(image.parent) if sample.image == image), None)
-    if found is None:
+    sample_of_image = next((sample for sample in load_folder(image.parent) if sample.image == image), None)
+    if sample_of_image is None:
         raise LiaamError(f"{image}: no landmarks beside this image; add a landmark file such as {image.stem}.pts")
-    return found
+    return sample_of_image
 
 
 def read_with_start(image: Path, init: str | None) -> tuple[np.ndarray, Landmarks | list[float] | None]:
@@ -178,7 +178,7 @@ def unique_stems(images: list[Path]) -> list[str]:
     return names
 
 
-def camera_for(paths: Sequence[Path], known: str | None, otherwise: "CameraModel | None" = None) -> "CameraModel":
+def camera_for(paths: Sequence[Path], camera: str | None, otherwise: "CameraModel | None" = None) -> "CameraModel":
     """Return the camera of images: that of a file, or `otherwise` or the default one, if need be with a response.
 
     The response of RAW images is linear by default.
@@ -188,28 +188,28 @@ def camera_for(paths: Sequence[Path], known: str | None, otherwise: "CameraModel
     raw = [is_raw(path) for path in paths]
     if any(raw) and not all(raw):
         raise CameraError("RAW files and other images have different responses; process them separately")
-    given, response = camera_in(known)
+    given, response = camera_in(camera)
     return (given or otherwise or CameraModel()).suited_to(raw=any(raw), response=response)
 
 
-def camera_in(known: str | None) -> "tuple[CameraModel | None, str | None]":
+def camera_in(text: str | None) -> "tuple[CameraModel | None, str | None]":
     """Return the camera or the response that the text of --camera stands for."""
     from liaam.photometry import CameraModel, load_camera, parse_response
 
-    if known is None:
+    if text is None:
         return None, None
-    if names_file(known, (".json",)):
-        return load_camera(known), None
-    if is_number(known) and LEAST_ANGLE <= float(known) <= 180:
-        return CameraModel(theta=math.radians(float(known))), None
+    if names_file(text, (".json",)):
+        return load_camera(text), None
+    if is_number(text) and LEAST_ANGLE <= float(text) <= 180:
+        return CameraModel(theta=math.radians(float(text))), None
     try:
-        parse_response(known)
+        parse_response(text)
     except ImageError:
         raise CameraError(
-            f"--camera {known}: give a file of 'liaam camera'; a response: srgb, linear, or a gamma from 0.2 to 5; or "
+            f"--camera {text}: give a file of 'liaam camera'; a response: srgb, linear, or a gamma from 0.2 to 5; or "
             f"the angle theta in degrees, from {LEAST_ANGLE} to 180"
         ) from None
-    return None, known
+    return None, text
 
 
 def names_file(text: str, suffixes: tuple[str, ...]) -> bool:

@@ -63,18 +63,18 @@ def invariant(
             if sweep:
                 save_figure(figure_of_sweep(pixels, camera), output / f"{stem}_sweep.png")
     if averages is not None:
-        found, names = agreement(averages), [path.name for path in images]
+        pairs, names = agreement(averages), [path.name for path in images]
         lines = ["first,second,invariant,log_grey,share"]
         table = table_of("first", "second", "invariant", "log grey", "fraction of pixels")
-        for pair in found:
+        for pair in pairs:
             both = names[pair.first], names[pair.second]
             lines.append(f"{both[0]},{both[1]},{pair.invariant:.6f},{pair.log_grey:.6f},{pair.share:.6f}")
             table.add_row(*both, f"{pair.invariant:.3f}", f"{pair.log_grey:.3f}", f"{pair.share:.2f}")
         write_text_atomically(output / "agreement.csv", "\n".join(lines) + "\n")
-        save_figure(figure_of_agreement(pictures, names, averages, found), output / "agreement.png")
-        if len(found) <= 15:
+        save_figure(figure_of_agreement(pictures, names, averages, pairs), output / "agreement.png")
+        if len(pairs) <= 15:
             show_table(table)
-        medians = (np.median([getattr(pair, key) for pair in found]) for key in ("invariant", "log_grey"))
+        medians = (np.median([getattr(pair, key) for pair in pairs]) for key in ("invariant", "log_grey"))
         say("median correlation: invariant {:.3f}, log grey {:.3f}".format(*medians))
     say(f"written to {output}, at theta {degrees(camera.theta)}")
 
@@ -99,16 +99,17 @@ def register(
     camera, a, b = camera_for([first, second], given_camera), read_image(first), read_image(second)
     with progress_bar() as progress:
         progress(0, 2, f"registering {second.name}")
-        found = align(a, b, group=warp, response=camera.response, theta=camera.theta)
-        if not found.status.ok:
+        registration = align(a, b, group=warp, response=camera.response, theta=camera.theta)
+        if not registration.status.ok:
             raise LiaamError(
-                f"{second.name} could not be registered with {first.name} ({found.status}): {found.message}"
+                f"{second.name} could not be registered with {first.name} ({registration.status}): "
+                f"{registration.message}"
             )
         progress(1, 2, f"writing {output.name}")
-        sampled, _ = found.warp(b)
+        sampled, _ = registration.warp(b)
         write_image(output, sampled)
         write_image(board, checkerboard(a, sampled))
-        facts = {"first": first.name, "second": second.name, **found.to_dict()}
+        facts = {"first": first.name, "second": second.name, **registration.to_dict()}
         write_text_atomically(facts_file, json.dumps(facts, indent=1) + "\n")
-    say(f"{found.status}: {found.message}")
+    say(f"{registration.status}: {registration.message}")
     say(f"written to {output}, {facts_file.name} (pixels of A to pixels of B) and {board.name}")

@@ -12,7 +12,7 @@ from liaam.io.atomic import check_output
 
 if TYPE_CHECKING:
     from liaam.photometry import Response
-    from liaam.training import Lamps
+    from liaam.training import LearntLamps
 
 LAMPS_SUFFIX = ".lamps"  # Suffix of lamp files
 
@@ -47,7 +47,7 @@ def lamps(
     say(f"draw them with 'liaam show {output} -o lamps.png'")
 
 
-def read_lamps(source: Path, training_lamp: str | None = None, response: "Response" = "srgb") -> "Lamps":
+def read_lamps(source: Path, training_lamp: str | None = None, response: "Response" = "srgb") -> "LearntLamps":
     """Load lamps from a file, or learn them from a folder."""
     from liaam.training import learn_lamps, load_lamps
 

@@ -44,10 +44,10 @@ def show(
     from liaam.model import load_model
 
     if file is None:
-        for name, known in MODELS.items():
+        for name, included in MODELS.items():
             model = load_model(name)
             trained = f"{model.n_points}, trained on {model.n_all_images} images{count_copies(model)}"
-            rows = {"model": name, "for": known.purpose, "accuracy": known.accuracy, "landmarks": trained}
+            rows = {"model": name, "for": included.purpose, "accuracy": included.accuracy, "landmarks": trained}
             print_rows({**rows, "credit": model.credit})
         say("Give its name as MODEL, as in 'liaam fit face photo.jpg'.")
         return
@@ -91,8 +91,8 @@ def count_modes(model: "AAM") -> str:
     from liaam.model import MESH, SURROUNDINGS
 
     counts = {name: len(view.shape_model.modes) for name, view in model.views.items()}
-    own, others = counts.get(SURROUNDINGS, counts[MESH]), counts[MESH]
-    return f"{own}" if own == others else f"{own} for soft-li, {others} for the other methods"
+    count, others = counts.get(SURROUNDINGS, counts[MESH]), counts[MESH]
+    return f"{count}" if count == others else f"{count} for soft-li, {others} for the other methods"
 
 
 def describe(model: "AAM", path: Path) -> dict[str, str]:
@@ -106,7 +106,7 @@ def describe(model: "AAM", path: Path) -> dict[str, str]:
     camera, theta, more = model.camera, np.rad2deg(model.theta), {}
     error = "assumed" if camera.theta_deviation is None else f"± {np.rad2deg(camera.theta_deviation):.2f}°"
     response = camera.response if isinstance(camera.response, (str, float)) else "measured"
-    known = "".join(f", {name}" for name in ("vignetting", "noise") if getattr(camera, name))
+    calibrated = "".join(f", {name}" for name in ("vignetting", "noise") if getattr(camera, name))
     if model.points is not None:
         more["starts from"] = f"{model.points.n_theirs} points of another landmarker, too"
     if model.features is not None:
@@ -123,7 +123,7 @@ def describe(model: "AAM", path: Path) -> dict[str, str]:
         **more,
         "reference frame": f"{width}×{height} px, {model.n_pixels} inside the mesh",
         "levels": "blur " + ", ".join(f"{level.blur:g}" for level in model.levels) + " px, coarse to fine",
-        "camera": f"response {response}, theta {theta:.1f}° ({error}){known}",
+        "camera": f"response {response}, theta {theta:.1f}° ({error}){calibrated}",
         **({"credit": model.credit} if model.credit else {}),
         "core": f"compiled, {_core.INSTRUCTION_SET}" if _core.BUILT else "not compiled (NumPy)",
     }
@@ -131,11 +131,11 @@ def describe(model: "AAM", path: Path) -> dict[str, str]:
 
 def describe_shapes(model: "AAM") -> str:
     """Describe the shapes of a model by their shares of the training images, the most frequent first."""
-    own = f"{len(model.parts)}, each with a model of its own"
+    parts = f"{len(model.parts)}, each with a model of its own"
     if model.same_images:
-        return f"{own}, from copies of the same images"
+        return f"{parts}, from copies of the same images"
     shares = (f"{count_of(part.n_images, 'image')} ({part.n_images / model.n_all_images:.0%})" for part in model.parts)
-    return f"{own}: {', '.join(shares)}"
+    return f"{parts}: {', '.join(shares)}"
 
 
 def count_copies(model: "AAM") -> str:

@@ -82,7 +82,7 @@ def relight(
     check_colour(model, str(model_file))
     fitter = Fitter(model, method, camera=inputs.camera_for(images_read, given_camera, model.camera))
     make_folder(outputs[0].parent)
-    report = Report(strict)
+    report = RelightReport(strict)
     n_images = len(images_read)
     with progress_bar() as progress:
         progress(0, n_images, images_read[-1].name)
@@ -126,7 +126,7 @@ class Change:
 
 
 @dataclass
-class Report:
+class RelightReport:
     """What the command prints: the written files, and advice with the names of the images concerned."""
 
     strict: bool  # whether nothing is written where the fit is doubtful or the light is uncertain
@@ -162,7 +162,7 @@ class Report:
         inputs.say_advice(self.advice)
 
 
-def relight_file(fitter: "Fitter", image: Path, path: Path, change: Change, report: Report) -> None:
+def relight_file(fitter: "Fitter", image: Path, path: Path, change: Change, report: RelightReport) -> None:
     """Fit an image file, and write it to a path in another light."""
     from liaam.relighting.relighter import UNCERTAIN, separated, shown, uncertainty_of
 

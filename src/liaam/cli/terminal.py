@@ -21,14 +21,23 @@ from liaam.progress import Progress, progress_bar as library_bar
 console = Console()
 error_console = Console(stderr=True)
 
-MISUSED, INTERRUPTED = 2, 130
-"""Exit status after an unknown option or a value of the wrong type, and after Ctrl-C, as in a shell."""
+MISUSED = 2
+"""Exit status after an unknown option or a value of the wrong type, as of other programs."""
+
+INTERRUPTED = 130
+"""Exit status after Ctrl-C, as in a shell: 128 and the number of the signal."""
 
 UNCUT = 500
-"""Width of tables that do not go to a terminal, characters."""
+"""Width in characters of tables that do not go to a terminal: more than any table of a command has."""
+
+CONTROL = ("Cc", "Cs", "Zl", "Zp")
+"""Unicode's categories of control characters, surrogates, and separators of lines and of paragraphs."""
 
 BIDIRECTIONAL = ("LRE", "RLE", "LRO", "RLO", "PDF", "LRI", "RLI", "FSI", "PDI")
 """Bidirectional classes of the characters that change the writing direction (Unicode Standard Annex 9)."""
+
+LONGEST_NAME = 255
+"""Number of characters above which a name is cut in messages; file systems allow no more in a name."""
 
 
 def plain(text: str) -> str:
@@ -36,10 +45,13 @@ def plain(text: str) -> str:
 
     Also escapes characters that change the writing direction, and lone surrogates.
     """
-    kind, turning = unicodedata.category, unicodedata.bidirectional
-    control = {x for x in text if kind(x) in ("Cc", "Cs", "Zl", "Zp") and x not in "\n\t"}
-    hidden = control | {x for x in text if turning(x) in BIDIRECTIONAL}
-    return "".join(ascii(letter)[1:-1] if letter in hidden else letter for letter in text)
+    return "".join(ascii(letter)[1:-1] if _is_hidden(letter) else letter for letter in text)
+
+
+def _is_hidden(letter: str) -> bool:
+    """Return whether a character does something else than to be shown, other than a line break or a tab."""
+    is_control = unicodedata.category(letter) in CONTROL and letter not in "\n\t"
+    return is_control or unicodedata.bidirectional(letter) in BIDIRECTIONAL
 
 
 def cell(text: str) -> str:
@@ -67,12 +79,17 @@ class _Commands(TyperGroup):
 
 @contextmanager
 def _plain_complaints() -> Iterator[None]:
+    """Print the error of a misused option or argument as one line, and exit; raise StoppedError on Ctrl-C."""
     try:
         yield
     except KeyboardInterrupt as stop:
         raise StoppedError(str(stop) or "stopped") from None
-    except Exception as error:  # a misused option or argument: a class of click, which typer may bring along
-        if getattr(error, "exit_code", None) != MISUSED or "\n" in (text := error.format_message()):  # type: ignore
+    except Exception as error:
+        # Errors of misuse are known by their exit status: their class is one of click, which may be the one in typer.
+        if getattr(error, "exit_code", None) != MISUSED:
+            raise
+        text = error.format_message()  # type: ignore
+        if "\n" in text:  # such as the help, which a command without arguments prints
             raise
         context = getattr(error, "ctx", None)
         command = "liaam" if context is None else context.command_path
@@ -109,14 +126,21 @@ def run_app(app: typer.Typer) -> None:
         complain(f"error: {error}")
         sys.exit(1)
     except OSError as error:  # an invalid name, missing permissions, a full or removed disk
-        name = "" if error.filename is None else os.fsdecode(error.filename)
-        shown = f"{name[:60]}...: " if len(name) > 255 else f"{name}: " if name else ""
         remedy = "check the name, the permissions and the free space"
-        complain(f"error: {shown}{error.strerror or error}; {remedy}")
+        complain(f"error: {_name_in(error)}{error.strerror or error}; {remedy}")
         sys.exit(1)
 
 
+def _name_in(error: OSError) -> str:
+    """Return the name of the file that an error is about and a colon; nothing if it names none."""
+    if not error.filename:
+        return ""
+    name = os.fsdecode(error.filename)
+    return f"{name[:60]}...: " if len(name) > LONGEST_NAME else f"{name}: "
+
+
 def _exit_stopped(text: str) -> NoReturn:
+    """Print why a command stopped, and exit."""
     # Not through the console: if it was interrupted while it printed, it keeps what follows to itself.
     print(plain(text), file=sys.stderr)
     sys.exit(INTERRUPTED)
@@ -145,9 +169,14 @@ def _warnings_as_lines() -> Iterator[None]:
     """Print warnings for users as lines on standard error, without the line of code that gives them."""
     with warnings.catch_warnings():
         show = warnings.showwarning
-        warnings.showwarning = lambda message, category, *rest, **more: (
-            complain(str(message)) if issubclass(category, UserWarning) else show(message, category, *rest, **more)
-        )
+
+        def show_as_line(message: Warning | str, category: type[Warning], *where: Any, **options: Any) -> None:
+            if issubclass(category, UserWarning):
+                complain(str(message))
+            else:
+                show(message, category, *where, **options)
+
+        warnings.showwarning = show_as_line
         yield
 
 
@@ -163,4 +192,8 @@ def progress_bar(counted: bool = True) -> Iterator[Progress]:
     Show counts if `counted`, or else a percentage.
     """
     with library_bar("", None, error_console.is_terminal, counted) as tell:
-        yield lambda done, total, what: tell(done, total, plain(what))
+
+        def tell_plainly(done: int, total: int, what: str) -> None:
+            tell(done, total, plain(what))
+
+        yield tell_plainly

@@ -18,7 +18,7 @@ from liaam.io.landmarks.reading import Reading
 if TYPE_CHECKING:
     from liaam.model import AAM
     from liaam.photometry import CameraModel
-    from liaam.training import Lamps
+    from liaam.training import LearntLamps
 
 MODEL_SUFFIX = ".liaam"  # Suffix of files that may be replaced by a model
 
@@ -179,7 +179,9 @@ def check_model_name(output: Path, folder: Path) -> None:
         )
 
 
-def parse_lamps(lamps: Path, training_lamp: str | None, camera: "CameraModel") -> "Lamps | Literal['auto'] | None":
+def parse_lamps(
+    lamps: Path, training_lamp: str | None, camera: "CameraModel"
+) -> "LearntLamps | Literal['auto'] | None":
     """Return the lamps that --lamps names or, if it is a folder, those learnt from its images."""
     if str(lamps) in (inputs.AUTO, "none"):
         return None if str(lamps) == "none" else inputs.AUTO
@@ -188,7 +190,7 @@ def parse_lamps(lamps: Path, training_lamp: str | None, camera: "CameraModel") -
     return read_lamps(lamps, training_lamp, camera.response)
 
 
-def report(model: "AAM", output: Path, light: "Lamps | Literal['auto'] | None", leave_out: bool) -> None:
+def report(model: "AAM", output: Path, light: "LearntLamps | Literal['auto'] | None", leave_out: bool) -> None:
     """Print what was trained, and how accurate its fits can be."""
     from liaam.fitting.methods import DEFAULT_METHOD, METHODS
 

@@ -283,9 +283,9 @@ def stop_on_interrupt() -> Iterator[Callable[[], bool]]:
 def report(counts: Counts, outputs: Sequence[Path]) -> None:
     """Print a summary of the track."""
     table = table_of("frames", "with landmarks", "lost", "found again", "corrected", "quality", "frames/s")
-    known = [quality for quality in counts.qualities if np.isfinite(quality)]
+    qualities = [quality for quality in counts.qualities if np.isfinite(quality)]
     again = max(0, counts.statuses["found"] - 1)
-    quality = f"{np.median(known):.2f}" if known else "–"
+    quality = f"{np.median(qualities):.2f}" if qualities else "–"
     numbers = counts.n, counts.n - len(counts.lost), len(counts.lost), again, counts.statuses["corrected"]
     table.add_row(*map(str, numbers), quality, f"{counts.rate:.1f}")
     show_table(table)

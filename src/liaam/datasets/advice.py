@@ -29,8 +29,8 @@ def unread_landmarks(files: Sequence[Path], bare: Sequence[Path], unrecognised: 
     ``unrecognised`` are files that have the suffix of a format but are in none.
     """
     stems = {image.with_suffix("") for image in bare}
-    known = {*PICTURE_SUFFIXES, *LANDMARK_SUFFIXES}
-    others = [file for file in files if file.suffix.lower() not in known or file in unrecognised]
+    suffixes = {*PICTURE_SUFFIXES, *LANDMARK_SUFFIXES}
+    others = [file for file in files if file.suffix.lower() not in suffixes or file in unrecognised]
     return [file for file in others if stems and (file.with_suffix("") in stems or _has_numbers(file))]
 
 
@@ -65,9 +65,9 @@ def no_images(root: Path, files: Sequence[Path], pattern: str | None, recursive:
         )
     others = Counter(file.suffix.lower() for file in files if file.suffix)
     if others:
-        found = ", ".join(f"{suffix} ({n})" for suffix, n in others.most_common(5))
+        listed = ", ".join(f"{suffix} ({n})" for suffix, n in others.most_common(5))
         return (
-            f"{root} contains no image that can be read ({endings}), only files of type {found}: convert the images, "
+            f"{root} contains no image that can be read ({endings}), only files of type {listed}: convert the images, "
             "or name another folder."
         )
     return f"{root} contains no image ({endings}): name another folder."
@@ -81,16 +81,16 @@ def no_pairs(
     text = f"{root}: {count} ({some_names([image.name for image in wanted], 3)})."
     if unread:
         names = some_names([file.name for file in unread])
-        known = ", ".join(LANDMARK_SUFFIXES)
+        suffixes = ", ".join(LANDMARK_SUFFIXES)
         simplest = "the simplest is a .csv of a line 'x,y' and then x,y of each landmark, in pixels"
-        return f"{text} Files in an unknown format: {names}. Convert them to one of {known}; {simplest}."
+        return f"{text} Files in an unknown format: {names}. Convert them to one of {suffixes}; {simplest}."
     absent = [f"{path.name}: {reason}." for path, reason in left_out if reason.startswith(ABSENT)]
     faults = [reason for _, reason in left_out if "cannot be read" in reason]
     if faults:
         faults += absent
         which = "first fault" if len(faults) == 1 else "first faults"
         return f"{root}: no image has readable landmarks. The {which}: {' '.join(faults[:3])}"
-    own = f"{wanted[0].stem}.pts"
+    example = f"{wanted[0].stem}.pts"
     orphans = [path for path, reason in left_out if reason == NO_IMAGE]
     elsewhere = [path for path in orphans if path.stem in {image.stem for image in wanted}]
     if absent:
@@ -101,10 +101,10 @@ def no_pairs(
         return f"{text} Landmark files are in other folders ({some_names(below, 3)}): put each beside its image."
     if orphans:
         names = some_names([path.name for path in orphans])
-        return f"{text} Landmark files without an image: {names}. Name each after its image, as in {own}."
+        return f"{text} Landmark files without an image: {names}. Name each after its image, as in {example}."
     return (
-        f"{text} Add a file such as {own} for each image ({', '.join(LANDMARK_SUFFIXES)}), or one file that names the "
-        "images."
+        f"{text} Add a file such as {example} for each image ({', '.join(LANDMARK_SUFFIXES)}), or one file that names "
+        "the images."
     )
 
 
@@ -116,5 +116,5 @@ def _below(root: Path, suffixes: Sequence[str]) -> list[str]:
             folders[:] = sorted(name for name in folders if not name.startswith("."))
             yield from (Path(place, name) for name in sorted(names) if Path(place) != root and name[0] != ".")
 
-    found = [path for path in islice(paths(), _SEARCHED) if path.suffix.lower() in suffixes]
-    return [path.relative_to(root).as_posix() for path in found]
+    matching = [path for path in islice(paths(), _SEARCHED) if path.suffix.lower() in suffixes]
+    return [path.relative_to(root).as_posix() for path in matching]

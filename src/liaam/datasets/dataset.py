@@ -54,7 +54,7 @@ class Sample:
 
 
 @dataclass(frozen=True)
-class LeftOut:
+class UnusedFile:
     """A file that was not used.
 
     Attributes
@@ -80,7 +80,7 @@ class Dataset:
     ----------
     samples : tuple of Sample
         The landmarked objects, in order.
-    left_out : tuple of LeftOut
+    left_out : tuple of UnusedFile
         Files that were not used, with the reason.
     source : str
         Origin of the samples, for the report.
@@ -89,7 +89,7 @@ class Dataset:
     """
 
     samples: tuple[Sample, ...]
-    left_out: tuple[LeftOut, ...] = ()
+    left_out: tuple[UnusedFile, ...] = ()
     source: str = ""
     notes: tuple[str, ...] = ()
 
@@ -126,18 +126,18 @@ class Dataset:
             If no sample matches.
         """
         patterns = [which] if isinstance(which, str) or callable(which) else list(which)
-        kept = tuple(
+        selected = tuple(
             sample
             for sample in self.samples
             if any(each(sample) if callable(each) else fnmatchcase(sample.name, each) for each in patterns)
         )
-        if not kept:
+        if not selected:
             some = some_names([sample.name for sample in self.samples])
             wanted = ", ".join(repr(each) for each in patterns)
             raise LiaamError(
                 f"no sample of {self.source or 'the data set'} matches {wanted}: the names are like {some}."
             )
-        return replace(self, samples=kept)
+        return replace(self, samples=selected)
 
     def report(self) -> str:
         """Summarise the number of samples, their formats, and the files left out with reasons, as text."""
@@ -161,7 +161,7 @@ class Dataset:
             of_one = f"each a sample, such as {shared[0].stem}#2 ({names})"
             lines.append(f"{len(shared)} {holds} {n_objects} objects, {of_one}")
         lines += self.notes
-        groups: dict[str, list[LeftOut]] = defaultdict(list)
+        groups: dict[str, list[UnusedFile]] = defaultdict(list)
         for left in self.left_out:
             if left.partly:
                 lines.append(f"{left.path.name}: {left.reason}")

@@ -17,7 +17,7 @@ from pathlib import Path, PurePosixPath
 import numpy as np
 
 from liaam.datasets import advice
-from liaam.datasets.dataset import Dataset, LeftOut, Sample
+from liaam.datasets.dataset import Dataset, Sample, UnusedFile
 from liaam.errors import ImageError, LandmarkError, MissingImageError
 from liaam.io.files import natural_key, some_names
 from liaam.io.images import PICTURE_SUFFIXES, size_and_orientation
@@ -77,40 +77,49 @@ def load_folder(
     """
     root = Path(folder)
     files = _list_files(root, recursive)
-    images, beside = _images(files), root
     marks = [file for file in files if file.suffix.lower() in LANDMARK_SUFFIXES]
+    images = _images(files)
+    images_root = root
     if marks and not images:
-        beside = root.parent
-        images = _images(_list_files(beside, recursive))
-    wanted = [image for image in images if pattern is None or _matches(beside, image, pattern)]
+        images_root = root.parent
+        images = _images(_list_files(images_root, recursive))
+    wanted = [image for image in images if pattern is None or _matches(images_root, image, pattern)]
     if not wanted:
         raise ImageError(advice.no_images(root, files, pattern, recursive))
-    pairing = _Pairing(beside, root, images, wanted, reading)
+    pairing = _Pairing(images_root, root, images, wanted, reading)
     with progress_bar("landmark files", len(marks), progress) as tell:
         for done, file in enumerate(marks, 1):
             pairing.add(file)
             tell(done)
-    samples, left_out = pairing.finish(), pairing.left_out
+    samples = pairing.finish()
+    left_out = pairing.left_out
     bare = [left.path for left in left_out if left.reason == _BARE]
     unread = advice.unread_landmarks(files, bare, pairing.unrecognised)
     if not samples:
         reasons = [(left.path, left.reason) for left in left_out]
         raise LandmarkError(advice.no_pairs(root, wanted, reasons, unread, recursive))
     orphans = [left.path for left in left_out if left.reason == advice.NO_IMAGE]
-    left_out += [LeftOut(file, advice.UNKNOWN) for file in unread]
-    left_out += [LeftOut(file, advice.UNKNOWN_IMAGE) for file in advice.unread_images(files, orphans)]
+    left_out += [UnusedFile(file, advice.UNKNOWN) for file in unread]
+    left_out += [UnusedFile(file, advice.UNKNOWN_IMAGE) for file in advice.unread_images(files, orphans)]
     samples, unnamed = _in_one_order(samples, pairing.notes)
     samples, odd = _same_count(samples)
     left_out = sorted([*left_out, *unnamed, *odd], key=lambda left: natural_key(str(left.path)))
-    for left in left_out if reading.strict else ():
-        if left in (*unnamed, *odd) or left.partly or left.reason.startswith((_UNREAD, _PARTIAL, advice.ABSENT)):
-            raise LandmarkError(f"{left.path}: {left.reason} (refused because of --strict).")
+    if reading.strict:
+        _refuse_faults(left_out, unlike=[*unnamed, *odd])
     return Dataset(tuple(samples), tuple(left_out), str(root), tuple(pairing.notes.lines()))
+
+
+def _refuse_faults(left_out: list[UnusedFile], unlike: list[UnusedFile]) -> None:
+    """Raise if landmarks are left out because of a fault, or because they are unlike those of most images."""
+    for left in left_out:
+        is_fault = left.partly or left.reason.startswith((_UNREAD, _PARTIAL, advice.ABSENT))
+        if is_fault or left in unlike:
+            raise LandmarkError(f"{left.path}: {left.reason} (refused because of --strict).")
 
 
 def pair_files(
     root: Path, images: list[Path], marks: Iterable[Path], place: Path | None = None
-) -> tuple[list[Sample], list[LeftOut]]:
+) -> tuple[list[Sample], list[UnusedFile]]:
     """Pair images of a folder with landmark files (``marks``) in it, or in a subfolder that is their ``place``.
 
     Numbers of landmarks may differ. Also return the files that were not used.
@@ -141,10 +150,12 @@ def _images(files: list[Path]) -> list[Path]:
 
 
 def _name(root: Path, path: Path) -> str:
+    """Return the name of the sample of an image in a folder: its path in the folder without suffix."""
     return path.relative_to(root).with_suffix("").as_posix()
 
 
 def _matches(root: Path, image: Path, pattern: str) -> bool:
+    """Return whether the name of an image in a folder, or its path in the folder, matches, with or without suffix."""
     relative = image.relative_to(root).as_posix()
     return any(fnmatchcase(text, pattern) for text in (image.name, image.stem, relative, _name(root, image)))
 
@@ -155,23 +166,27 @@ class _Option:
 
     file: Path
     landmarks: Landmarks
-    own: bool
-    """Whether the file belongs to this image only."""
+    is_single: bool  # whether the file is one of a single image
 
 
 class _Pairing:
-    """Collects the candidate landmarks of each image, file by file."""
+    """Collects the candidate landmarks of each image, file by file.
+
+    ``root`` is the folder of the images, ``place`` that of the landmark files. Entries of files may name any of the
+    ``images``; samples are made of those ``wanted``.
+    """
 
     def __init__(self, root: Path, place: Path, images: list[Path], wanted: list[Path], reading: Reading) -> None:
-        self.root, self.place = root, place
+        self.root = root
+        self.place = place
         self.wanted = wanted
         self.reading = reading
         self.notes = Notes(reading.strict)
-        self.left_out: list[LeftOut] = []
+        self.left_out: list[UnusedFile] = []
         self.unrecognised: list[Path] = []
         """Files of text that seem to hold no landmarks."""
         self.reported: set[Path] = set()
-        """Images whose landmark file was left out, with the reason."""
+        """Images whose landmark file is left out, which explains why they have no landmarks."""
         self.options: dict[Path, list[_Option]] = {image: [] for image in wanted}
         preferred = sorted(images, key=lambda path: (path not in self.options, _rank(path, PICTURE_SUFFIXES)))
         self.names = ImageNames(preferred)
@@ -198,7 +213,7 @@ class _Pairing:
                 self._leave_out(file, f"{_UNREAD}: {fault}", image)
             return
         if notes.left_out:
-            self.left_out.append(LeftOut(file, Notes(left_out=notes.left_out).lines()[0], partly=True))
+            self.left_out.append(UnusedFile(file, Notes(left_out=notes.left_out).lines()[0], partly=True))
         if read.is_single:
             (entry,) = entries
             self._add_single(read, image, entry)
@@ -207,37 +222,50 @@ class _Pairing:
 
     def finish(self) -> list[Sample]:
         """Choose the landmarks of each image, and record the files that are not used."""
-        winners: dict[Path, Path] = {}
+        used_images: dict[Path, Path] = {}  # by path without suffix
         # Of images of the same stem, one with landmarks is used, then lossless formats come first.
         for image in sorted(self.wanted, key=lambda path: (not self.options[path], _rank(path, PICTURE_SUFFIXES))):
-            winners.setdefault(image.with_suffix(""), image)
+            used_images.setdefault(image.with_suffix(""), image)
         samples = []
         for image in self.wanted:
-            best = winners[image.with_suffix("")]
-            options = sorted(self.options[image], key=lambda each: (not each.own, rank_of(each.landmarks)))
-            if image != best:
-                self._leave_out(image, f"another image has the same name: {best.name} is used")
+            used_image = used_images[image.with_suffix("")]
+            # Files of a single image take precedence over files of many, then the order of formats decides.
+            options = sorted(self.options[image], key=lambda each: (not each.is_single, rank_of(each.landmarks)))
+            if image != used_image:
+                self._leave_out(image, f"another image has the same name: {used_image.name} is used")
             elif options:
                 used, *others = options
-                # Of several objects, the largest is a sample in any case, others if no landmark is missing.
-                for name, landmarks in used.landmarks.objects(_name(self.root, image)):
-                    if landmarks is used.landmarks or not landmarks.missing.any():
-                        samples.append(Sample(name, image, landmarks, used.file))
-                    else:
-                        remedy = f"place them or delete the object, in {used.file.name}"
-                        reason = f"{_PARTIAL}: {landmarks.missing.sum()} of {len(landmarks)}; {remedy}"
-                        self.left_out.append(LeftOut(image.with_name(PurePosixPath(name).name), reason))
+                samples += self._samples_of(image, used)
                 for other in others:
-                    left = LeftOut(other.file, f"{_LESSER}: {used.file.name} is used")
-                    if not any(each.path == other.file and each.reason.startswith(_LESSER) for each in self.left_out):
-                        self.left_out.append(left)
-                    if _disagree(used.landmarks, other.landmarks):
-                        kinds = f"{used.file.suffix} and {other.file.name}"
-                        remedy = f"remove one (the {used.file.suffix} is used)"
-                        self.notes.repair(f"landmarks disagree in {kinds}; {remedy}", image.name)
+                    self._leave_out_option(image, other, used)
             elif image not in self.reported:
                 self._leave_out(image, _BARE)
         return samples
+
+    def _samples_of(self, image: Path, option: _Option) -> list[Sample]:
+        """Return a sample for each object of an image.
+
+        The largest is a sample in any case, others if no landmark is missing.
+        """
+        samples = []
+        for name, landmarks in option.landmarks.objects(_name(self.root, image)):
+            if landmarks is option.landmarks or not landmarks.missing.any():
+                samples.append(Sample(name, image, landmarks, option.file))
+            else:
+                remedy = f"place them or delete the object, in {option.file.name}"
+                reason = f"{_PARTIAL}: {landmarks.missing.sum()} of {len(landmarks)}; {remedy}"
+                self.left_out.append(UnusedFile(image.with_name(PurePosixPath(name).name), reason))
+        return samples
+
+    def _leave_out_option(self, image: Path, option: _Option, used: _Option) -> None:
+        """Record a file that is not used for an image, once for all images, and note if it disagrees with the used."""
+        is_recorded = any(left.path == option.file and left.reason.startswith(_LESSER) for left in self.left_out)
+        if not is_recorded:
+            self.left_out.append(UnusedFile(option.file, f"{_LESSER}: {used.file.name} is used"))
+        if _disagree(used.landmarks, option.landmarks):
+            kinds = f"{used.file.suffix} and {option.file.name}"
+            remedy = f"remove one (the {used.file.suffix} is used)"
+            self.notes.repair(f"landmarks disagree in {kinds}; {remedy}", image.name)
 
     def _add_single(self, file: LandmarkFile, image: Path | None, entry: str) -> None:
         """Add the landmarks of a file for one image, which has its name, or else is the one that it names."""
@@ -254,40 +282,43 @@ class _Pairing:
             self._add_option(file, image, entry)
 
     def _add_collection(self, file: LandmarkFile) -> None:
-        absent, named = [], {}
+        """Add the landmarks of a file for many images to those that its entries name."""
+        absent: list[str] = []
+        entry_of: dict[Path, str] = {}
         for entry in sorted(file.entries, key=lambda entry: "/" in entry or "\\" in entry):  # plain names first
             image = self._find(file.path, entry)
             if image is None:
                 absent.append(entry)
-            elif named.setdefault(image, entry) == entry:
+            elif image not in entry_of:
+                entry_of[image] = entry
                 self._add_option(file, image, entry)
             else:  # perhaps an image of another folder, which is not there
-                both = f"'{entry}' and '{named[image]}' both name {image.name}; the landmarks of the second are used"
-                self.left_out.append(LeftOut(file.path, both, partly=True))
+                both = f"'{entry}' and '{entry_of[image]}' both name {image.name}; the landmarks of the second are used"
+                self.left_out.append(UnusedFile(file.path, both, partly=True))
         if len(absent) == len(file.entries):
             self._leave_out(file.path, f"{advice.ABSENT}: {some_names(absent)}")
         elif absent:
             verb = "is" if len(absent) == 1 else "are"
             some = f"{len(absent)} of its {len(file.entries)} images {verb} not in the folder ({some_names(absent)})"
-            self.left_out.append(LeftOut(file.path, f"{some}; the others are used", partly=True))
+            self.left_out.append(UnusedFile(file.path, f"{some}; the others are used", partly=True))
 
     def _add_option(self, file: LandmarkFile, image: Path, entry: str) -> None:
         """Add candidate landmarks of an image, in pixels."""
         if image not in self.options:
             return
+        size, orientation = None, 1
         try:
-            try:
-                size, orientation = size_and_orientation(image)
-            except ImageError:
-                if file.entries[entry].placing != Placing():
-                    raise
-                size, orientation = None, 1
-            placed = file.placed(entry, size, orientation, image.name)
-            self.options[image].append(_Option(file.path, placed, file.is_single))
+            size, orientation = size_and_orientation(image)
         except ImageError as fault:
-            self._leave_out(file.path, f"its image cannot be read: {fault}", image)
+            if file.entries[entry].placing != Placing():  # the size is needed to place them
+                self._leave_out(file.path, f"its image cannot be read: {fault}", image)
+                return
+        try:
+            landmarks = file.placed(entry, size, orientation, image.name)
         except LandmarkError as fault:
             self._leave_out(file.path, f"{_UNREAD}: {fault}", image)
+            return
+        self.options[image].append(_Option(file.path, landmarks, file.is_single))
 
     def _beside(self, file: Path) -> Path:
         """Return where a landmark file would be among the images."""
@@ -302,7 +333,7 @@ class _Pairing:
 
     def _leave_out(self, path: Path, reason: str, image: Path | None = None) -> None:
         """Record a file that is not used, and the image that it leaves without landmarks, if any."""
-        self.left_out.append(LeftOut(path, reason))
+        self.left_out.append(UnusedFile(path, reason))
         if image is not None:
             self.reported.add(image)
 
@@ -319,10 +350,11 @@ def _disagree(landmarks: Landmarks, others: Landmarks) -> bool:
 
 
 def _rank(file: Path, suffixes: tuple[str, ...]) -> int:
+    """Return the place of a file's suffix among suffixes."""
     return suffixes.index(file.suffix.lower())
 
 
-def _in_one_order(samples: list[Sample], notes: Notes) -> tuple[list[Sample], list[LeftOut]]:
+def _in_one_order(samples: list[Sample], notes: Notes) -> tuple[list[Sample], list[UnusedFile]]:
     """Put landmarks into the order of names that most samples have. Leave out those that lack some of the names."""
     orders = Counter(sample.landmarks.names for sample in samples if sample.landmarks.names)
     if len(orders) < 2:
@@ -330,30 +362,31 @@ def _in_one_order(samples: list[Sample], notes: Notes) -> tuple[list[Sample], li
     (usual, count), *_ = orders.most_common()
     if count == 1 and len({frozenset(names) for names in orders}) == 1:  # rows in no order
         usual = tuple(sorted(usual, key=natural_key))
-    kept, odd = [], []
+    ordered = []
+    odd = []
     for sample in samples:
         try:
             landmarks = sample.landmarks.in_order_of(usual)
         except LandmarkError as fault:
-            odd.append(
-                LeftOut(sample.landmark_file or Path(sample.name), f"other landmarks than most: {sample.name}: {fault}")
-            )
+            reason = f"other landmarks than most: {sample.name}: {fault}"
+            odd.append(UnusedFile(sample.landmark_file or Path(sample.name), reason))
             continue
         if landmarks is not sample.landmarks:
             notes.say("images name their landmarks in another order, and are taken by name", sample.name)
-        kept.append(replace(sample, landmarks=landmarks))
-    return kept, odd
+        ordered.append(replace(sample, landmarks=landmarks))
+    return ordered, odd
 
 
-def _same_count(samples: list[Sample]) -> tuple[list[Sample], list[LeftOut]]:
+def _same_count(samples: list[Sample]) -> tuple[list[Sample], list[UnusedFile]]:
     """Keep the samples that have the most common number of landmarks."""
-    usual = Counter(len(sample.landmarks) for sample in samples).most_common(1)[0][0]
-    odd = [
-        LeftOut(
-            sample.landmark_file or Path(sample.name),
-            f"{len(sample.landmarks)} landmarks where most have {usual}: those of {sample.name}",
-        )
-        for sample in samples
-        if len(sample.landmarks) != usual
-    ]
-    return [sample for sample in samples if len(sample.landmarks) == usual], odd
+    [(usual, _)] = Counter(len(sample.landmarks) for sample in samples).most_common(1)
+    alike = []
+    odd = []
+    for sample in samples:
+        count = len(sample.landmarks)
+        if count == usual:
+            alike.append(sample)
+        else:
+            reason = f"{count} landmarks where most have {usual}: those of {sample.name}"
+            odd.append(UnusedFile(sample.landmark_file or Path(sample.name), reason))
+    return alike, odd

@@ -135,13 +135,13 @@ def point_outliers(shapes: np.ndarray, near: np.ndarray, progress: Progress | No
         else:
             outliers = _discovered(normal, placed - mean, normal.least if m >= MANY else np.full(n, ALWAYS))
         filled = placed.copy()
-        for shape, found in zip(filled, outliers, strict=True):
-            misplaced = list(found.points)
-            shape[misplaced] = mean[misplaced] + found.expected[misplaced]
+        for shape, of_shape in zip(filled, outliers, strict=True):
+            misplaced = list(of_shape.points)
+            shape[misplaced] = mean[misplaced] + of_shape.expected[misplaced]
     back = [align(aligned, shape) for aligned, shape in zip(placed, shapes, strict=True)]
     return [
-        Outliers(found.points, found.instead, to_image(mean + found.expected))
-        for found, to_image in zip(outliers, back, strict=True)
+        Outliers(of_shape.points, of_shape.instead, to_image(mean + of_shape.expected))
+        for of_shape, to_image in zip(outliers, back, strict=True)
     ]
 
 
@@ -156,7 +156,7 @@ def _discovered(normal: _Normal, deviations: np.ndarray, least: np.ndarray) -> l
     while n_found > n_before:
         outliers = _unusual(normal, deviations, RISK * n_found / (m * n), least)
         n_before = n_found
-        n_found = sum(len(found.points) for found in outliers)
+        n_found = sum(len(of_shape.points) for of_shape in outliers)
     return outliers
 
 
@@ -174,7 +174,10 @@ def resistant_fit(shapes: np.ndarray, target: np.ndarray) -> np.ndarray:
     fixed = target[:, 0] + 1j * target[:, 1]
     placed = moving
     are_near = np.ones(moving.shape)
-    for _ in range(3):
+    for i in range(3):
+        if i:
+            distances = np.abs(placed - fixed)
+            are_near = (distances <= np.quantile(distances, 0.75, axis=1, keepdims=True)).astype(float)
         weights = are_near / are_near.sum(axis=1, keepdims=True)
         centre = (weights * moving).sum(axis=1, keepdims=True)
         target_centre = (weights @ fixed)[:, None]
@@ -183,8 +186,6 @@ def resistant_fit(shapes: np.ndarray, target: np.ndarray) -> np.ndarray:
         product = (weights * centred.conj() * (fixed - target_centre)).sum(axis=1)
         factor = product / np.maximum(power, 1e-300)
         placed = factor[:, None] * centred + target_centre
-        distances = np.abs(placed - fixed)
-        are_near = (distances <= np.quantile(distances, 0.75, axis=1, keepdims=True)).astype(float)
     return np.stack([np.real(placed), np.imag(placed)], axis=-1)
 
 

@@ -1,9 +1,10 @@
 """Fit a model to landmarked images that were not used for training, and compare."""
 
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
 from itertools import repeat
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
@@ -25,32 +26,36 @@ from liaam.training import train
 from liaam.training.entries import contours_of
 from liaam.training.left_out import folds_of
 
-# Largest mean error of a right fit by default: as a fraction of the diagonal of the landmarks' box, up to which
-# training counts left-out fits as right, and of a given distance, as is usual for that between the eyes
-LIMIT, LIMIT_BY_DISTANCE = 0.03, 0.08
+# Largest mean error of a right fit by default, as a fraction of the diagonal of the landmarks' box: that up to which
+# training counts left-out fits as right
+LIMIT = 0.03
+# The same as a fraction of a given distance, as is usual for that between the eyes
+LIMIT_BY_DISTANCE = 0.08
 
 DIAGONAL = "the diagonal of the landmarks' box"
 
 
-class _Case(NamedTuple):
-    """An image, its number among all images, and the landmarks and the normaliser of each of its objects."""
+@dataclass(frozen=True, eq=False)
+class _Case:
+    """An image that is fitted, and its objects that fits are compared with."""
 
     name: str
     image: Any
-    number: int
-    truths: list[np.ndarray]
-    sizes: list[float]
+    number: int  # of the image among all images, with those that are left out
+    truths: list[np.ndarray]  # landmarks of each object, (n, 2) float64
+    sizes: list[float]  # normaliser of each object, pixels
 
 
-class _Protocol(NamedTuple):
-    """What fits are compared with: names, number and contours of landmarks, the normaliser, its name, and the limit."""
+@dataclass(frozen=True, eq=False)
+class _Protocol:
+    """How fits are compared."""
 
-    names: tuple[str, ...]
+    names: tuple[str, ...]  # of the landmarks, or empty
     n_points: int
     contours: Contours
-    size_of: Callable[[np.ndarray], float]
-    normaliser: str
-    limit: float
+    size_of: Callable[[np.ndarray], float]  # the normaliser of landmarks (n, 2), pixels; NaN if it is unknown
+    normaliser: str  # what the normaliser is, for reports
+    limit: float  # largest mean error of a right fit, as a fraction of the normaliser
 
 
 def evaluate(
@@ -103,12 +108,15 @@ def evaluate(
     >>> print(found.report())                                                               # doctest: +SKIP
     >>> found.to_dataframe().groupby("landmark").error.median()                             # doctest: +SKIP
     """
-    fitter, samples = Fitter.of(model, method, known=evaluate, **settings), _samples(samples)
+    fitter = Fitter.of(model, method, caller=evaluate, **settings)
+    samples = _samples(samples)
     model = fitter.model
     protocol = _protocol(samples, model.landmark_names, model.n_points, model.contours, normalise, limit)
     cases, left_out = _cases(samples, protocol)
-    starts = _starts(init, cases, len({_key(sample.image) for sample in samples}))
-    return _evaluation(zip(cases, _fits(fitter, cases, starts, workers, progress), strict=True), protocol, left_out)
+    n_images = len({_key(sample.image) for sample in samples})
+    starts = _starts(init, cases, n_images)
+    results = _fits(fitter, cases, starts, workers, progress)
+    return _evaluation(zip(cases, results, strict=True), protocol, left_out)
 
 
 def cross_validate(
@@ -152,19 +160,22 @@ def cross_validate(
         raise LiaamError(f"folds {folds}: give 2 or more, so that something is left to train on")
     if not samples:
         raise LiaamError("there are no images to evaluate; give landmarked images")
-    first, name = samples[0].landmarks, get_method(method).name
-    contours = contours_of((training or {}).get("contours") or (), len(first.points))
+    training = training or {}
+    first = samples[0].landmarks
+    contours = contours_of(training.get("contours") or (), len(first.points))
     protocol = _protocol(samples, first.names, len(first.points), contours, normalise, limit)
     cases, left_out = _cases(samples, protocol)
-    options: dict[str, Any] = {"methods": () if name == DEFAULT_METHOD else name, "progress": progress}
-    done: dict[int, FitResult | LiaamError] = {}
+    name = get_method(method).name
+    # Every model can be fitted with the default method, which need not be asked for.
+    options = {"methods": () if name == DEFAULT_METHOD else name, "progress": progress, **training}
+    results: dict[int, FitResult | LiaamError] = {}  # by index of the case
     for fold in folds_of([case.name for case in cases], folds):
         tested = [cases[i] for i in fold]
-        images = {_key(case.image) for case in tested}
-        rest = [sample for sample in samples if _key(sample.image) not in images]
-        fitter = Fitter.of(train(rest, **{**options, **(training or {})}), method, **settings)
-        done |= zip(fold.tolist(), _fits(fitter, tested, None, workers, progress), strict=True)
-    return _evaluation(((case, done[i]) for i, case in enumerate(cases)), protocol, left_out)
+        tested_images = {_key(case.image) for case in tested}
+        rest = [sample for sample in samples if _key(sample.image) not in tested_images]
+        fitter = Fitter.of(train(rest, **options), method, **settings)
+        results |= zip(fold.tolist(), _fits(fitter, tested, None, workers, progress), strict=True)
+    return _evaluation(((case, results[i]) for i, case in enumerate(cases)), protocol, left_out)
 
 
 def _samples(samples: Iterable) -> list[Sample]:
@@ -179,9 +190,16 @@ def _samples(samples: Iterable) -> list[Sample]:
         except (TypeError, ValueError):
             what = f"samples[{i}] is {type(each).__name__}"
             raise LiaamError(f"{what}; give samples or pairs of image and landmarks") from None
-        name, image = (Path(image).stem, Path(image)) if isinstance(image, str | Path) else (f"image {i + 1}", image)
-        marks = read_landmarks(landmarks) if isinstance(landmarks, str | Path) else landmarks
-        made.append(Sample(name, image, marks if isinstance(marks, Landmarks) else Landmarks(np.asarray(marks))))
+        if isinstance(image, str | Path):
+            image = Path(image)
+            name = image.stem
+        else:
+            name = f"image {i + 1}"
+        if isinstance(landmarks, str | Path):
+            landmarks = read_landmarks(landmarks)
+        elif not isinstance(landmarks, Landmarks):
+            landmarks = Landmarks(np.asarray(landmarks))
+        made.append(Sample(name, image, landmarks))
     return made
 
 
@@ -193,12 +211,12 @@ def _protocol(
     normalise: str | None,
     limit: float | None,
 ) -> _Protocol:
+    """Return how fits of a model's landmarks are compared, with the arguments of :func:`evaluate`.
+
+    Names and contours that the model lacks are taken from the first sample that has them.
+    """
     names = names or next((sample.landmarks.names for sample in samples if sample.landmarks.names), ())
-    alike = [
-        each.landmarks for each in samples if len(each.landmarks) == n_points and each.landmarks.names in ((), names)
-    ]
-    theirs = next((each.contours for each in alike if each.contours), ())
-    contours = contours or tuple((own.indices, own.closed) for own in theirs)
+    contours = contours or _contours_in(samples, names, n_points)
     if limit is not None and not 0 < limit < np.inf:
         raise LiaamError(f"limit {limit:g}: give a positive fraction of the normaliser, such as {LIMIT}")
     if normalise is None:
@@ -212,14 +230,26 @@ def _protocol(
     what = f"the distance between landmarks {normalise}"
 
     def distance(points: np.ndarray) -> float:
-        return float(np.linalg.norm(np.subtract(*points[ends])))
+        start, end = points[ends]
+        return float(np.linalg.norm(np.subtract(start, end)))
 
     return _Protocol(names, n_points, contours, distance, what, limit or LIMIT_BY_DISTANCE)
 
 
+def _contours_in(samples: Sequence[Sample], names: tuple[str, ...], n_points: int) -> Contours:
+    """Return the contours of the first sample that has some, and its landmarks in the order of the model's."""
+    for sample in samples:
+        landmarks = sample.landmarks
+        is_in_order = len(landmarks) == n_points and landmarks.names in ((), names)
+        if is_in_order and landmarks.contours:
+            return tuple((contour.indices, contour.closed) for contour in landmarks.contours)
+    return ()
+
+
 def _diagonal(points: np.ndarray) -> float:
-    known = points[np.isfinite(points).all(axis=1)]
-    return diagonal_of(known) if len(known) else np.nan
+    """Return the diagonal of the box of the points (n, 2) that are not missing; NaN if all are."""
+    present = points[np.isfinite(points).all(axis=1)]
+    return diagonal_of(present) if len(present) else np.nan
 
 
 def _cases(samples: Sequence[Sample], protocol: _Protocol) -> tuple[list[_Case], list[str]]:
@@ -228,25 +258,30 @@ def _cases(samples: Sequence[Sample], protocol: _Protocol) -> tuple[list[_Case],
     numbers: dict[Any, int] = {}
     left_out = []
     for sample in samples:
-        number = numbers.setdefault(_key(sample.image), len(numbers))
+        key = _key(sample.image)
+        number = numbers.setdefault(key, len(numbers))
         try:
             truth = _truth(sample, protocol)
         except LandmarkError as fault:
             left_out.append(str(fault))
             continue
-        case = cases.setdefault(_key(sample.image), _Case(sample.name, sample.image, number, [], []))
+        if key not in cases:
+            cases[key] = _Case(sample.name, sample.image, number, truths=[], sizes=[])
+        case = cases[key]
         case.truths.append(truth)
         case.sizes.append(protocol.size_of(truth))
     return list(cases.values()), left_out
 
 
 def _key(image: Any) -> Any:
+    """Return what samples of one image have in common: its path, or the identity of its array."""
     return image if isinstance(image, Path) else id(image)
 
 
 def _truth(sample: Sample, protocol: _Protocol) -> np.ndarray:
     """Return the landmarks of a sample, (n, 2), in the order of the model's. Raise if they cannot be compared."""
-    points, names = sample.landmarks.points, sample.landmarks.names
+    points = sample.landmarks.points
+    names = sample.landmarks.names
     if len(points) != protocol.n_points:
         raise LandmarkError(f"{sample.name}: it has {len(points)} landmarks, where {protocol.n_points} are fitted")
     if names and protocol.names and names != protocol.names:
@@ -260,7 +295,7 @@ def _truth(sample: Sample, protocol: _Protocol) -> np.ndarray:
 
 
 def _starts(init: Any, cases: Sequence[_Case], n_images: int) -> Any:
-    """Return the start of all images, or those of the cases."""
+    """Return the start of all images, or those of the cases, as :func:`fit_each` takes them."""
     starts = starts_for(init, n_images)
     if isinstance(starts, repeat):
         return init
@@ -271,6 +306,7 @@ def _starts(init: Any, cases: Sequence[_Case], n_images: int) -> Any:
 def _fits(
     fitter: Fitter, cases: Sequence[_Case], init: Any, workers: int | None, progress: bool | None
 ) -> Iterator[FitResult | LiaamError]:
+    """Fit the images of cases, from one start or one each. Yield an error in place of a result."""
     images = [case.image for case in cases]
     return fit_each(fitter, images, init, workers=workers, progress=progress, errors="return")
 
@@ -279,25 +315,30 @@ def _evaluation(
     fits: Iterable[tuple[_Case, FitResult | LiaamError]], protocol: _Protocol, left_out: Sequence[str]
 ) -> Evaluation:
     """Compare each fit with the nearest object of its image."""
-    found, faults = [], list(left_out)
+    cases: list[_Case] = []
+    results: list[FitResult] = []
+    nearest: list[int] = []  # indices of the objects
+    faults = list(left_out)
     for case, result in fits:
         if isinstance(result, LiaamError):
             faults.append(str(result))
             continue
-        own = [np.nanmean(landmark_errors(result.landmarks, truth)) for truth in case.truths]
-        found.append((case, int(np.argmin(own)), result))
-    if not found:
+        errors = [np.nanmean(landmark_errors(result.landmarks, truth)) for truth in case.truths]
+        cases.append(case)
+        results.append(result)
+        nearest.append(int(np.argmin(errors)))
+    if not cases:
         reason = f": {faults[0]}" if faults else "; give landmarked images"
         raise LiaamError(f"there are no images to evaluate{reason}")
     return Evaluation(
-        names=tuple(case.name for case, _, _ in found),
-        images=tuple(case.image for case, _, _ in found),
-        truths=np.array([case.truths[nearest] for case, nearest, _ in found]),
-        landmarks=np.array([result.landmarks for *_, result in found]),
-        covariances=np.array([result.landmark_covariances for *_, result in found]),
-        qualities=np.array([result.quality for *_, result in found]),
-        statuses=tuple(result.status for *_, result in found),
-        sizes=np.array([case.sizes[nearest] for case, nearest, _ in found]),
+        names=tuple(case.name for case in cases),
+        images=tuple(case.image for case in cases),
+        truths=np.array([case.truths[i] for case, i in zip(cases, nearest, strict=True)]),
+        landmarks=np.array([result.landmarks for result in results]),
+        covariances=np.array([result.landmark_covariances for result in results]),
+        qualities=np.array([result.quality for result in results]),
+        statuses=tuple(result.status for result in results),
+        sizes=np.array([case.sizes[i] for case, i in zip(cases, nearest, strict=True)]),
         normaliser=protocol.normaliser,
         limit=protocol.limit,
         landmark_names=protocol.names,

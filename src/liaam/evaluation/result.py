@@ -1,6 +1,5 @@
 """Errors of fits to landmarked images, by image, by landmark and by contour."""
 
-from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cached_property
 from typing import TYPE_CHECKING, Any
@@ -86,9 +85,12 @@ class Evaluation:
 
     @cached_property
     def outline_errors(self) -> np.ndarray:
-        """The same with the distances of landmarks on contours from the true contours, (k,) float64."""
-        each = zip(self.landmarks, self.truths, strict=True)
-        return np.array([np.nanmean(outline_errors(*own, self.contours)) for own in each]) / self.sizes
+        """As :attr:`errors`, with the distances of landmarks on contours from the true contours, (k,) float64."""
+        distances = [
+            np.nanmean(outline_errors(landmarks, truth, self.contours))
+            for landmarks, truth in zip(self.landmarks, self.truths, strict=True)
+        ]
+        return np.array(distances) / self.sizes
 
     @cached_property
     def directions(self) -> np.ndarray:
@@ -97,7 +99,7 @@ class Evaluation:
 
     @cached_property
     def components(self) -> np.ndarray:
-        """Error of each landmark along and across its contour, (k, n, 2) float64, pixels, signed; else NaN."""
+        """Signed error of each landmark along and across its contour, (k, n, 2) float64, pixels; NaN on no contour."""
         return along_and_across(self.landmarks - self.truths, self.directions)
 
     @property
@@ -115,12 +117,18 @@ class Evaluation:
 
     @property
     def outline_outcomes(self) -> list[str]:
-        """The same by :attr:`outline_errors`."""
+        """As :attr:`outcomes`, by :attr:`outline_errors`."""
         return self._outcomes(self.outline_errors)
 
     def _outcomes(self, errors: np.ndarray) -> list[str]:
-        words = {(True, True): "right", (True, False): "refused", (False, False): "lost", (False, True): "silent"}
-        return [words[pair] for pair in zip((errors <= self.limit).tolist(), self.called_right.tolist(), strict=True)]
+        """Return the outcome of each image, given its error (k,)."""
+        outcomes = []
+        for is_right, is_called_right in zip(errors <= self.limit, self.called_right, strict=True):
+            if is_right:
+                outcomes.append("right" if is_called_right else "refused")
+            else:
+                outcomes.append("silent" if is_called_right else "lost")
+        return outcomes
 
     @cached_property
     def inside(self) -> np.ndarray:
@@ -142,22 +150,36 @@ class Evaluation:
 
         With contours also the error ``along`` and ``across`` them, pixels.
         """
-        parts = [
-            landmark_columns({"image": name}, own, spread, self.landmark_names, quality=quality, status=str(status))
-            for name, own, spread, quality, status in zip(
-                self.names, self.landmarks, self.covariances, self.qualities.tolist(), self.statuses, strict=True
+        tables = [
+            landmark_columns(
+                {"image": self.names[i]},
+                self.landmarks[i],
+                self.covariances[i],
+                self.landmark_names,
+                quality=float(self.qualities[i]),
+                status=str(self.statuses[i]),
             )
+            for i in range(len(self))
         ]
-        found = {column: [cell for part in parts for cell in part[column]] for column in parts[0]}
-        more = {"true_x": self.truths[..., 0], "true_y": self.truths[..., 1]}
-        more |= {"error": self.distances, "error_percent": self._relative}
+        columns: Columns = {name: [] for name in tables[0]}
+        for table in tables:
+            for name, cells in table.items():
+                columns[name] += cells
+        compared = {
+            "true_x": self.truths[..., 0],
+            "true_y": self.truths[..., 1],
+            "error": self.distances,
+            "error_percent": self._percent,
+        }
         if self.contours:
-            more |= {"along": self.components[..., 0], "across": self.components[..., 1]}
-        return found | {name: values.ravel().tolist() for name, values in (more | {"inside": self.inside}).items()}
+            compared["along"] = self.components[..., 0]
+            compared["across"] = self.components[..., 1]
+        compared["inside"] = self.inside
+        return columns | {name: values.ravel().tolist() for name, values in compared.items()}
 
     @property
-    def _relative(self) -> np.ndarray:
-        """The distances, (k, n), in per cent of the normaliser."""
+    def _percent(self) -> np.ndarray:
+        """The distances, (k, n) float64, in per cent of the normaliser."""
         return 100 * self.distances / self.sizes[:, None]
 
     def to_dataframe(self) -> "pandas.DataFrame":
@@ -169,8 +191,7 @@ class Evaluation:
 
         With contours also both by outline.
         """
-        by_outline = {"outline_percent": (100 * self.outline_errors).tolist(), "outline_outcome": self.outline_outcomes}
-        return {
+        columns: Columns = {
             "image": list(self.names),
             "error": (self.errors * self.sizes).tolist(),
             "error_percent": (100 * self.errors).tolist(),
@@ -178,8 +199,11 @@ class Evaluation:
             "quality": self.qualities.tolist(),
             "status": [str(status) for status in self.statuses],
             "outcome": self.outcomes,
-            **(by_outline if self.contours else {}),
         }
+        if self.contours:
+            columns["outline_percent"] = (100 * self.outline_errors).tolist()
+            columns["outline_outcome"] = self.outline_outcomes
+        return columns
 
     def by_landmark(self) -> Columns:
         """Return one row per landmark: median and 90th percentile of its errors, and the coverage of its ellipses.
@@ -188,21 +212,24 @@ class Evaluation:
         """
         n = self.landmarks.shape[1]
         columns: Columns = {"landmark": list(range(1, n + 1)), "name": list(self.landmark_names) or [""] * n}
-        for unit, errors in (("", self.distances), ("_percent", self._relative)):
-            for name, percent in (("median", 50), ("p90", 90)):
-                columns[f"{name}{unit}"] = [_percentile(column, percent) for column in errors.T]
-        columns["inside_percent"] = [100 * _mean(column) for column in self.inside[self.called_right].T]
-        for name, errors, inside in self._by_direction():
-            columns[f"{name}_percent"] = [_percentile(column, 50) for column in errors.T]
-            columns[f"inside_{name}_percent"] = [100 * _mean(column) for column in inside.T]
+        columns["median"] = _percentiles(self.distances, 50)
+        columns["p90"] = _percentiles(self.distances, 90)
+        columns["median_percent"] = _percentiles(self._percent, 50)
+        columns["p90_percent"] = _percentiles(self._percent, 90)
+        columns["inside_percent"] = _percent_inside(self.inside[self.called_right])
+        if self.contours:
+            for name, (errors, inside) in {"along": self._in_direction(0), "across": self._in_direction(1)}.items():
+                columns[f"{name}_percent"] = _percentiles(errors, 50)
+                columns[f"inside_{name}_percent"] = _percent_inside(inside)
         return columns
 
-    def _by_direction(self) -> Iterator[tuple[str, np.ndarray, np.ndarray]]:
-        """Yield the errors along and across contours, (k, n), in per cent, and whether the intervals hold them."""
-        errors, inside = 100 * np.abs(self.components) / self.sizes[:, None, None], self.inside_components
-        if self.contours:
-            for i, name in enumerate(("along", "across")):
-                yield name, errors[..., i], inside[self.called_right][..., i]
+    def _in_direction(self, axis: int) -> tuple[np.ndarray, np.ndarray]:
+        """Return the errors along (axis 0) or across (1) contours, (k, n), in per cent of the normaliser.
+
+        Also whether the 95 % intervals of the fits called right hold them, (fits, n): 1, 0, or NaN.
+        """
+        errors = 100 * np.abs(self.components[..., axis]) / self.sizes[:, None]
+        return errors, self.inside_components[self.called_right][..., axis]
 
     def report(self) -> str:
         """Summarise the errors, the outcomes and the coverage, as text."""
@@ -219,7 +246,8 @@ class Evaluation:
         ]
         if self.contours:
             lost, refused = self._lost_and_refused(self.outline_outcomes)
-            (_, along, held_along), (_, across, held_across) = self._by_direction()
+            along, held_along = self._in_direction(0)
+            across, held_across = self._in_direction(1)
             lines += [
                 "by outline (of landmarks on contours, the distance to the contour): median "
                 f"{_percentile(100 * self.outline_errors, 50):.2f}, lost {lost}, refused {refused}",
@@ -232,6 +260,7 @@ class Evaluation:
         return "\n".join(lines)
 
     def _lost_and_refused(self, outcomes: list[str]) -> tuple[str, int]:
+        """Return how many images are lost, and how many of these are silent, in words; and how many are refused."""
         silent = outcomes.count("silent")
         lost = f"{outcomes.count('lost') + silent} of {len(self)}, of which silent (called right): {silent}"
         return lost, outcomes.count("refused")
@@ -253,13 +282,24 @@ class Evaluation:
 
 def _percentile(values: np.ndarray, percent: float) -> float:
     """Return a percentile of the values that are known; infinite where it lies among infinite ones."""
-    known = values[~np.isnan(values)]
-    if not len(known):
+    present = values[~np.isnan(values)]
+    if not len(present):
         return np.nan
     with np.errstate(invalid="ignore"):  # between two infinite values
-        return float(np.nan_to_num(np.percentile(known, percent), nan=np.inf, posinf=np.inf))
+        return float(np.nan_to_num(np.percentile(present, percent), nan=np.inf, posinf=np.inf))
+
+
+def _percentiles(errors: np.ndarray, percent: float) -> list[float]:
+    """Return a percentile of the errors (k, n) of each landmark."""
+    return [_percentile(column, percent) for column in errors.T]
+
+
+def _percent_inside(inside: np.ndarray) -> list[float]:
+    """Return the coverage of each landmark in per cent; ``inside`` (k, n) is 1, 0, or NaN where it is unknown."""
+    return [100 * _mean(column) for column in inside.T]
 
 
 def _mean(values: np.ndarray) -> float:
+    """Return the mean of the values that are known; NaN if there are none."""
     known = values[~np.isnan(values)]
     return float(known.mean()) if len(known) else np.nan

@@ -9,11 +9,11 @@ import numpy as np
 
 from liaam.errors import ImageError, StartError, check_options
 from liaam.fitting.detection import DOUBTFUL, Detection
-from liaam.fitting.loop.level_image import MARGIN, NEAR
+from liaam.fitting.loop.encoded_image import MARGIN, NEAR
 from liaam.fitting.loop.levels import LinearImage, Target
 from liaam.fitting.loop.options import SolverOptions
 from liaam.fitting.methods import DEFAULT_METHOD, Method
-from liaam.fitting.prepared import Prepared
+from liaam.fitting.one_shape_fitter import OneShapeFitter
 from liaam.fitting.result import LEAST_QUALITY, FitResult, likeliness, with_prior
 from liaam.fitting.search.finder import Finder
 from liaam.fitting.search.other_places import PlacedFit, likeliest
@@ -42,7 +42,7 @@ class _FirstFit:
 
 
 @dataclass(frozen=True, eq=False)
-class Fitter(Prepared):
+class Fitter(OneShapeFitter):
     """A model and a method, prepared for fitting many images.
 
     Attributes
@@ -83,17 +83,17 @@ class Fitter(Prepared):
 
     @classmethod
     def of(
-        cls, model: AAM | str, method: str | Method = DEFAULT_METHOD, *, known: Callable | None = None, **settings
+        cls, model: AAM | str, method: str | Method = DEFAULT_METHOD, *, caller: Callable | None = None, **settings
     ) -> "Fitter":
         """Make a fitter from its own fields and those of :class:`SolverOptions`, all by name.
 
         ``model`` may be the name of one that comes with liaam. An unknown setting raises an error that also suggests
-        the parameters of the function ``known``, to which the settings were given.
+        the parameters of the function ``caller``, to which the settings were given.
         """
         fitter_settings = {name: settings.pop(name) for name in OWN_SETTINGS if name in settings}
         solver_settings = [field.name for field in fields(SolverOptions)]
         if not settings.keys() <= set(solver_settings):
-            parameters = () if known is None else signature(known).parameters.values()
+            parameters = () if caller is None else signature(caller).parameters.values()
             of_function = [each.name for each in parameters if each.kind != each.VAR_KEYWORD]
             check_options(settings, [*dict.fromkeys([*of_function, *OWN_SETTINGS, *solver_settings])])
         return cls(named_model(model), method, SolverOptions(**settings), **fitter_settings)

@@ -113,7 +113,7 @@ def fit_many(
     >>> results = fit_many(model, sorted(Path("faces").glob("*.png")))                    # doctest: +SKIP
     >>> shapes = [result.landmarks for result in results if result.status.ok]               # doctest: +SKIP
     """
-    fitter = Fitter.of(model, method, known=fit_many, **settings)
+    fitter = Fitter.of(model, method, caller=fit_many, **settings)
     return list(fit_each(fitter, images, init, every=every, workers=workers, progress=progress, errors=errors))
 
 

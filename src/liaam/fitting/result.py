@@ -332,9 +332,9 @@ class FitResult:
 
         ``name`` is that of the image; by default its file name, or ``image``.
         """
-        known = self.image.name if isinstance(self.image, Path) else "image"
+        own_name = self.image.name if isinstance(self.image, Path) else "image"
         more = {"names": self.landmark_names, "quality": self.quality, "status": str(self.status)}
-        return landmark_columns({"image": name or known}, self.landmarks, self.landmark_covariances, **more)
+        return landmark_columns({"image": name or own_name}, self.landmarks, self.landmark_covariances, **more)
 
     def to_dataframe(self, name: str | None = None) -> "pandas.DataFrame":
         """Convert the result to a pandas data frame with one row per landmark; see :func:`liaam.to_dataframe`."""

@@ -4,7 +4,7 @@ from dataclasses import replace
 from threading import Lock
 
 from liaam.fitting.fitter import Fitter
-from liaam.fitting.loop.level_image import MARGIN
+from liaam.fitting.loop.encoded_image import MARGIN
 from liaam.fitting.methods import DEFAULT_METHOD, Method
 from liaam.fitting.result import FitResult
 from liaam.model import AAM
@@ -19,18 +19,18 @@ _turn = Lock()
 
 def _kept_fitter(model: AAM | str, method: str | Method, camera: CameraModel | None, **settings) -> Fitter:
     """Return a fitter, of an earlier call if there is one; a model's are dropped with it."""
-    known = named_model(model)
-    kept = vars(known).setdefault("_fitters", {}) if isinstance(known, AAM) else {}
+    named = named_model(model)
+    cache = vars(named).setdefault("_fitters", {}) if isinstance(named, AAM) else {}
     key = method, id(camera), *sorted(settings.items())
     with _turn:
-        fitter = kept.get(key)
+        fitter = cache.get(key)
     if fitter is None or fitter.camera is not camera:
-        fitter = Fitter.of(known, method, camera=camera, known=fit, **settings)
+        fitter = Fitter.of(named, method, camera=camera, caller=fit, **settings)
     with _turn:
-        kept.pop(key, None)
-        kept[key] = fitter  # the last used is dropped last
-        while len(kept) > FITTERS_KEPT:
-            kept.pop(next(iter(kept)))
+        cache.pop(key, None)
+        cache[key] = fitter  # the last used is dropped last
+        while len(cache) > FITTERS_KEPT:
+            cache.pop(next(iter(cache)))
     return fitter
 
 
@@ -72,8 +72,8 @@ def fit(
     ImageError, StartError, MethodError
         If an argument is invalid.
     """
-    about = {"rotations": rotations, "restarts": restarts, "margin": margin, **options}
-    return _with_image(_kept_fitter(model, method, camera, **about).fit(image, init), image)
+    settings = {"rotations": rotations, "restarts": restarts, "margin": margin, **options}
+    return _with_image(_kept_fitter(model, method, camera, **settings).fit(image, init), image)
 
 
 def fit_all(
@@ -104,8 +104,8 @@ def fit_all(
     ImageError, StartError, MethodError
         If an argument is invalid, or if no object is found.
     """
-    about = {"rotations": rotations, "restarts": restarts, "margin": margin, **options}
-    return [_with_image(result, image) for result in _kept_fitter(model, method, camera, **about).fit_all(image)]
+    settings = {"rotations": rotations, "restarts": restarts, "margin": margin, **options}
+    return [_with_image(result, image) for result in _kept_fitter(model, method, camera, **settings).fit_all(image)]
 
 
 def _with_image(result: FitResult, image) -> FitResult:

@@ -6,7 +6,7 @@ import numpy as np
 
 from liaam.fitting.fitter import Fitter
 from liaam.fitting.loop.angles import best_image_angle
-from liaam.fitting.loop.level_image import MARGIN, LevelImage
+from liaam.fitting.loop.encoded_image import MARGIN, EncodedImage
 from liaam.fitting.loop.objective import Objective, State
 from liaam.fitting.result import FitResult
 from liaam.photometry.picture import load_picture
@@ -36,24 +36,32 @@ def residual_at(fitter: Fitter, image, result: FitResult) -> tuple[np.ndarray, n
     """
     if fitter.model.others:
         return residual_at(fitter.part_for(result), image, result)
-    kept, k = fitter.view.warp.every(0.0), fitter.objectives[0].method.n_rows
-    residual, usable = np.zeros((len(kept), k), np.float32), np.zeros(len(kept), np.float32)
+    pixels, k = fitter.view.warp.every(0.0), fitter.objectives[0].method.n_rows
+    residual, usable = np.zeros((len(pixels), k), np.float32), np.zeros(len(pixels), np.float32)
     if np.isfinite(result.landmarks).all():
         objective, encoded, state = _end_of(fitter, result, image)
         if len(result.lam) == objective.n_lambda:  # else the fit did not reach the sharpest level
             state = state._replace(lam=result.lam)
         seen = objective.evaluate(encoded, state, weigh=int(objective.method.normalise))
-        usable[kept] = seen["usable"]
-        residual[kept] = np.where(seen["usable"][:, None] > 0, seen["residual"].reshape(-1, k), 0.0)
+        usable[pixels] = seen["usable"]
+        residual[pixels] = np.where(seen["usable"][:, None] > 0, seen["residual"].reshape(-1, k), 0.0)
     return residual, usable
 
 
-def _end_of(fitter: Fitter, result: FitResult, image) -> tuple[Objective, LevelImage, State]:
+def _end_of(fitter: Fitter, result: FitResult, image) -> tuple[Objective, EncodedImage, State]:
     """Return the objective over all pixels of the sharpest level, its image, and a result's state (lambda 0)."""
     linear, objective = fitter.linear(load_picture(image, "image")[0]), fitter.dense
-    blur, noise = fitter.view.levels[-1].blur, fitter.image_camera.noise
-    about = objective.method, linear.response, blur, noise, MARGIN, objective.density
-    encoded = LevelImage.at(linear.image, result.landmarks, result.pose, *about)
+    encoded = EncodedImage.at(
+        linear.image,
+        result.landmarks,
+        result.pose,
+        method=objective.method,
+        response=linear.response,
+        blur=fitter.view.levels[-1].blur,
+        noise=fitter.image_camera.noise,
+        margin=MARGIN,
+        density=objective.density,
+    )
     # From the shape, because p refers to the shape model of the fit's method, which may be another one.
     state = objective.start(fitter.shapes.parameters(result.pose.inverse()(result.landmarks)))
     if objective.method.has_angles and np.isfinite(result.theta):

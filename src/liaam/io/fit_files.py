@@ -50,7 +50,7 @@ def corrected_file(path: Path, fit: dict) -> Path | None:
         ) from fault
     files = [path.with_suffix(suffix) for suffix in FIT_SUFFIXES[:-1]]
     points = {file: _points_or_none(file, fit) for file in files if file.is_file()}
-    changed = [file for file, own in points.items() if own is None or _differ(own, fitted)]
+    changed = [file for file, placed in points.items() if placed is None or _differ(placed, fitted)]
     return max(changed, key=lambda file: (points[file] is not None, file.stat().st_mtime), default=None)
 
 

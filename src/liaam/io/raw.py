@@ -52,11 +52,11 @@ def read_raw(path: AnyPath, max_pixels: int | None = None) -> np.ndarray:
             output_bps=16,
             highlight_mode=rawpy.HighlightMode.Clip,
         )
-    colours = 1 if image.ndim == 2 else image.shape[2]
-    if colours == 1:
+    n_colours = 1 if image.ndim == 2 else image.shape[2]
+    if n_colours == 1:
         return as_three_channels(image.reshape(image.shape[:2]))
-    if colours != 3:
-        raise ImageError(f"{path} is from a sensor with {colours} colours, not three: convert it to a 16-bit TIFF.")
+    if n_colours != 3:
+        raise ImageError(f"{path} is from a sensor with {n_colours} colours, not three: convert it to a 16-bit TIFF.")
     return image
 
 
@@ -84,15 +84,21 @@ def _opened(path: AnyPath) -> Iterator[tuple[Any, Any]]:
         what = f"a RAW file that LibRaw {'.'.join(map(str, rawpy.libraw_version))} can read"
         raise ImageError(f"{path} is not {what}: convert it to DNG, or install a newer rawpy.") from fault
     except Exception as fault:  # LibRaw raises many classes on bad bytes
-        reason = fault.args[0].decode() if fault.args and isinstance(fault.args[0], bytes) else fault
+        is_bytes = bool(fault.args) and isinstance(fault.args[0], bytes)
+        reason = fault.args[0].decode() if is_bytes else fault
         raise ImageError(f"{path} is damaged or cut short ({reason}): copy it again from the camera.") from fault
 
 
 def _upright_size(raw: Any) -> tuple[int, int]:
     """Return (width, height) of the decoded image. LibRaw gives those of the sensor, and its rotation."""
     sizes = raw.sizes
-    width, height, aspect = sizes.iwidth, sizes.iheight, sizes.pixel_aspect
-    # LibRaw stretches pixels that are not square along the image's shorter side.
-    height = int(height / aspect + 0.5) if aspect < 1 else height
-    width = int(width * aspect + 0.5) if aspect > 1 else width
-    return (height, width) if sizes.flip in (5, 6) else (width, height)
+    width = sizes.iwidth
+    height = sizes.iheight
+    aspect = sizes.pixel_aspect
+    # LibRaw stretches the image where pixels are not square, so that it never loses rows or columns.
+    if aspect < 1:
+        height = int(height / aspect + 0.5)
+    if aspect > 1:
+        width = int(width * aspect + 0.5)
+    is_turned_by_a_quarter = sizes.flip in (5, 6)  # counter-clockwise and clockwise; 3 is a half turn, 0 none
+    return (height, width) if is_turned_by_a_quarter else (width, height)

@@ -95,19 +95,23 @@ class VideoReader:
         self.live = isinstance(source, int)
         self.name = f"camera {source}" if self.live else str(source)
         self.fault = ""
-        self._start, self._stop, self._skipping = start, stop, skipping
+        self._start = start
+        self._stop = stop
+        self._skipping = skipping
         if isinstance(source, int):
             self._source: _Camera | _Folder | _File = _Camera(source)
+        elif Path(source).is_dir():
+            self._source = _Folder(Path(source))
         else:
-            self._source = _Folder(Path(source)) if Path(source).is_dir() else _File(source)
-        self.rate, known = self._source.rate, self._source.n_frames
-        last = stop if not known else min(known, stop or known)
-        self.n_frames = None if last is None else max(0, last - start)
+            self._source = _File(source)
+        self.rate = self._source.rate
+        ends = [end for end in (stop, self._source.n_frames) if end]
+        self.n_frames = max(0, min(ends) - start) if ends else None
         self._frames: Generator[VideoFrame, None, None] | None = None
-        self._closed = False
+        self._closed = False  # tells the thread that decodes to stop
 
     def __enter__(self) -> "VideoReader":
-        self._frames = self._given()
+        self._frames = self._checked()
         return self
 
     def __exit__(self, *_: object) -> None:
@@ -126,28 +130,38 @@ class VideoReader:
             raise VideoError(f"{self.name}: frames can be read only {where}")
         return next(self._frames)
 
-    def _given(self) -> Generator[VideoFrame, None, None]:
-        """Yield the frames, which a thread decodes ahead; not those of a camera, which should be new."""
-        frames, n_given = self._decoded(), 0
-        ahead = frames if self.live else in_order(lambda _: next(frames, None), repeat(None), 1)
+    def _checked(self) -> Generator[VideoFrame, None, None]:
+        """Yield the frames, then set the fault of the source; raise if there was no frame."""
+        n_yielded = 0
+        ahead = self._decoded_ahead()
         try:
             for frame in ahead:
                 if frame is None:
                     break
-                n_given += 1
+                n_yielded += 1
                 yield frame
         finally:
             self._closed = True
             ahead.close()
-        name, seen, first = self.name, self._source.n_seen, self._start
-        if not n_given and seen > self._source.n_damaged:
-            raise VideoError(f"{name} has only {seen} frames, so none from frame {first} on; choose an earlier start")
-        if not n_given:
+        n_seen = self._source.n_seen
+        if not n_yielded and n_seen > self._source.n_damaged:
+            few = f"has only {n_seen} frames, so none from frame {self._start} on"
+            raise VideoError(f"{self.name} {few}; choose an earlier start")
+        if not n_yielded:
             why = f"it is damaged or cut short, or its frames have more than {MAX_PIXELS:,} pixels"
-            raise VideoError(f"{name} has no frame that can be decoded: {why}; export it again")
+            raise VideoError(f"{self.name} has no frame that can be decoded: {why}; export it again")
         self.fault = self._source.fault or self._source.damage
 
+    def _decoded_ahead(self) -> Generator[VideoFrame | None, None, None]:
+        """Yield the frames, decoded ahead by a thread, then None. A camera's are not, so that each is new."""
+        frames = self._decoded()
+        if self.live:
+            return frames
+        endless = repeat(None)  # one thread takes an item for each frame that it decodes
+        return in_order(lambda _: next(frames, None), endless, threads=1)
+
     def _decoded(self) -> Generator[VideoFrame, None, None]:
+        """Yield the frames from the first to the last that are asked for, without damaged ones."""
         for time, picture in self._source:
             index = self._source.n_seen - 1
             if self._closed or (self._stop is not None and index >= self._stop):
@@ -155,18 +169,25 @@ class VideoReader:
             if index < self._start:
                 if self._skipping is not None:
                     self._skipping(index + 1, self._start, "skipping frames")
-            elif (image := picture()) is not None:
+                continue
+            image = picture()
+            if image is not None:
                 yield VideoFrame(index, time, image)
 
 
 class _Source:
-    """Where frames come from. Iterates over (seconds, function that returns the image, or None if damaged)."""
+    """Where frames come from.
+
+    Iterates over pairs of the time in seconds and a function that decodes the image, (h, w, 3) uint8, or returns None
+    if it is damaged. Images before the start need no decoding.
+    """
 
     rate = DEFAULT_RATE
     n_frames: int | None = None  # number of frames, if it is known
     n_seen = 0  # number of frames so far, with those before the start and damaged ones
-    n_damaged = 0
-    fault = damage = ""  # why there are no further frames; what damaged frames are missing
+    n_damaged = 0  # number of these that are damaged
+    fault = ""  # why there are no further frames, unless the source simply ends
+    damage = ""  # which damaged frames are missing
 
     def close(self) -> None:
         """Release the file or the camera."""
@@ -176,8 +197,9 @@ class _Folder(_Source):
     """A folder of images."""
 
     def __init__(self, folder: Path):
-        files = (file for file in folder.iterdir() if file.suffix.lower() in STILL_SUFFIXES and file.name[0] != ".")
-        self.files = sorted(files, key=lambda file: natural_key(file.name))
+        images = (file for file in folder.iterdir() if file.suffix.lower() in STILL_SUFFIXES)
+        visible = (file for file in images if not file.name.startswith("."))
+        self.files = sorted(visible, key=lambda file: natural_key(file.name))
         if not self.files:
             raise VideoError(f"{folder} is a folder without images; give a video, or a folder of frames such as 1.png")
         self.n_frames = len(self.files)
@@ -207,26 +229,31 @@ class _Camera(_Source):
         log.setLogLevel(log.LOG_LEVEL_SILENT)  # it warns about a missing camera
         try:
             self.capture = cv2.VideoCapture(number)
-            self.rate = Fraction(max(1, round(self.capture.get(cv2.CAP_PROP_FPS)) or 25))
+            announced = round(self.capture.get(cv2.CAP_PROP_FPS))  # 0 if it is unknown
+            self.rate = Fraction(max(1, announced)) if announced else DEFAULT_RATE
         finally:
             log.setLogLevel(before)
         if self.capture.isOpened():
             return
         self.close()
-        there = sorted(path.name.removeprefix("video") for path in Path("/dev").glob("video[0-9]*"))
-        others = f"available: {', '.join(there)}" if there else "no camera found"
+        numbers = sorted(path.name.removeprefix("video") for path in Path("/dev").glob("video[0-9]*"))
+        others = f"available: {', '.join(numbers)}" if numbers else "no camera found"
         remedy = "connect it, close other programs that use it, and check its permissions; or give a video file"
         raise VideoError(f"camera {number} cannot be opened ({others}): {remedy}")
 
     def __iter__(self) -> Iterator[tuple[float, Any]]:
         begun = monotonic()
         while True:
-            there, picture = self.capture.read()
-            if not there:
+            is_read, bgr = self.capture.read()
+            if not is_read:
                 self.fault = "the camera sends no more images; check that it is still connected"
                 return
             self.n_seen += 1
-            yield monotonic() - begun, lambda picture=picture: np.ascontiguousarray(picture[..., ::-1])
+            yield monotonic() - begun, partial(self._rgb, bgr)
+
+    @staticmethod
+    def _rgb(bgr: np.ndarray) -> np.ndarray:
+        return np.ascontiguousarray(bgr[..., ::-1])
 
     def close(self) -> None:
         self.capture.release()
@@ -238,8 +265,10 @@ class _File(_Source):
     def __init__(self, path: AnyPath):
         self.path = existing_file(path, VideoError, "video")
         av = pyav(f"{path}: videos need PyAV")
-        self.errors, self.reformatter = av.error.FFmpegError, av.video.reformatter.VideoReformatter()
-        # FFmpeg decodes some frames to open a file. Some decoders count what they pad frames with.
+        self.errors = av.error.FFmpegError
+        self.reformatter = av.video.reformatter.VideoReformatter()
+        # FFmpeg decodes some frames to open a file, so that it has a limit as well: twice ours, because some decoders
+        # count what they pad frames with.
         options = {"max_pixels": str(2 * MAX_PIXELS)}
         try:
             self.container = av.open(str(path), metadata_errors="replace", options=options)
@@ -247,16 +276,19 @@ class _File(_Source):
             why = f"({fault.strerror}): it has another format or is cut short before its index"
             raise VideoError(f"{path} is not a video that FFmpeg can open {why}; export it as .mp4") from fault
         try:
-            streams, kind = self.container.streams.video, self.container.format.name
-            is_image = kind == "image2" or kind.endswith("_pipe")
+            streams = self.container.streams.video
+            kind = self.container.format.name
+            is_image = kind == "image2" or kind.endswith("_pipe")  # FFmpeg's names of the formats of still images
             if is_image or (streams and streams[0].frames == 1 and image_kind(self.path)):
                 raise VideoError(f"{path} is an image, not a video: use 'liaam fit', or give a folder of frames")
             if not streams or kind == "tty":  # FFmpeg takes text for a terminal
                 raise VideoError(f"{path} has no video stream: give a video file")
             if streams[0].codec_context is None:
                 raise VideoError(f"{path} has a codec that FFmpeg does not know: export it as .mp4 with H.264")
-            self.stream = stream = streams[0]
-            stream.thread_type, stream.codec_context.options = "AUTO", options
+            stream = streams[0]
+            stream.thread_type = "AUTO"
+            stream.codec_context.options = options
+            self.stream = stream
             self.rate = Fraction(stream.average_rate or stream.guessed_rate or DEFAULT_RATE)
             self.n_frames, self.n_packets = self._announced(stream)
             self._check_size(stream, "its frames have")
@@ -271,25 +303,33 @@ class _File(_Source):
             raise VideoError(f"{self.path}: {whose} {size}: make the video smaller")
 
     def _announced(self, stream: Any) -> tuple[int | None, int]:
-        """Return the number of frames and of packets that the file announces. A trimmed .mp4 hides some frames."""
-        entries = getattr(stream, "index_entries", ()) if "mp4" in self.container.format.name else ()  # of PyAV 16 on
+        """Return the number of frames, or None, and of packets, or 0, that the file announces.
+
+        A trimmed .mp4 hides some frames, whose entries in the index are to be discarded.
+        """
+        is_mp4 = "mp4" in self.container.format.name
+        entries = getattr(stream, "index_entries", ()) if is_mp4 else ()  # which PyAV has from version 16 on
         if not stream.frames or not entries:
             return stream.frames or None, stream.frames
-        return sum(not entry.is_discard for entry in entries) or None, min(stream.frames, len(entries))
+        n_shown = sum(not entry.is_discard for entry in entries)
+        return n_shown or None, min(stream.frames, len(entries))
 
     def __iter__(self) -> Iterator[tuple[float, Any]]:
-        first, last, n_read = None, -1.0, 0
+        first = None  # time stamp of the first frame, from which times count
+        time = -1.0  # of the last frame
+        n_read = 0  # number of packets with data
         try:
             for packet in self.container.demux(self.stream):
                 n_read += bool(packet.size)
                 for frame in self._frames_of(packet):
                     self._check_size(frame, f"frame {self.n_seen} has")
                     stamp = float(self.n_seen / self.rate) if frame.time is None else float(frame.time)
-                    first = stamp if first is None else first
+                    if first is None:
+                        first = stamp
                     # Some files (.avi) have times in decoding order; keep times increasing.
-                    last = stamp - first if stamp - first > last else last + float(1 / self.rate)
+                    time = stamp - first if stamp - first > time else time + float(1 / self.rate)
                     self.n_seen += 1
-                    yield last, partial(self._picture, frame)
+                    yield time, partial(self._picture, frame)
             if not self.n_damaged and n_read < self.n_packets:
                 self.fault = f"{self.path} is cut short: it has {n_read} of its {self.n_packets} frames"
         except self.errors as fault:
@@ -297,6 +337,7 @@ class _File(_Source):
             self.fault = f"{self.path} {why}; only earlier frames were read"
 
     def _frames_of(self, packet: Any) -> list[Any]:
+        """Return the frames of a packet; none, and count it as a damaged frame, if it cannot be decoded."""
         try:
             return packet.decode()
         except self.errors:
@@ -306,9 +347,10 @@ class _File(_Source):
             return []
 
     def _picture(self, frame: Any) -> np.ndarray:
+        """Return the image of a frame, upright."""
         picture = self.reformatter.reformat(frame, format="rgb24").to_ndarray()
-        quarters = round(getattr(frame, "rotation", 0) / 90) % 4
-        return np.ascontiguousarray(np.rot90(picture, quarters)) if quarters else picture
+        quarter_turns = round(getattr(frame, "rotation", 0) / 90) % 4  # counter-clockwise
+        return np.ascontiguousarray(np.rot90(picture, quarter_turns)) if quarter_turns else picture
 
     def close(self) -> None:
         self.container.close()

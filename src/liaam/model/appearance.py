@@ -68,27 +68,27 @@ class AppearanceModel:
         """Number of modes."""
         return len(self.modes)
 
-    def at(self, kept: np.ndarray) -> "AppearanceModel":
+    def at(self, indices: np.ndarray) -> "AppearanceModel":
         """Return the appearances at the pixels with the given indices; the modes lose their unit length."""
-        modes, unexplained = np.ascontiguousarray(self.modes[:, kept]), self.unexplained
-        unexplained = None if unexplained is None else unexplained[kept]
-        return AppearanceModel(self.mean[kept], modes, self.eigenvalues, self.usable[kept], unexplained)
+        modes, unexplained = np.ascontiguousarray(self.modes[:, indices]), self.unexplained
+        unexplained = None if unexplained is None else unexplained[indices]
+        return AppearanceModel(self.mean[indices], modes, self.eigenvalues, self.usable[indices], unexplained)
 
     @property
-    def known(self) -> np.ndarray:
+    def mask(self) -> np.ndarray:
         """Mask of the pixels at which not everything is 0, (n_pixels,) bool."""
-        known = self.mean.any(axis=1) | self.modes.any(axis=(0, 2)) | (self.usable > 0)
-        return known if self.unexplained is None else known | self.unexplained.any(axis=(1, 2))
+        mask = self.mean.any(axis=1) | self.modes.any(axis=(0, 2)) | (self.usable > 0)
+        return mask if self.unexplained is None else mask | self.unexplained.any(axis=(1, 2))
 
-    def only_at(self, known: np.ndarray) -> "AppearanceModel":
+    def only_at(self, mask: np.ndarray) -> "AppearanceModel":
         """Return the appearances with 0, which no fit uses, at all pixels but those of a mask."""
-        return self.at(np.flatnonzero(known)).spread(known)
+        return self.at(np.flatnonzero(mask)).spread(mask)
 
-    def spread(self, known: np.ndarray) -> "AppearanceModel":
+    def spread(self, mask: np.ndarray) -> "AppearanceModel":
         """Return the appearances on all pixels of a frame, from those of a mask (n_pixels,); elsewhere they are 0."""
-        errors = None if self.unexplained is None else spread(self.unexplained, known)
-        modes = spread(self.modes, known, axis=1)
-        return AppearanceModel(spread(self.mean, known), modes, self.eigenvalues, spread(self.usable, known), errors)
+        errors = None if self.unexplained is None else spread(self.unexplained, mask)
+        modes = spread(self.modes, mask, axis=1)
+        return AppearanceModel(spread(self.mean, mask), modes, self.eigenvalues, spread(self.usable, mask), errors)
 
     def texture(self, lam: np.ndarray) -> np.ndarray:
         """Return the texture A(x) at coordinates lambda, (n_pixels, c) float32."""
@@ -104,10 +104,10 @@ def strongest_modes(orientations: AppearanceModel) -> AppearanceModel:
     return replace(orientations, modes=modes, eigenvalues=eigenvalues, unexplained=None)
 
 
-def spread(values: np.ndarray, known: np.ndarray, axis: int = 0) -> np.ndarray:
-    """Return values along an axis of known places as values of all places; elsewhere they are 0."""
-    whole = np.zeros((*values.shape[:axis], len(known), *values.shape[axis + 1 :]), values.dtype)
-    whole[(slice(None),) * axis + (np.flatnonzero(known),)] = values  # a mask takes three times as long
+def spread(values: np.ndarray, mask: np.ndarray, axis: int = 0) -> np.ndarray:
+    """Return values at the places of a mask, along an axis, as values at all places; elsewhere they are 0."""
+    whole = np.zeros((*values.shape[:axis], len(mask), *values.shape[axis + 1 :]), values.dtype)
+    whole[(slice(None),) * axis + (np.flatnonzero(mask),)] = values  # a mask takes three times as long
     return whole
 
 
@@ -152,17 +152,17 @@ class Textures:
         """Gram matrix of the entries observed in all textures; imputation does not change it."""
         return gram_about(np.delete(self.vectors, self._missing, axis=1) if len(self._missing) else self.vectors)
 
-    def filled(self, variance: float | int, kept: np.ndarray | None = None) -> tuple[np.ndarray, np.ndarray]:
+    def filled(self, variance: float | int, chosen: np.ndarray | None = None) -> tuple[np.ndarray, np.ndarray]:
         """Impute the missing entries of all or some textures by iterated PCA.
 
         Return flat textures (n, d) float32, and their Gram matrix about the mean, (n, n) float64. Otherwise a dark
         speckle or a border in one image would become a mode.
         """
-        rows = np.arange(len(self.values)) if kept is None else kept
+        rows = np.arange(len(self.values)) if chosen is None else chosen
         vectors, (partial, observed) = self.vectors, (part[rows] for part in self._partial)
         products = self._products[np.ix_(rows, rows)]
         if observed.all():
-            return vectors[rows] if kept is not None else vectors, centred(products + gram_about(partial))
+            return vectors[rows] if chosen is not None else vectors, centred(products + gram_about(partial))
         counts = observed.sum(axis=0)
         means = np.where(observed, partial, 0).sum(axis=0, dtype=np.float64) / np.maximum(counts, 1)
         # Entries observed in no image keep their mean value; their weight in a fit is 0.
@@ -173,7 +173,7 @@ class Textures:
             mean = filled.mean(axis=0, dtype=np.float64).astype(np.float32)
             part = strongest(centred(products + gram_about(filled, mean)), variance)[1].astype(np.float32)
             filled = np.where(observed, partial, mean + part @ (part.T @ (filled - mean)))
-        vectors = vectors[rows] if kept is not None else vectors.copy()
+        vectors = vectors[rows] if chosen is not None else vectors.copy()
         vectors[:, self._missing] = filled
         return vectors, centred(products + gram_about(filled))
 
@@ -181,15 +181,15 @@ class Textures:
 def train_appearance_model(
     textures: Textures,
     variance: float | int,
-    kept: np.ndarray | None = None,
+    rows: np.ndarray | None = None,
     left_out: Sequence[np.ndarray] | None = None,
 ) -> AppearanceModel:
-    """Learn an appearance model from all textures, or those with the indices ``kept``.
+    """Learn an appearance model from all textures, or those with the indices ``rows``.
 
     ``left_out`` are the folds of the leave-out residuals; without them ``unexplained`` is None.
     """
-    usable = textures.usable if kept is None else textures.usable[kept]
-    vectors, products = textures.filled(variance, kept)
+    usable = textures.usable if rows is None else textures.usable[rows]
+    vectors, products = textures.filled(variance, rows)
     components = components_by(vectors, vectors.mean(axis=0, dtype=np.float64), products, variance)
     (n, n_pixels), c = usable.shape, textures.values.shape[2]
     if left_out is None:
@@ -199,8 +199,8 @@ def train_appearance_model(
     left = (np.eye(n) - explained).astype(np.float32)
     moments = np.empty((n_pixels, c, c), np.float32)  # of the residuals at usable pixels
     for part in chunks(n_pixels):
-        own = vectors[:, part.start * c : part.stop * c]
-        residuals = (left @ (own - own.mean(axis=0))).reshape(n, -1, c)
+        part_vectors = vectors[:, part.start * c : part.stop * c]
+        residuals = (left @ (part_vectors - part_vectors.mean(axis=0))).reshape(n, -1, c)
         weighed = residuals * usable[:, part, None]
         for a in range(c):
             for b in range(a, c):

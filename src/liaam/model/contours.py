@@ -68,12 +68,12 @@ def within_intervals(errors: np.ndarray, covariances: np.ndarray, directions: np
 
     Errors are fitted minus true landmarks, and directions unit vectors, (..., n, 2); NaN where there is none.
     """
-    found = along_and_across(errors, directions)
+    components = along_and_across(errors, directions)
     axes = _axes(directions)
     with np.errstate(invalid="ignore"):
         variances = np.einsum("...ia,...ab,...ib->...i", axes, covariances, axes)
-        inside = np.square(found) <= 1.96**2 * variances
-    return np.where(np.isfinite(variances) & ~np.isnan(found), inside, np.nan)
+        inside = np.square(components) <= 1.96**2 * variances
+    return np.where(np.isfinite(variances) & ~np.isnan(components), inside, np.nan)
 
 
 def outline_errors(shape: np.ndarray, truth: np.ndarray, contours: Contours) -> np.ndarray:
@@ -85,14 +85,14 @@ def outline_errors(shape: np.ndarray, truth: np.ndarray, contours: Contours) -> 
     errors, on_contour = landmark_errors(shape, truth), ~np.isnan(contour_directions(truth, contours)[:, 0])
     for indices, closed in _curves(contours):
         line = truth[[*indices, indices[0]] if closed else indices]
-        own = indices[on_contour[indices] & np.isfinite(errors[indices])]
+        sliding = indices[on_contour[indices] & np.isfinite(errors[indices])]
         starts, steps = line[:-1], np.diff(line, axis=0)
-        known = np.isfinite(steps).all(axis=1)
-        apart, steps = shape[own][:, None] - starts[known], steps[known]
+        finite = np.isfinite(steps).all(axis=1)
+        apart, steps = shape[sliding][:, None] - starts[finite], steps[finite]
         lengths = np.maximum(np.square(steps).sum(axis=1), 1e-12)
         at = np.clip(np.sum(apart * steps, axis=2) / lengths, 0.0, 1.0)
         distances = np.linalg.norm(apart - at[..., None] * steps, axis=2)
-        errors[own] = np.minimum(errors[own], distances.min(axis=1, initial=np.inf))
+        errors[sliding] = np.minimum(errors[sliding], distances.min(axis=1, initial=np.inf))
     return errors
 
 

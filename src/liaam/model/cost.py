@@ -95,8 +95,8 @@ def memory_of(views: Collection[View]) -> float:
     """Return the bytes that a model and a fitter for one method take."""
     levels = [level for view in views for level in view.levels]
     numbers = [_n_numbers(each) for level in levels for each in level.appearances.values()]
-    kept = [sum(_n_kept(level, kind) for level in view.levels) for view in views for kind in CHANNELS]
-    return LOADED * sum(numbers) + PROJECTED * max(numbers, default=0.0) + KEPT * max(kept, default=0.0)
+    per_kind = [sum(_n_kept(level, kind) for level in view.levels) for view in views for kind in CHANNELS]
+    return LOADED * sum(numbers) + PROJECTED * max(numbers, default=0.0) + KEPT * max(per_kind, default=0.0)
 
 
 def _n_numbers(appearance: AppearanceModel) -> float:

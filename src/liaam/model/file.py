@@ -142,7 +142,9 @@ def _fields(header: dict, tensors: dict[str, np.ndarray]) -> dict[str, Any]:
     search_filter = _search_filter(tensors)
     contours = _contours(header, n)
     limits = _limits_of_appearances(n_images, n_textures, features)
-    checked_views = {name: _view(name, about, tensors, mean, triangles, limits) for name, about in views.items()}
+    checked_views = {
+        name: _view(name, description, tensors, mean, triangles, limits) for name, description in views.items()
+    }
     cost.check_cost(checked_views.values())
     has_invariant = "invariant" in checked_views[MESH].levels[-1].appearances
     return {
@@ -343,20 +345,20 @@ def _point_map(tensors: dict[str, np.ndarray], n: int) -> PointMap | None:
 
 def _view(
     name: str,
-    about: dict,
+    description: dict,
     tensors: dict[str, np.ndarray],
     mean: np.ndarray,
     triangles: np.ndarray,
     limits: dict[str, _Limits],
 ) -> View:
-    """Make one view from its header ``about``; all views share the mean shape. ``limits`` are by appearance."""
+    """Make one view from its header ``description``; all views share the mean shape. ``limits`` are by appearance."""
     if name not in VIEWS:
         raise ValueError(f"view {shortened(name)!r} is unknown; the views are {', '.join(VIEWS)}")
-    if not isinstance(about, dict):
-        raise ValueError(f"view {name} is described by {shortened(about)}")
+    if not isinstance(description, dict):
+        raise ValueError(f"view {name} is described by {shortened(description)}")
     tensors = _below(tensors, f"{name}/")
-    blurs = [finite(blur) for blur in about["blurs"]]
-    n_pixels = about["n_pixels"]
+    blurs = [finite(blur) for blur in description["blurs"]]
+    n_pixels = description["n_pixels"]
     if not 1 <= len(blurs) <= MAX_LEVELS or not all(0 <= blur <= MAX_BLUR for blur in blurs):
         raise ValueError(f"blurs {shortened(blurs)}: 1 to {MAX_LEVELS} numbers between 0 and {MAX_BLUR:g} are expected")
     if not isinstance(n_pixels, int) or n_pixels < 1:
@@ -378,10 +380,10 @@ def _view(
         raise ValueError(f"view {name} lacks an appearance")
     if signed_areas(mean, triangles).sum() > ROOMY * n_pixels:
         raise ValueError(f"the reference frame of view {name} does not match its number of pixels")
-    warp = VIEWS[name](_shape_model(about, tensors, mean), triangles)
+    warp = VIEWS[name](_shape_model(description, tensors, mean), triangles)
     if n_pixels != warp.frame.n_pixels:
         raise ValueError(f"the reference frame of view {name} does not match its number of pixels")
-    warp = replace(warp, from_right=bool(about.get("from_right", False)))
+    warp = replace(warp, from_right=bool(description.get("from_right", False)))
     return View(warp, tuple(levels), _reliabilities(tensors, len(mean)))
 
 
@@ -407,7 +409,7 @@ def _reliabilities(tensors: dict[str, np.ndarray], n: int) -> dict[str, Reliabil
     return {method: _reliability(tensors, prefix, n) for method, prefix in prefixes.items()}
 
 
-def _shape_model(about: dict, tensors: dict[str, np.ndarray], mean: np.ndarray) -> ShapeModel:
+def _shape_model(description: dict, tensors: dict[str, np.ndarray], mean: np.ndarray) -> ShapeModel:
     """Return the shape model of a view from its header and its tensors."""
     n = len(mean)
     modes = checked_tensor(tensors, "shape.modes", np.float64, (None, 2 * n))
@@ -423,7 +425,7 @@ def _shape_model(about: dict, tensors: dict[str, np.ndarray], mean: np.ndarray) 
     if unexplained is not None:
         check_covariances(key, unexplained, MAX_VARIANCE)
     check_magnitude("shape.eigenvalues", eigenvalues, n * MAX_VARIANCE)
-    freedom = finite(about["freedom"]) if "freedom" in about else np.inf
+    freedom = finite(description["freedom"]) if "freedom" in description else np.inf
     if not freedom >= LEAST_FREEDOM:
         raise ValueError(f"freedom {freedom:g} is below {LEAST_FREEDOM:g}")
     return ShapeModel(mean, modes, eigenvalues, unexplained, freedom)

@@ -136,29 +136,29 @@ def _view_tensors(view: View) -> dict[str, np.ndarray | None]:
 
 def _appearance_tensors(appearance: AppearanceModel) -> dict[str, np.ndarray | None]:
     """Return the tensors that hold an appearance exactly, as few and as narrow as that is possible."""
-    known = appearance.known
-    if known.sum() < file.LEAST_SHARE * len(known):  # readers refuse so few; the others are stored too, as zeros
-        known = np.ones(len(known), bool)
+    mask = appearance.mask
+    if mask.sum() < file.LEAST_SHARE * len(mask):  # readers refuse so few; the others are stored too, as zeros
+        mask = np.ones(len(mask), bool)
     unexplained = None
     if appearance.unexplained is not None:
-        unexplained = _half_if_exact(_upper_triangles(appearance.unexplained[known]))
+        unexplained = _half_if_exact(_upper_triangles(appearance.unexplained[mask]))
     return {
-        "known": None if known.all() else np.packbits(known),
-        "mean": _half_if_exact(appearance.mean[known]),
-        **_mode_tensors(appearance.modes[:, known]),
+        "known": None if mask.all() else np.packbits(mask),
+        "mean": _half_if_exact(appearance.mean[mask]),
+        **_mode_tensors(appearance.modes[:, mask]),
         "eigenvalues": appearance.eigenvalues,
-        "usable": _half_if_exact(appearance.usable[known]),
+        "usable": _half_if_exact(appearance.usable[mask]),
         "unexplained": unexplained,
     }
 
 
 def _light_tensors(light: LightBasis) -> dict[str, np.ndarray]:
     """Return the tensors of a light basis, whose modes (k, side, side, 3) are 0 far from the object."""
-    known = light.modes.any(axis=(0, 3))
+    mask = light.modes.any(axis=(0, 3))
     return {
         **_stored_fields(light, "light"),
-        "known": np.packbits(known),
-        **_mode_tensors(light.modes[:, known]),
+        "known": np.packbits(mask),
+        **_mode_tensors(light.modes[:, mask]),
     }
 
 

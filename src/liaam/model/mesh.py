@@ -106,8 +106,8 @@ def surroundings(points: np.ndarray, triangles: np.ndarray, width: float = SURRO
         raise TrainingError(_NO_MESH)
     beyond = np.full((r, n), -width / n)
     beyond[np.arange(r), hull] += 1.0 + width
-    own, nxt = np.arange(r), np.roll(np.arange(r), -1)
-    strip = np.concatenate([np.stack([hull, n + own, hull[nxt]], 1), np.stack([hull[nxt], n + own, n + nxt], 1)])
+    corner, nxt = np.arange(r), np.roll(np.arange(r), -1)
+    strip = np.concatenate([np.stack([hull, n + corner, hull[nxt]], 1), np.stack([hull[nxt], n + corner, n + nxt], 1)])
     extension = np.concatenate([np.eye(n), beyond])
     areas = signed_areas(extension @ points, strip)
     strip = strip[areas > 1e-6 * np.abs(areas).sum()]
@@ -156,12 +156,12 @@ class ReferenceFrame:
         flat = np.pad(points, ((0, 0), (0, 1)))
         owner, _ = _core.draw_triangles(flat, np.ascontiguousarray(self.triangles, np.int32), nothing, *self.size[::-1])
         rows, columns = np.nonzero(owner >= 0)
-        own = owner[rows, columns]
-        a, b, c = points[self.triangles[own]].transpose(1, 2, 0)
+        owners = owner[rows, columns]
+        a, b, c = points[self.triangles[owners]].transpose(1, 2, 0)
         (x0, y0), (x1, y1), (dx, dy) = b - a, c - a, np.stack([columns, rows]) - a
         determinant = x0 * y1 - x1 * y0
         v, w = (y1 * dx - x1 * dy) / determinant, (x0 * dy - y0 * dx) / determinant
-        return np.column_stack([rows, columns]), own, np.column_stack([1.0 - v - w, v, w])
+        return np.column_stack([rows, columns]), owners, np.column_stack([1.0 - v - w, v, w])
 
     @property
     def pixels(self) -> np.ndarray:

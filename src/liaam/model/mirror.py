@@ -34,9 +34,10 @@ def mirrored_model(model: "AAM", order: np.ndarray) -> "AAM":
         raise ModelFileError("a model with features of a function cannot be mirrored; train it without them")
     triangles = order[model.triangles][:, ::-1].astype(np.int32)
     views = _MirroredViews(model.views, triangles, order)
-    known = model.search_filter
-    mirrored = None if known is None else np.ascontiguousarray(known[:, ::-1] * np.array([-1, 1], np.float32))
-    return replace(model, views=views, triangles=triangles, light=None, points=None, search_filter=mirrored)
+    search_filter = model.search_filter
+    if search_filter is not None:
+        search_filter = np.ascontiguousarray(search_filter[:, ::-1] * np.array([-1, 1], np.float32))
+    return replace(model, views=views, triangles=triangles, light=None, points=None, search_filter=search_filter)
 
 
 class _MirroredViews(Mapping[str, View]):
@@ -73,24 +74,24 @@ def _view(name: str, view: View, triangles: np.ndarray, order: np.ndarray) -> Vi
         Level(level.blur, {kind: _appearance(kind, each, pixels) for kind, each in level.appearances.items()})
         for level in view.levels
     )
-    known = {
+    reliabilities = {
         method: replace(each, landmarks=_covariances(each.landmarks)[order], bias=_covariances(each.bias)[order])
         for method, each in view.reliabilities.items()
     }
     # Levels hold the mirror images of the pixels that fits need.
-    return View(replace(warp, from_right=not view.warp.from_right), levels, known)
+    return View(replace(warp, from_right=not view.warp.from_right), levels, reliabilities)
 
 
-def _appearance(kind: str, known: AppearanceModel, pixels: np.ndarray) -> AppearanceModel:
-    mean, modes = (np.take(values, pixels, axis=-2) for values in (known.mean, known.modes))
-    errors = None if known.unexplained is None else known.unexplained[pixels]
+def _appearance(kind: str, appearance: AppearanceModel, pixels: np.ndarray) -> AppearanceModel:
+    mean, modes = (np.take(values, pixels, axis=-2) for values in (appearance.mean, appearance.modes))
+    errors = None if appearance.unexplained is None else appearance.unexplained[pixels]
     if kind in GRADIENTS:
         for values in (mean, modes):
             values[..., 0] *= -1.0
         if errors is not None:
             errors[:, 0, 1:] *= -1.0
             errors[:, 1:, 0] *= -1.0
-    return AppearanceModel(mean, modes, known.eigenvalues, known.usable[pixels], errors)
+    return AppearanceModel(mean, modes, appearance.eigenvalues, appearance.usable[pixels], errors)
 
 
 def _covariances(matrices: np.ndarray) -> np.ndarray:

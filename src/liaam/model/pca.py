@@ -48,12 +48,12 @@ def principal_components(vectors: np.ndarray, variance: float | int) -> Componen
     return components_by(vectors, vectors.mean(axis=0, dtype=np.float64), gram_about(vectors), variance)
 
 
-def gram_about(vectors: np.ndarray, about: np.ndarray | None = None) -> np.ndarray:
+def gram_about(vectors: np.ndarray, centre: np.ndarray | None = None) -> np.ndarray:
     """Gram matrix, (n, n) float64, of vectors (n, d) about a point (d,), by default their mean.
 
     Chunks of columns are multiplied in the precision of the point, and summed in double precision.
     """
-    origin = vectors.mean(axis=0, dtype=np.float64) if about is None else about
+    origin = vectors.mean(axis=0, dtype=np.float64) if centre is None else centre
     products = np.zeros((len(vectors), len(vectors)))
     for part in chunks(vectors.shape[1]):
         away = vectors[:, part] - origin[part]
@@ -75,8 +75,8 @@ def strongest(products: np.ndarray, variance: float | int) -> tuple[np.ndarray, 
     """
     squares, combinations = np.linalg.eigh(products)
     squares, combinations = squares[::-1], combinations[:, ::-1]
-    kept = count_modes(squares, variance)
-    return squares[:kept], combinations[:, :kept]
+    count = count_modes(squares, variance)
+    return squares[:count], combinations[:, :count]
 
 
 def components_by(vectors: np.ndarray, mean: np.ndarray, products: np.ndarray, variance: float | int) -> Components:
@@ -91,8 +91,8 @@ def components_by(vectors: np.ndarray, mean: np.ndarray, products: np.ndarray, v
     back, largest = np.linalg.inv(np.linalg.cholesky(products)), np.zeros(n)
     for part in chunks(vectors.shape[1]):
         modes[:, part] = back @ modes[:, part]
-        own = np.take_along_axis(modes[:, part], np.abs(modes[:, part]).argmax(axis=1)[:, None], axis=1)[:, 0]
-        largest = np.where(np.abs(own) > np.abs(largest), own, largest)
+        candidates = np.take_along_axis(modes[:, part], np.abs(modes[:, part]).argmax(axis=1)[:, None], axis=1)[:, 0]
+        largest = np.where(np.abs(candidates) > np.abs(largest), candidates, largest)
     return Components(mean, modes * np.sign(largest)[:, None], squares / max(len(vectors) - 1, 1))
 
 
@@ -186,8 +186,8 @@ def log_evidence(left_out: LeftOutCoordinates, dimension: int) -> np.ndarray:
     """Log-likelihood of the left-out vectors under probabilistic PCA with 0 ... r - 1 modes, (r,)."""
     values, counts = left_out.eigenvalues, np.arange(len(left_out.eigenvalues))
     # The noise is the mean of the eigenvalues not kept (Tipping and Bishop, J. R. Stat. Soc. B 61, 1999, eq 8).
-    kept = np.concatenate([[0.0], np.cumsum(values)[:-1]])
-    noise = np.maximum(values.sum() - kept, 0.0) / np.maximum(dimension - counts, 1)
+    explained = np.concatenate([[0.0], np.cumsum(values)[:-1]])
+    noise = np.maximum(values.sum() - explained, 0.0) / np.maximum(dimension - counts, 1)
     along = np.cumsum(np.pad(left_out.squares / values, ((0, 0), (1, 0))), axis=1)[:, :-1]
     across = left_out.distances[:, None] - np.cumsum(np.pad(left_out.squares, ((0, 0), (1, 0))), axis=1)[:, :-1]
     volume = np.concatenate([[0.0], np.cumsum(np.log(values))[:-1]]) + (dimension - counts) * np.log(noise)
@@ -201,9 +201,9 @@ def count_by_evidence(vectors: np.ndarray, folds: Sequence[np.ndarray], dimensio
     folds, but treats images of one object as independent.
     """
     d = vectors.shape[1] if dimension is None else dimension
-    found = [log_evidence(left_out, d) for left_out in leave_out(vectors, folds)]
-    counts = min((len(each) for each in found), default=0)
-    return int(np.sum([each[:counts] for each in found], axis=0).argmax()) if counts else 0
+    evidence = [log_evidence(left_out, d) for left_out in leave_out(vectors, folds)]
+    counts = min((len(each) for each in evidence), default=0)
+    return int(np.sum([each[:counts] for each in evidence], axis=0).argmax()) if counts else 0
 
 
 def left_out_variances(vectors: np.ndarray, folds: Sequence[np.ndarray], count: int) -> np.ndarray:
@@ -214,11 +214,11 @@ def left_out_variances(vectors: np.ndarray, folds: Sequence[np.ndarray], count: 
     """
     from scipy.optimize import isotonic_regression  # heavy: imported when first needed
 
-    found = list(leave_out(vectors, folds))
-    known = min((left_out.squares.shape[1] for left_out in found), default=0)
-    if not known:
+    parts = list(leave_out(vectors, folds))
+    n_modes = min((left_out.squares.shape[1] for left_out in parts), default=0)
+    if not n_modes:
         return np.zeros(count)
-    variances = np.concatenate([left_out.squares[:, :known] for left_out in found]).mean(axis=0)
+    variances = np.concatenate([left_out.squares[:, :n_modes] for left_out in parts]).mean(axis=0)
     # The folds have fewer modes than all vectors together: repeat their last variance.
-    padded = np.pad(variances, (0, max(count - known, 0)), mode="edge")[:count]
+    padded = np.pad(variances, (0, max(count - n_modes, 0)), mode="edge")[:count]
     return isotonic_regression(padded, increasing=False).x if count else padded

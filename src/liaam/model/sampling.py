@@ -27,7 +27,7 @@ class Patch:
     n_channels: int
 
 
-class _Blocks(NamedTuple):
+class _BlockMeans(NamedTuple):
     """Averages over blocks of an image's pixels; block 0 begins at the border of the first pixel."""
 
     means: Means
@@ -39,14 +39,14 @@ class _Blocks(NamedTuple):
     @classmethod
     def of(
         cls, image: np.ndarray, low: np.ndarray, high: np.ndarray, size: float, encoding: Encoding, response: Response
-    ) -> "_Blocks":
+    ) -> "_BlockMeans":
         """Average an image between two corners (x, y) int, the second excluded."""
         first = _first_block(low, size)
         begin = np.floor(first * size).astype(int)
         crop, start = image[begin[1] : high[1], begin[0] : high[0]], first * size - begin
         return cls(block_means(crop, encoding, response, size, (start[0], start[1])), first, size)
 
-    def coarser(self, low: np.ndarray, high: np.ndarray, size: float) -> "_Blocks | None":
+    def coarser(self, low: np.ndarray, high: np.ndarray, size: float) -> "_BlockMeans | None":
         """Join whole blocks to blocks of about the given size; None if that is not possible or leaves too few."""
         times = max(1, round(size / self.size))
         joined = times * self.size
@@ -57,7 +57,7 @@ class _Blocks(NamedTuple):
         if (start < 0).any() or (start + times * count > self.means.light.shape[1::-1]).any() or count.min() < 2:
             return None
         means = self.means.averaged((start[0], start[1]), times, (count[1], count[0]))
-        return _Blocks(means, first, joined)
+        return _BlockMeans(means, first, joined)
 
 
 def _first_block(low: np.ndarray, size: float) -> np.ndarray:
@@ -66,7 +66,7 @@ def _first_block(low: np.ndarray, size: float) -> np.ndarray:
 
 
 @dataclass(frozen=True, eq=False)
-class Light:
+class AveragedImage:
     """An image and block averages of its linear light around a start, shared by all patches of a fit.
 
     It is immutable, so that threads can share it. Patches with another encoding or response use the image. The blocks
@@ -76,7 +76,7 @@ class Light:
     image: np.ndarray
     encoding: Encoding
     response: Response
-    blocks: _Blocks
+    blocks: _BlockMeans
 
     @classmethod
     def around(
@@ -89,13 +89,13 @@ class Light:
         response: Response,
         blurs: Sequence[float],
         margin: float,
-    ) -> "Light":
+    ) -> "AveragedImage":
         """Average an image around a start, for patches of several blurs; parameters are those of `make_patch`."""
         sizes = [block_size(encoding, pose.scale, blur) for blur in blurs]
         # The coarsest patch extends by two of its pixels, and begins with a whole one.
         low, high = corners_around(image, shape, margin, 2.0 * max(sizes))
         size = _limited(min(sizes), low, high)
-        return cls(image, encoding, response, _Blocks.of(image, low, high, size, encoding, response))
+        return cls(image, encoding, response, _BlockMeans.of(image, low, high, size, encoding, response))
 
 
 # Relative tolerance of the size of blocks that levels share. The blur that follows compensates for the difference.
@@ -103,7 +103,7 @@ SIZE_TOLERANCE = 0.1
 
 
 def make_patch(
-    image: np.ndarray | Light,
+    image: np.ndarray | AveragedImage,
     shape: np.ndarray,
     pose: Similarity,
     *,
@@ -115,19 +115,19 @@ def make_patch(
     """Cut the surroundings of a shape (n, 2) out of an image and encode them at about the model's resolution.
 
     Averaging and blurring prevent aliasing, and make the object equally sharp at any size in the image. Several patches
-    around one start can share the averages of :meth:`Light.around`. The pose maps model pixels to image pixels: its
-    scale sets the resolution, its rotation the axes of directions. ``blur`` is the standard deviation of the blur in
-    model pixels; for ``soft`` it includes the blur by averaging and interpolation. ``margin`` are the surroundings to
-    include, as a fraction of the shape's diagonal.
+    around one start can share the averages of :meth:`AveragedImage.around`. The pose maps model pixels to image pixels:
+    its scale sets the resolution, its rotation the axes of directions. ``blur`` is the standard deviation of the blur
+    in model pixels; for ``soft`` it includes the blur by averaging and interpolation. ``margin`` are the surroundings
+    to include, as a fraction of the shape's diagonal.
     """
-    pixels = image.image if isinstance(image, Light) else image
+    pixels = image.image if isinstance(image, AveragedImage) else image
     size = block_size(encoding, pose.scale, blur)
     low, high = corners_around(pixels, shape, margin, size)
     size = _limited(size, low, high)
     blocks = None
-    if isinstance(image, Light) and (encoding, response) == (image.encoding, image.response):
+    if isinstance(image, AveragedImage) and (encoding, response) == (image.encoding, image.response):
         blocks = image.blocks.coarser(low, high, size)
-    means, first, size = blocks or _Blocks.of(pixels, low, high, size, encoding, response)
+    means, first, size = blocks or _BlockMeans.of(pixels, low, high, size, encoding, response)
     turn, pixel = pose.matrix.T / pose.scale, size / pose.scale
     if encoding == "soft":
         # Averaging over pixels blurs by 1/12 of their squared size, and interpolation between them by 2/12.

@@ -64,8 +64,8 @@ def align(shape: np.ndarray, target: np.ndarray) -> Similarity:
     za, zb = _as_complex(shape), _as_complex(target)
     a_mean, b_mean = _mean(za), _mean(zb)
     if not isfinite(a_mean + b_mean):
-        known = np.isfinite(za) & np.isfinite(zb)
-        za, zb = za[known], zb[known]
+        finite = np.isfinite(za) & np.isfinite(zb)
+        za, zb = za[finite], zb[finite]
         a_mean, b_mean = _mean(za), _mean(zb)
     za = za - a_mean
     power = float(np.vdot(za, za).real)
@@ -284,15 +284,15 @@ def shape_model_on(
     if recipe.smooth is not None:
         model = _smooth_model(deviations, variance, recipe.smooth, folds)
         return replace(model, eigenvalues=WIDER * model.eigenvalues) if recipe.prior == "wide" else model
-    own = deviations.own
+    vectors = deviations.own
     if variance == "auto":
-        variance = pca.count_by_evidence(own, folds, deviations.dimension)
-    components = pca.principal_components(own, variance)
+        variance = pca.count_by_evidence(vectors, folds, deviations.dimension)
+    components = pca.principal_components(vectors, variance)
     modes = components.modes - components.modes @ deviations.rigid.T @ deviations.rigid
     eigenvalues = components.eigenvalues
     if recipe.prior == "shrunk":
-        eigenvalues = pca.left_out_variances(own, folds, len(modes))
-    left = pca.unexplained_by_others(own, variance, folds).astype(np.float64)
+        eigenvalues = pca.left_out_variances(vectors, folds, len(modes))
+    left = pca.unexplained_by_others(vectors, variance, folds).astype(np.float64)
     return ShapeModel(mean, np.ascontiguousarray(modes), eigenvalues, _moments(left))
 
 
@@ -322,19 +322,19 @@ def _smooth_model(
         away = deviations.own[fold] - part.own.mean(axis=0)
         parts.append((away, *modes_of(covariance(part, prior), deviations.rigid)))
     left_out = [
-        pca.LeftOutCoordinates(v + prior.noise * v.mean(), np.square(away @ own.T), np.square(away).sum(axis=1))
-        for away, own, v in parts
+        pca.LeftOutCoordinates(v + prior.noise * v.mean(), np.square(away @ part_modes.T), np.square(away).sum(axis=1))
+        for away, part_modes, v in parts
     ]
     if variance == "auto":
         evidence = [pca.log_evidence(part, len(part.eigenvalues)) for part in left_out if part.eigenvalues[0] > 0]
-        kept = int(np.sum(evidence, axis=0).argmax()) if evidence else 0
+        count = int(np.sum(evidence, axis=0).argmax()) if evidence else 0
     else:
-        kept = pca.count_modes(values, variance)
-    freedom = fit_freedom(left_out, kept)
+        count = pca.count_modes(values, variance)
+    freedom = fit_freedom(left_out, count)
     left = np.zeros_like(deviations.own)
     for fold, (away, own_modes, _) in zip(folds, parts, strict=True):
-        left[fold] = away - away @ own_modes[:kept].T @ own_modes[:kept]
-    return ShapeModel(deviations.mean, modes[:kept], values[:kept], _moments(left), freedom)
+        left[fold] = away - away @ own_modes[:count].T @ own_modes[:count]
+    return ShapeModel(deviations.mean, modes[:count], values[:count], _moments(left), freedom)
 
 
 def _moments(left: np.ndarray) -> np.ndarray:
@@ -361,14 +361,14 @@ def mirror_order(shape: np.ndarray, limit: float = MIRRORED, tilt: float = 90.0)
     mirrored, best, order, limit = shape * [-1.0, 1.0], np.inf, None, limit * diagonal_of(shape)
     turns = np.arange(12)
     for angle in turns[30 * np.minimum(turns, 12 - turns) <= 2 * tilt] * np.pi / 6:
-        moved, found = _closest(shape, mirrored, mirrored @ rotation(angle).T, lambda apart: apart.argmin(axis=1))
+        moved, matches = _closest(shape, mirrored, mirrored @ rotation(angle).T, lambda apart: apart.argmin(axis=1))
         # Cheap rejection: the distances of a one-to-one assignment are at least those of the nearest points.
-        if np.sqrt(np.square(shape - moved[found]).sum(axis=1).mean()) > limit:
+        if np.sqrt(np.square(shape - moved[matches]).sum(axis=1).mean()) > limit:
             continue
-        moved, found = _closest(shape, mirrored, moved, lambda apart: linear_sum_assignment(apart)[1])
-        error = float(np.square(shape - moved[found]).sum(axis=1).mean())
-        if error < best and np.array_equal(found[found], np.arange(len(shape))):
-            best, order = error, found
+        moved, matches = _closest(shape, mirrored, moved, lambda apart: linear_sum_assignment(apart)[1])
+        error = float(np.square(shape - moved[matches]).sum(axis=1).mean())
+        if error < best and np.array_equal(matches[matches], np.arange(len(shape))):
+            best, order = error, matches
     return order if np.sqrt(best) < limit else None
 
 
@@ -376,10 +376,10 @@ def _closest(
     shape: np.ndarray, other: np.ndarray, moved: np.ndarray, pair: Callable[[np.ndarray], np.ndarray]
 ) -> tuple[np.ndarray, np.ndarray]:
     """Alternate pose and correspondences from a first pose; return the moved other shape and the correspondences."""
-    found = np.empty(0, int)
+    matches = np.empty(0, int)
     for _ in range(5):
-        last, found = found, pair(np.square(shape[:, None] - moved[None]).sum(axis=2))
-        if np.array_equal(found, last):
+        last, matches = matches, pair(np.square(shape[:, None] - moved[None]).sum(axis=2))
+        if np.array_equal(matches, last):
             break
-        moved = align(other[found], shape)(other)
-    return moved, found
+        moved = align(other[matches], shape)(other)
+    return moved, matches

@@ -42,14 +42,14 @@ class PiecewiseAffineWarp:
 
     W(x; p) = sum_v beta_v(x) s_v(p) is linear in p, so dW/dp_i = sum_v beta_v(x) s_i[v] is constant. ``extension``
     (n_vertices, n_points) maps landmarks to the frame's vertices (:func:`liaam.model.mesh.surroundings`), by default
-    the identity. ``kept`` (n_pixels,) holds the indices of the frame's pixels to use, in order, by default all.
+    the identity. ``selected`` (n_pixels,) holds the indices of the frame's pixels to use, in order, by default all.
     ``from_right`` says whether grids of pixels are laid from the right: of the mirror image of a model.
     """
 
     frame: ReferenceFrame
     shape_model: ShapeModel
     extension: np.ndarray | None = None
-    kept: np.ndarray | None = None
+    selected: np.ndarray | None = None
     from_right: bool = False
 
     @property
@@ -100,7 +100,7 @@ class PiecewiseAffineWarp:
         return self.frame.triangles[self._owners], np.ascontiguousarray(self._used(self.frame.weights))
 
     def _used(self, of_all: np.ndarray) -> np.ndarray:
-        return of_all if self.kept is None else of_all[self.kept]
+        return of_all if self.selected is None else of_all[self.selected]
 
     @cached_property
     def _vertex_modes(self) -> np.ndarray:
@@ -126,14 +126,14 @@ class PiecewiseAffineWarp:
         rows, columns = self.frame.pixels.T
         columns = self.frame.size[0] - 1 - columns if self.from_right else columns
         step = max(1, round(spacing))
-        kept = np.flatnonzero((rows % step == 0) & (columns % step == 0))
-        if len(kept) < min(FEWEST, len(rows)):  # a small frame under a wide blur
+        pixels = np.flatnonzero((rows % step == 0) & (columns % step == 0))
+        if len(pixels) < min(FEWEST, len(rows)):  # a small frame under a wide blur
             return self.every(0.5 * spacing)
-        return kept[np.argsort(self.frame.owners[kept], kind="stable")]
+        return pixels[np.argsort(self.frame.owners[pixels], kind="stable")]
 
-    def at(self, kept: np.ndarray) -> "PiecewiseAffineWarp":
+    def at(self, pixels: np.ndarray) -> "PiecewiseAffineWarp":
         """Return the warp of some of the frame's pixels only."""
-        return replace(self, kept=kept)
+        return replace(self, selected=pixels)
 
     @cached_property
     def _jacobian(self) -> np.ndarray:
@@ -214,12 +214,12 @@ class HomographyWarp:
     W(x; p) = (N_1 / N_3, N_2 / N_3) with N = (I + sum_i p_i G_i) (x, 1) in centred and scaled coordinates. At p = 0, a
     step of unit length moves the grid's pixels by one pixel (root mean square).
 
-    ``kept`` (rows, columns) selects points of the grid, ``stride`` model pixels apart; the first lies at the origin.
+    ``mask`` (rows, columns) selects points of the grid, ``stride`` model pixels apart; the first lies at the origin.
     ``rest`` (n, 2) are the handles in model pixels: four corners or more, no three of the four on a line. ``group`` is
     a key of :data:`GROUPS`.
     """
 
-    kept: np.ndarray
+    mask: np.ndarray
     rest: np.ndarray
     stride: float = 1.0
     group: str = "homography"
@@ -227,7 +227,7 @@ class HomographyWarp:
     @cached_property
     def pixels(self) -> np.ndarray:
         """Used points of the grid, (n_pixels, 2) float64 model pixels."""
-        rows, columns = np.nonzero(self.kept)
+        rows, columns = np.nonzero(self.mask)
         return self.stride * np.column_stack([columns, rows]).astype(np.float64)
 
     @property
@@ -305,9 +305,9 @@ class HomographyWarp:
 
         Central differences where both neighbours are used, the difference to one where only one is, else 0.
         """
-        picture = np.full((*self.kept.shape, values.shape[1]), np.nan)
-        picture[self.kept] = values
-        slopes = np.stack([_differences(picture, axis)[self.kept] for axis in (1, 0)], axis=1) / self.stride
+        picture = np.full((*self.mask.shape, values.shape[1]), np.nan)
+        picture[self.mask] = values
+        slopes = np.stack([_differences(picture, axis)[self.mask] for axis in (1, 0)], axis=1) / self.stride
         return slopes.astype(np.float32)
 
     def pulled(self, slopes: np.ndarray, p: np.ndarray) -> np.ndarray:
@@ -346,6 +346,6 @@ def _differences(picture: np.ndarray, axis: int) -> np.ndarray:
     """Derivative of an image (rows, columns, k) along an axis from the neighbours that are not NaN; 0 without any."""
     ahead = np.diff(picture, axis=axis, append=np.full_like(np.take(picture, [0], axis), np.nan))
     behind = np.roll(ahead, 1, axis)  # the last difference is NaN, so the first pixel has none behind
-    known = np.isfinite(np.stack([ahead, behind]))
-    total = np.where(known, np.stack([ahead, behind]), 0.0).sum(axis=0)
-    return total / np.maximum(known.sum(axis=0), 1)
+    finite = np.isfinite(np.stack([ahead, behind]))
+    total = np.where(finite, np.stack([ahead, behind]), 0.0).sum(axis=0)
+    return total / np.maximum(finite.sum(axis=0), 1)

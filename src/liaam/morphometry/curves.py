@@ -142,13 +142,13 @@ def slide(shapes: np.ndarray, curves: Sequence[Contour], criterion: str) -> np.n
     chain, sliding = semilandmarks(curves)
     if not len(shapes) or not len(sliding):
         return shapes
-    tracks = [_Track(shape, chain, sliding, _lengths(shape[chain])) for shape in shapes]
+    tracks = [_JoinedCurves(shape, chain, sliding, _lengths(shape[chain])) for shape in shapes]
     places = [track.lengths for track in tracks]  # of each shape
     mean = procrustes_mean(shapes)
     for _ in range(_ROUNDS):
         weights = bending_energy(mean) if criterion == "bending" else np.eye(len(mean))
-        places = [track.step(of_shape, mean, weights) for track, of_shape in zip(tracks, places, strict=True)]
-        shapes = np.array([track.shape_at(of_shape) for track, of_shape in zip(tracks, places, strict=True)])
+        places = [track.step(positions, mean, weights) for track, positions in zip(tracks, places, strict=True)]
+        shapes = np.array([track.shape_at(positions) for track, positions in zip(tracks, places, strict=True)])
         last = mean
         mean = procrustes_mean(shapes)
         if np.abs(align(mean, last)(mean) - last).max() < _TOLERANCE:
@@ -157,7 +157,7 @@ def slide(shapes: np.ndarray, curves: Sequence[Contour], criterion: str) -> np.n
 
 
 @dataclass(frozen=True, eq=False)
-class _Track:
+class _JoinedCurves:
     """The curves of a shape, joined into one line; places on it are lengths from its start."""
 
     shape: np.ndarray  # (n, 2) float64

@@ -55,18 +55,22 @@ def measurement_error(specimens: Sequence[Specimen], columns: Columns, by: str, 
     pixels = sizes / np.where(scales > 0, scales, 1.0)
     numbers = [int(name[1:]) for name in columns if re.fullmatch(r"X\d+", name)]
     shapes = [np.array([columns[f"X{number}"], columns[f"Y{number}"]]).T for number in numbers]
-    sliding = len(semilandmarks(next((own.curves for own in specimens if own.curves), ()))[1]) if slid else 0
+    sliding = (
+        len(semilandmarks(next((specimen.curves for specimen in specimens if specimen.curves), ()))[1]) if slid else 0
+    )
     flat = np.concatenate([np.empty((len(sizes), 0)), *shapes], axis=1)
     rows = [{"measure": "shape"} | anova(flat, groups, np.ones(1), 2 * len(shapes) - 4 - sliding)]
     others = {"specimen", "status", "scale", *(f"{name}_se" for name in columns)}
     for name in (name for name in columns if name not in others and not re.fullmatch(r"[XY]\d+", name)):
         values = np.array(columns[name])
         rows.append({"measure": name} | anova(values[:, None], groups, values))
-    names, known = next((own.names for own in specimens if own.names), ()), {"", *USABLE}
+    names, usable = next((specimen.names for specimen in specimens if specimen.names), ()), {"", *USABLE}
     for number, shape in zip(numbers, shapes, strict=True):
         points = shape * pixels[:, None]
         if by == "image" and not slid:
-            points = np.array([own.points[number - 1] if own.status in known else [math.nan] * 2 for own in specimens])
+            points = np.array(
+                [specimen.points[number - 1] if specimen.status in usable else [math.nan] * 2 for specimen in specimens]
+            )
         row = {"measure": f"landmark {names[number - 1] if names else number}"} | anova(points, groups, pixels)
         rows.append(row | dict.fromkeys(_SQUARES, math.nan))  # positions in different images do not compare
     return {name: [row[name] for row in rows] for name in rows[0]}
@@ -79,9 +83,9 @@ def anova(values: np.ndarray, groups: Sequence[str], sizes: np.ndarray, freedom:
     """
     from scipy.stats import f as f_distribution
 
-    known = np.isfinite(values).all(axis=1)
-    values = values[known]
-    _, codes, counts = np.unique(np.asarray(groups)[known], return_inverse=True, return_counts=True)
+    complete = np.isfinite(values).all(axis=1)
+    values = values[complete]
+    _, codes, counts = np.unique(np.asarray(groups)[complete], return_inverse=True, return_counts=True)
     n, total = np.float64(len(counts)), np.float64(len(values))
     means = np.zeros((len(counts), values.shape[1]))
     np.add.at(means, codes, values / counts[codes, None])

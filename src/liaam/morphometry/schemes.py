@@ -54,16 +54,16 @@ def in_scheme(points: np.ndarray, names: Sequence[str], scheme: str) -> np.ndarr
     """
     if scheme not in SCHEMES:
         raise LiaamError(f"scheme {scheme!r} is unknown; choose from {', '.join(SCHEMES)}")
-    known = dict(zip(names, np.asarray(points, np.float64), strict=False))
+    place_of = dict(zip(names, np.asarray(points, np.float64), strict=False))
 
     def place(name: str) -> np.ndarray:
         sides = list(dict.fromkeys(name.format(side) for side in ("right", "left")))
-        if lacking := next((side for side in sides if side not in known), None):
+        if lacking := next((side for side in sides if side not in place_of), None):
             raise LiaamError(
                 f"scheme {scheme}: it needs landmarks with the names of the face model that comes with liaam, and "
                 f"{lacking} is missing; use that model, or leave the scheme out"
             )
-        return np.mean([known[side] for side in sides], axis=0)
+        return np.mean([place_of[side] for side in sides], axis=0)
 
     lines = SCHEMES[scheme]
     return np.concatenate([resample(np.array([*map(place, line)]), n)[which] for line, n, which in lines])

@@ -122,15 +122,15 @@ def read_specimens(
     path, complain = Path(path), on_fault or partial(warnings.warn, stacklevel=2)
     if not path.is_dir():
         return tuple(_of_file(existing_file(path, LiaamError, "file of results"), complain, reading))
-    found: dict[str, Specimen] = {}
+    by_name: dict[str, Specimen] = {}
     for file in _chosen(path):
         others = []
         try:
             for specimen in _of_file(file, complain, reading):
-                again = replicates and specimen.name in found
-                own = replace(specimen, name=f"{specimen.name}#{file.stem}") if again else specimen
-                if _differ(found.setdefault(own.name, own).points, own.points):
-                    others.append(own.name)
+                again = replicates and specimen.name in by_name
+                named = replace(specimen, name=f"{specimen.name}#{file.stem}") if again else specimen
+                if _differ(by_name.setdefault(named.name, named).points, named.points):
+                    others.append(named.name)
         except LiaamError as fault:
             if isinstance(fault, UnrecognisedError) and file.suffix.lower() == ".txt":
                 continue
@@ -139,12 +139,12 @@ def read_specimens(
             complain(f"skipped {file.name}: {str(fault).removeprefix(f'{file}: ')}")
         if others:
             complain(f"left out of {file.name}, because others of these names were read before: {some_names(others)}")
-    if not found:
+    if not by_name:
         raise LiaamError(
             f"{path} holds no results that can be read: name a folder of 'liaam fit', a table of 'liaam batch', or "
             f"landmark files ({', '.join(LANDMARK_SUFFIXES)})"
         )
-    return tuple(found[name] for name in sorted(found, key=natural_key))
+    return tuple(by_name[name] for name in sorted(by_name, key=natural_key))
 
 
 def _differ(points: np.ndarray, others: np.ndarray) -> bool:
@@ -223,7 +223,10 @@ def _of_landmarks(path: Path, reading: Reading, complain: Callable[[str], object
         placing = file.entries[entry].placing
         placed = file.placed(entry, None if placing.size or placing.fractions else (1, 1))
         every = placed.objects(path.stem if file.is_single else stem_of(entry))
-        return [Specimen(name, own.points, None, own.names, own.scale, curves=own.contours) for name, own in every]
+        return [
+            Specimen(name, landmarks.points, None, landmarks.names, landmarks.scale, curves=landmarks.contours)
+            for name, landmarks in every
+        ]
 
     try:
         for specimens in file.each(((entry or path.stem, entry) for entry in file.entries), make):

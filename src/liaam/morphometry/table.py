@@ -20,7 +20,7 @@ from liaam.morphometry.measures import Measure, Measured, ScaleBar, centroid_siz
 from liaam.morphometry.specimens import Specimen
 from liaam.tables import Columns
 
-Row = dict[str, str | float]
+SpecimenRow = dict[str, str | float]
 
 _USABLE = {"", *USABLE}
 
@@ -86,9 +86,11 @@ def measure(
     rule = scale if scale is None or isinstance(scale, ScaleBar) else parse_scale(str(scale))
     bar = indices_of("scale bar", rule.ends, names, n) if isinstance(rule, ScaleBar) else []
     inside = [index for index in range(n) if index not in bar]
-    items = [_Item(item.column, item, own, item.power) for item, own in zip(wanted, places, strict=True)]
+    items = [_Item(item.column, item, place, item.power) for item, place in zip(wanted, places, strict=True)]
     items.append(_Item("centroid_size", centroid_size, inside, 1))
-    whole = [i for i, own in enumerate(specimens) if own.status in _USABLE and _has_shape(own.points[inside])]
+    whole = [
+        i for i, specimen in enumerate(specimens) if specimen.status in _USABLE and _has_shape(specimen.points[inside])
+    ]
     specimens = specimens if slide is None else _slid(specimens, whole, inside, slide)
     mean = procrustes_mean(np.array([specimens[i].points[inside] for i in whole])) if whole else None
     with np.errstate(divide="ignore", invalid="ignore"):  # by points that are missing or coincide
@@ -98,8 +100,8 @@ def measure(
 def _slid(specimens: Sequence[Specimen], whole: Sequence[int], inside: Sequence[int], how: str) -> tuple[Specimen, ...]:
     """Slide the semilandmarks of the specimens that are whole along the curves of the first that has any."""
     place = {index: i for i, index in enumerate(inside)}
-    curves = next((own.curves for own in specimens if own.curves and own.status in _USABLE), ())
-    chains = [Contour(tuple(place[i] for i in own.indices if i in place), own.closed) for own in curves]
+    curves = next((specimen.curves for specimen in specimens if specimen.curves and specimen.status in _USABLE), ())
+    chains = [Contour(tuple(place[i] for i in curve.indices if i in place), curve.closed) for curve in curves]
     if not curves:
         raise LiaamError("no specimen has curves to slide along: give landmark files with curves, such as .tps")
     shapes = np.array([specimens[i].points[inside] for i in whole]).reshape(-1, len(inside), 2)
@@ -128,7 +130,7 @@ def alike(specimens: Iterable[Specimen]) -> tuple[tuple[Specimen, ...], tuple[st
 
     Returns
     -------
-    kept : tuple of Specimen
+    used : tuple of Specimen
         With the same landmarks in the same order.
     left_out : tuple of str
         A sentence for each specimen that is left out.
@@ -141,7 +143,7 @@ def alike(specimens: Iterable[Specimen]) -> tuple[tuple[Specimen, ...], tuple[st
     sets = Counter(frozenset(specimen.names) for specimen in fitted if len(specimen.names) == usual)
     shared = sets.most_common(1)[0][0] if sets else frozenset()
     names = next((specimen.names for specimen in fitted if frozenset(specimen.names) == shared), ()) if shared else ()
-    kept, left_out = [], []
+    used, left_out = [], []
     for specimen in specimens:
         absent, n = [name for name in names if name not in specimen.names], len(specimen.points)
         if specimen.names and absent:
@@ -151,8 +153,8 @@ def alike(specimens: Iterable[Specimen]) -> tuple[tuple[Specimen, ...], tuple[st
         if reason and specimen.status in _USABLE:
             left_out.append(f"{specimen.name}: {reason}")
         else:
-            kept.append(specimen if reason else _in_order(specimen, names))
-    return tuple(kept), tuple(left_out)
+            used.append(specimen if reason else _in_order(specimen, names))
+    return tuple(used), tuple(left_out)
 
 
 def _in_order(specimen: Specimen, names: tuple[str, ...]) -> Specimen:
@@ -162,7 +164,7 @@ def _in_order(specimen: Specimen, names: tuple[str, ...]) -> Specimen:
     order = [specimen.names.index(name) for name in names]
     spread = None if specimen.covariances is None else np.asarray(specimen.covariances)[order]
     place = {index: i for i, index in enumerate(order)}
-    curves = tuple(Contour(tuple(place[i] for i in own.indices), own.closed) for own in specimen.curves)
+    curves = tuple(Contour(tuple(place[i] for i in curve.indices), curve.closed) for curve in specimen.curves)
     return replace(specimen, points=specimen.points[order], covariances=spread, names=names, curves=curves)
 
 
@@ -171,8 +173,10 @@ def indices_of(what: str, landmarks: Sequence[str], names: Sequence[str], n: int
     numbers = {name: i for i, name in enumerate(names)} | {str(number): number - 1 for number in range(1, n + 1)}
     for landmark in landmarks:
         if landmark not in numbers:
-            known = f" or their names ({', '.join(names[:5])} …)" if names else ", since these landmarks have no names"
-            raise LiaamError(f"{what}: there is no landmark '{landmark}'; give numbers from 1 to {n}{known}")
+            choices = (
+                f" or their names ({', '.join(names[:5])} …)" if names else ", since these landmarks have no names"
+            )
+            raise LiaamError(f"{what}: there is no landmark '{landmark}'; give numbers from 1 to {n}{choices}")
     return [numbers[landmark] for landmark in landmarks]
 
 
@@ -182,15 +186,15 @@ def _row(
     rule: float | ScaleBar | None,
     bar: Sequence[int],
     mean: np.ndarray | None,
-) -> Row:
+) -> SpecimenRow:
     """Measure one specimen. The last item is the centroid size."""
-    row: Row = {"specimen": specimen.name, "status": specimen.status}
+    row: SpecimenRow = {"specimen": specimen.name, "status": specimen.status}
     if specimen.status not in _USABLE:
         return row
     length, slope = _pixel(specimen, rule, bar)
-    known = length > 0 if isinstance(rule, ScaleBar) else rule is not None or specimen.scale is not None
-    row["scale"] = length if known else math.nan
-    if not known:
+    has_scale = length > 0 if isinstance(rule, ScaleBar) else rule is not None or specimen.scale is not None
+    row["scale"] = length if has_scale else math.nan
+    if not has_scale:
         length, slope = 1.0, np.zeros_like(specimen.points)
     for item in items:
         value, change = item.function(specimen.points[item.indices])
@@ -226,19 +230,19 @@ def _standard_errors(covariances: np.ndarray | None, jacobian: np.ndarray) -> np
     return np.sqrt(np.maximum(variances, 0.0))
 
 
-def _shape(specimen: Specimen, inside: Sequence[int], mean: np.ndarray) -> Row:
+def _shape(specimen: Specimen, inside: Sequence[int], mean: np.ndarray) -> SpecimenRow:
     """Return the Procrustes coordinates, y upwards, and then their standard errors."""
     shape, jacobian = procrustes(specimen.points[inside], mean)
     covariances = None if specimen.covariances is None else specimen.covariances[inside]
     errors = _standard_errors(covariances, jacobian.reshape(len(jacobian), -1, 2))
-    row: Row = {}
+    row: SpecimenRow = {}
     for end, values in (("", shape * (1, -1)), ("_se", errors.reshape(shape.shape))):
         for index, (x, y) in zip(inside, values.tolist(), strict=True):
             row |= {f"X{index + 1}{end}": x, f"Y{index + 1}{end}": y}
     return row
 
 
-def _columns(rows: Sequence[Row]) -> Columns:
+def _columns(rows: Sequence[SpecimenRow]) -> Columns:
     """Transpose rows. Drop what is unknown of all: status, scale, standard errors."""
     names = list(max(rows, key=len))
     columns = {name: [row.get(name, math.nan) for row in rows] for name in names}

@@ -51,13 +51,13 @@ class Encoder:
 
     def __call__(self, image: np.ndarray) -> np.ndarray:
         """Encode an image (h, w, 3) float32 to (h, w, c) float32."""
-        channels, known = channels_of(self.function, image), self.features
-        if channels.shape[2] != len(known.mean):
+        channels, features = channels_of(self.function, image), self.features
+        if channels.shape[2] != len(features.mean):
             raise MethodError(
-                f"the function {known.name} returns {channels.shape[2]} channels, but returned {len(known.mean)} when "
-                "the model was trained; use the same function, or train the model again"
+                f"the function {features.name} returns {channels.shape[2]} channels, but returned "
+                f"{len(features.mean)} when the model was trained; use the same function, or train the model again"
             )
-        return ((channels - known.mean) @ known.projection).astype(np.float32)
+        return ((channels - features.mean) @ features.projection).astype(np.float32)
 
 
 def name_of(function: Any) -> str:

@@ -38,7 +38,7 @@ def noise_deviation(image: np.ndarray, response: Response = "srgb") -> float:
         parts = [part.astype(np.int32) for part in parts]
     else:
         parts = [stored_values(part) for part in parts]
-    above, own, below = parts
-    bent = above - 2 * own + below
+    above, centre, below = parts
+    bent = above - 2 * centre + below
     middle = np.median(np.abs(bent[:, :-2] - 2 * bent[:, 1:-1] + bent[:, 2:]))
     return max(float(1.4826 * middle / (6.0 * top)), least)

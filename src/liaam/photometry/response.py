@@ -113,10 +113,10 @@ def from_linear(linear: np.ndarray, response: Response = "srgb") -> np.ndarray:
         return np.maximum(linear, 0.0) ** (1.0 / float(response))
     spline, wanted = _spline(response), np.log(np.maximum(linear, SMALLEST))
     grid = np.linspace(spline.x[0], spline.x[-1], 2048)
-    found = np.interp(wanted, spline(grid), grid)
+    logs = np.interp(wanted, spline(grid), grid)
     for _ in range(2):  # beyond the points, the first Newton step leaves them and the second follows the straight end
-        found = found - (_power_law_ends(spline, found) - wanted) / _power_law_ends(spline, found, slope=True)
-    return np.where(np.asarray(linear) > SMALLEST, np.exp(found), 0.0)
+        logs = logs - (_power_law_ends(spline, logs) - wanted) / _power_law_ends(spline, logs, slope=True)
+    return np.where(np.asarray(linear) > SMALLEST, np.exp(logs), 0.0)
 
 
 def log_slope(stored: np.ndarray, response: Response = "srgb") -> np.ndarray:

@@ -11,7 +11,7 @@ from liaam.io import atomic_path
 from liaam.model import AAM
 from liaam.model.appearance import AppearanceModel
 from liaam.photometry import invariant, linear_to_srgb
-from liaam.training import Lamps
+from liaam.training import LearntLamps
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -162,12 +162,12 @@ def _stored(model: AAM, log_rgb: np.ndarray) -> np.ndarray:
     return model.frame.picture(linear_to_srgb(np.minimum(np.exp(log_rgb), 1.0)), 1.0)
 
 
-def figure_of_lamps(lamps: Lamps, image: np.ndarray | None = None, points: np.ndarray | None = None) -> "Figure":
+def figure_of_lamps(lamps: LearntLamps, image: np.ndarray | None = None, points: np.ndarray | None = None) -> "Figure":
     """Draw an image under each lamp.
 
     Parameters
     ----------
-    lamps : Lamps
+    lamps : LearntLamps
     image : (h, w, 3) array, optional
         Image under the training light. By default plain grey.
     points : (n, 2) float, optional

@@ -141,7 +141,7 @@ NUMBERED = 16  # Maximum number of images for numbers in the matrix
 
 
 def figure_of_agreement(
-    pictures: Sequence[np.ndarray], names: Sequence[str], seen: Averaged, found: Sequence[Agreement]
+    pictures: Sequence[np.ndarray], names: Sequence[str], seen: Averaged, pairs: Sequence[Agreement]
 ) -> "Figure":
     """Draw the correlations of invariant images and of log grey for each pair of images, below the images."""
     n = len(pictures)
@@ -149,7 +149,7 @@ def figure_of_agreement(
         side = max(4.0, 0.36 * n)
         figure, axes = subplots(1, 2, (2 * side + 2.6, side + 0.4))
         for axis, key, title in ((axes[0, 0], "invariant", "invariant"), (axes[0, 1], "log_grey", "log grey")):
-            shown = _draw_matrix(axis, n, found, key, title)
+            shown = _draw_matrix(axis, n, pairs, key, title)
         axes[0, 0].set_yticklabels([f"{shortened(name)}  {i + 1}" for i, name in enumerate(names)], fontsize=7)
         axes[0, 0].set_ylabel("")
         figure.colorbar(shown, ax=axes[0], label="correlation", shrink=0.8, extend="min")
@@ -159,11 +159,13 @@ def figure_of_agreement(
     for i in range(n):
         show_picture(axes[0, i], brightened(pictures[i]), f"{i + 1}  {shortened(names[i], 30)}")
         show_picture(axes[1, i], invariant_picture(seen.invariant[i], limits), "invariant image")
-    places, heights = np.arange(len(found)), {"invariant": [pair.invariant for pair in found]}
-    heights["log grey"] = [pair.log_grey for pair in found]
-    for shift, colour, (key, own) in zip((-0.18, 0.18), ("#19a979", "#9a9a9a"), heights.items(), strict=True):
-        bars.bar_label(bars.bar(places + shift, own, 0.34, color=colour, label=key), fmt="%.3f", fontsize=8, padding=2)
-    bars.set_xticks(places, [f"{pair.first + 1} and {pair.second + 1}" for pair in found])
+    places, heights = np.arange(len(pairs)), {"invariant": [pair.invariant for pair in pairs]}
+    heights["log grey"] = [pair.log_grey for pair in pairs]
+    for shift, colour, (key, values) in zip((-0.18, 0.18), ("#19a979", "#9a9a9a"), heights.items(), strict=True):
+        bars.bar_label(
+            bars.bar(places + shift, values, 0.34, color=colour, label=key), fmt="%.3f", fontsize=8, padding=2
+        )
+    bars.set_xticks(places, [f"{pair.first + 1} and {pair.second + 1}" for pair in pairs])
     lowest = min([0.0, *chain.from_iterable(heights.values())])
     bars.set(ylabel="correlation", ylim=(1.25 * lowest, 1.12), xlabel="images")
     bars.axhline(0.0, color="black", lw=0.8)
@@ -176,11 +178,11 @@ def shortened(name: str, most: int = 22) -> str:
     return name if len(name) <= most else f"{name[: most // 3]}…{name[len(name) - most + most // 3 + 1 :]}"
 
 
-def _draw_matrix(axis: "Axes", n: int, found: Sequence[Agreement], key: str, title: str):
+def _draw_matrix(axis: "Axes", n: int, pairs: Sequence[Agreement], key: str, title: str):
     import matplotlib
 
     matrix = np.eye(n)
-    for pair in found:
+    for pair in pairs:
         matrix[pair.first, pair.second] = matrix[pair.second, pair.first] = getattr(pair, key)
     colours = matplotlib.colormaps["viridis"].with_extremes(under="#1b1020", bad="#dddddd")
     shown = axis.imshow(matrix, vmin=LOWEST, vmax=1.0, cmap=colours)
@@ -190,7 +192,7 @@ def _draw_matrix(axis: "Axes", n: int, found: Sequence[Agreement], key: str, tit
             ink = "white" if value < 0.5 * (LOWEST + 1.0) else "black"
             text = "–" if np.isnan(value) else f"{value:z.2f}"
             axis.text(j, i, text, ha="center", va="center", fontsize=6, color=ink)
-    median = np.nanmedian([getattr(pair, key) for pair in found])
+    median = np.nanmedian([getattr(pair, key) for pair in pairs])
     axis.set_title(f"{title}: median {median:z.3f}", fontsize=10)
     axis.set(xlabel="image", ylabel="image")
     for set_ticks in (axis.set_xticks, axis.set_yticks):

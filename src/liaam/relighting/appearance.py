@@ -7,7 +7,7 @@ import numpy as np
 
 from liaam.errors import MethodError
 from liaam.fitting import FitResult, Fitter
-from liaam.fitting.loop.level_image import correlated_pixels
+from liaam.fitting.loop.encoded_image import correlated_pixels
 from liaam.fitting.solution import solution_at
 from liaam.formatting import short_repr
 from liaam.model import AAM, MESH
@@ -46,9 +46,9 @@ class ShadowFree:
     __repr__ = short_repr
 
     @classmethod
-    def unseen(cls, known: AppearanceModel) -> "ShadowFree":
+    def unseen(cls, learnt: AppearanceModel) -> "ShadowFree":
         """Return the mean appearance, which is all that is known without an image."""
-        return cls(known.mean, np.zeros(known.n_modes), np.sqrt(known.eigenvalues))
+        return cls(learnt.mean, np.zeros(learnt.n_modes), np.sqrt(learnt.eigenvalues))
 
 
 def shadow_free(fitter: Fitter, image, result: FitResult, prior: float = 1.0) -> ShadowFree:
@@ -83,10 +83,10 @@ def shadow_free(fitter: Fitter, image, result: FitResult, prior: float = 1.0) ->
         image, name = load_picture(image, "image")
         refuse_grey(image, name, "the appearance without shadows is computed from colours", MethodError)
         fitter, result = by_invariant(fitter), replace(result, theta=np.nan)
-    seen, known = solution_at(fitter, image, result), fitter.view.levels[-1].appearances["log"]
-    n, eigenvalues = known.n_modes, known.eigenvalues
+    seen, learnt = solution_at(fitter, image, result), fitter.view.levels[-1].appearances["log"]
+    n, eigenvalues = learnt.n_modes, learnt.eigenvalues
     if not seen["weight"] > 0:  # no pixel is usable
-        return ShadowFree.unseen(known)
+        return ShadowFree.unseen(learnt)
     # In units of squared residuals, like the shape prior.
     variance = correlated_pixels(fitter.view.levels[-1].blur) * max(seen["squares"] / seen["weight"], LEAST_VARIANCE)
     precision = np.zeros(len(seen["lam"]))
@@ -97,7 +97,7 @@ def shadow_free(fitter: Fitter, image, result: FitResult, prior: float = 1.0) ->
     hessian = gram + np.diag(precision + 1e-9 * np.diag(gram).max())
     best = np.linalg.solve(hessian, gram @ seen["lam"] + modes @ (seen["masked"] * seen["residual"]))
     spread = np.sqrt(np.diag(np.linalg.inv(hessian)) * variance)
-    return ShadowFree(known.texture(best[:n]), best[:n], spread[:n])
+    return ShadowFree(learnt.texture(best[:n]), best[:n], spread[:n])
 
 
 @lru_cache(maxsize=4)

@@ -58,8 +58,8 @@ class Surroundings:
         own = np.log(light + DARK * np.float32(np.quantile(light[inside], BRIGHTEST)))
         seen = cv2.GaussianBlur(own, (0, 0), BLUR_OWN)
         away = distance(~inside)[..., None]
-        known = inside[..., None]
-        nearer = np.where(known, np.float32(1.0), _nearer_to_object(inside, away, seen, reach))
+        in_object = inside[..., None]
+        nearer = np.where(in_object, np.float32(1.0), _nearer_to_object(inside, away, seen, reach))
         alike, bright = _alike(inside, own, reach)
         enclosed = (bright > A_LITTLE) & _is_enclosed((bright <= A_LITTLE) & (nearer >= 0.5))
         gloss = bright * enclosed
@@ -67,26 +67,28 @@ class Surroundings:
         depth = distance(np.pad(inside, 1))[1:-1, 1:-1]
         is_deep = depth > min(BORDER * reach, 0.5 * depth.max())
         belongs = np.where(is_deep[..., None], np.float32(1.0), belongs)
-        belongs = np.where(known, belongs, averaged(belongs, seen, max(1.0, EVEN * reach)))
+        belongs = np.where(in_object, belongs, averaged(belongs, seen, max(1.0, EVEN * reach)))
         share = belongs * smoothstep(1.0 - (away - 1.0) / (FARTHEST * reach))
         share[share <= LEAST_SHARE] = 0.0
-        gloss[known] = 0.0
+        gloss[in_object] = 0.0
         return cls(inside, belongs, gloss, share, seen, reach)
 
     def spread(self, values: np.ndarray, lit: np.ndarray) -> np.ndarray:
         """Return the light (h, w, 3) that is ``values`` inside the mesh, and ``lit`` plus the nearby rest around it."""
         at = _extent(self.share[..., 0] > 0)
         light, rest, inside = self.belongs * lit, values[at] - lit[at], self.inside[at]
-        grey, known = mean_of(rest)[..., None], inside[..., None]
-        colour = averages(rest - grey, known, COLOUR * self.reach)
-        light[at] += self.share[at] * np.where(known, rest, carried(grey + colour, inside, self.seen[at], self.reach))
+        grey, in_object = mean_of(rest)[..., None], inside[..., None]
+        colour = averages(rest - grey, in_object, COLOUR * self.reach)
+        light[at] += self.share[at] * np.where(
+            in_object, rest, carried(grey + colour, inside, self.seen[at], self.reach)
+        )
         return light
 
 
 def carried(values: np.ndarray, inside: np.ndarray, seen: np.ndarray, reach: float) -> np.ndarray:
     """Return means of nearby values (h, w, c) float32 of a mask (h, w), within the edges of an image (h, w, 3)."""
-    known = inside[..., None].astype(np.float32)
-    sums = averaged(np.concatenate([values * known, known], axis=2), seen, max(1.0, NEARBY * reach))
+    weight = inside[..., None].astype(np.float32)
+    sums = averaged(np.concatenate([values * weight, weight], axis=2), seen, max(1.0, NEARBY * reach))
     return sums[..., :-1] / np.maximum(sums[..., -1:], 1e-20)
 
 
@@ -131,13 +133,13 @@ def _alike(inside: np.ndarray, own: np.ndarray, reach: float) -> tuple[np.ndarra
 
 def averaged(layers: np.ndarray, seen: np.ndarray, scale: float) -> np.ndarray:
     """Average layers (h, w, c) in a Gaussian of ``scale`` pixels within the edges of an image ``seen``, (h, w, 3)."""
-    found = np.array(layers, np.float32, order="C")
+    filtered = np.array(layers, np.float32, order="C")
     # Standard deviations halve, and their squares sum to scale ** 2 (their equation 14).
     deviation = scale * np.sqrt(3.0) * 2.0 ** (ROUNDS - 1) / np.sqrt(4.0**ROUNDS - 1.0)
     steps = (np.abs(np.diff(seen, axis=axis)) for axis in (1, 0))
     lengths = (1.0 + np.float32(scale / EDGE) * (each[..., 0] + each[..., 1] + each[..., 2]) for each in steps)
-    kept = [np.exp(np.float32(-np.sqrt(2.0) / deviation) * each) for each in lengths]
+    factors = [np.exp(np.float32(-np.sqrt(2.0) / deviation) * each) for each in lengths]
     for _ in range(ROUNDS):
-        _core.filter_rows_and_columns(found, *kept)
-        kept = [np.square(each) for each in kept]
-    return found
+        _core.filter_rows_and_columns(filtered, *factors)
+        factors = [np.square(each) for each in factors]
+    return filtered

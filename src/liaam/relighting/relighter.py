@@ -30,7 +30,7 @@ LONGEST = 1.5  # Largest exposure relative to frontal light; a lamp from behind 
 MOST_NOISE = 3.0  # Largest amplification of the noise of stored values
 GRAIN = 1.0  # Standard deviation of the Gaussian that separates the noise, pixels
 
-Light = Sequence[float] | Lamp | Sequence[Lamp]
+LampsLike = Sequence[float] | Lamp | Sequence[Lamp]
 Steadied = Callable[[Shading], Shading]
 
 
@@ -187,7 +187,7 @@ class Relighter:
         """Mean certainty inside the mesh; 0 if the object is outside the image."""
         return float(np.nanmean(self.certainty())) if self.inside.any() else 0.0
 
-    def under(self, light: Light, ambient: float = AMBIENT) -> np.ndarray:
+    def under(self, light: LampsLike, ambient: float = AMBIENT) -> np.ndarray:
         """Return the image with the object under distant lamps, (h, w, 3) uint8.
 
         Uses Lambert's law on the inflated surface, relative to a frontal lamp: under one white lamp from (0, 0, 1) the
@@ -345,7 +345,7 @@ def _without_light(
 def relight(
     model: AAM | str,
     image,
-    light: Light | None = None,
+    light: LampsLike | None = None,
     *,
     like=None,
     ambient: float = AMBIENT,
@@ -400,7 +400,7 @@ def relight(
         raise LiaamError("light and like cannot be combined; give one of them")
     lamps = None if light is None else lamps_of(light)
     check_ambient(ambient)
-    fitter = Fitter.of(model, method, known=relight, **settings)
+    fitter = Fitter.of(model, method, caller=relight, **settings)
     check_colour(fitter.model)
     other = None
     if like is not None:
@@ -413,7 +413,7 @@ def relight(
     return shown(relighter, lamps, other, ambient)
 
 
-def lamps_of(light: Light) -> list[Lamp]:
+def lamps_of(light: LampsLike) -> list[Lamp]:
     """Return the lamps of a direction, a lamp or several lamps."""
     if isinstance(light, FitResult):
         raise LiaamError(

@@ -130,10 +130,10 @@ def appearance_in_light(
     pixels that are ``usable`` (n_pixels,), 0 or 1. Also return the covariance (k, k) of the coordinates of the light,
     and the logarithm of the image's level (3,), times the probability of another light than that of training.
     """
-    known = model.levels[-1].appearances["log"]
+    appearance = model.levels[-1].appearances["log"]
     of_lamps, unexplained = light_on_frame(model)
     pixels, together = _samples(model)
-    part = known.at(pixels)
+    part = appearance.at(pixels)
     levels = np.array([np.full(3, LEVEL), *(TINT * CHROMATICITY)], np.float32)
     of_levels = np.broadcast_to(levels[:, None], (3, len(pixels), 3))
     of_light = np.concatenate([of_lamps[:, pixels], of_levels])
@@ -141,22 +141,26 @@ def appearance_in_light(
     target = np.einsum("nc,ncd->nd", log[pixels] - part.mean, whitened).ravel()
     modes = np.einsum("mnc,ncd->mnd", np.concatenate([part.modes, of_light]), whitened, optimize=True)
     modes = modes.reshape(len(modes), -1)
-    precision = np.concatenate([1.0 / np.maximum(known.eigenvalues, 1e-12), np.ones(len(of_light))])
-    counts = (usable * (known.usable > 0))[pixels]
+    precision = np.concatenate([1.0 / np.maximum(appearance.eigenvalues, 1e-12), np.ones(len(of_light))])
+    counts = (usable * (appearance.usable > 0))[pixels]
     coordinates, hessian = _robust_coordinates(modes, target, counts, precision, together)
 
     # The light is 0 with the probability that the data give to it.
-    n = known.n_modes
-    own = slice(n, -3)
+    n = appearance.n_modes
+    light_part = slice(n, -3)
     covariance = np.linalg.inv(hessian)
-    light = coordinates[own]
-    variance = covariance[own, own]
+    light = coordinates[light_part]
+    variance = covariance[light_part, light_part]
     same = as_in_training(light, variance)
     level = np.float32(1.0 - same) * (coordinates[-3:].astype(np.float32) @ levels)
-    coordinates = coordinates - same * covariance[:, own] @ np.linalg.solve(variance, light)
+    coordinates = coordinates - same * covariance[:, light_part] @ np.linalg.solve(variance, light)
     spread = (1.0 - same) * (variance + same * np.outer(light, light))
     deviations = np.sqrt(np.diag(covariance)[:n])
-    return ShadowFree(known.texture(coordinates[:n]), coordinates[:n], deviations, coordinates[own]), spread, level
+    return (
+        ShadowFree(appearance.texture(coordinates[:n]), coordinates[:n], deviations, coordinates[light_part]),
+        spread,
+        level,
+    )
 
 
 def _samples(model: AAM) -> tuple[np.ndarray, float]:
@@ -270,10 +274,10 @@ def _variation_of_light(model: AAM, bright: np.ndarray) -> tuple[np.ndarray, np.
 def errors_of_the_model(model: AAM) -> np.ndarray:
     """Return the variance of the errors of a model's appearance in fitted images, (n_pixels,) float32."""
     unexplained = model.levels[-1].appearances["log"].unexplained
-    known = UNKNOWN**2 if unexplained is None else np.trace(unexplained, axis1=1, axis2=2) / 3.0
+    variance = UNKNOWN**2 if unexplained is None else np.trace(unexplained, axis1=1, axis2=2) / 3.0
     depth = distance(model.frame.picture(np.ones(model.n_pixels)) > 0)[tuple(model.frame.pixels.T)]
     soft = smoothstep((depth - 1.0) / (SOFT_EDGE * model.diagonal))
-    return (known + np.square(AT_THE_BORDER * (1.0 - soft))).astype(np.float32)
+    return (variance + np.square(AT_THE_BORDER * (1.0 - soft))).astype(np.float32)
 
 
 def without_marks(model: AAM, left: np.ndarray, weights: np.ndarray, contrast: np.ndarray) -> np.ndarray:
@@ -287,8 +291,8 @@ def without_marks(model: AAM, left: np.ndarray, weights: np.ndarray, contrast: n
     medians = cv2.medianBlur(levels, round(MARK * model.diagonal) | 1)[tuple(model.frame.pixels.T)]
     near = medians / np.float32(STEPS) - 2.0
     for _ in range(2):
-        kept = weights * np.exp(-0.5 * np.square((left - near) / contrast[:, None]).mean(axis=1))
-        near = smoothed(model, left, SMOOTHNESS, kept)
+        unmarked = weights * np.exp(-0.5 * np.square((left - near) / contrast[:, None]).mean(axis=1))
+        near = smoothed(model, left, SMOOTHNESS, unmarked)
     return near
 
 
@@ -326,8 +330,8 @@ def shared_by_halves(model: AAM, values: np.ndarray, mirrored: np.ndarray) -> np
 
 def smoothed(model: AAM, values: np.ndarray, scale: float, weights: np.ndarray | None = None) -> np.ndarray:
     """Average values (n_pixels, ...) of the frame, by weights (n_pixels,), in a Gaussian of ``scale`` diagonals."""
-    kept = np.ones((len(values), 1)) if weights is None else weights[:, None]
-    picture = model.frame.picture(np.hstack([values.reshape(len(values), -1) * kept, kept]))
+    weight = np.ones((len(values), 1)) if weights is None else weights[:, None]
+    picture = model.frame.picture(np.hstack([values.reshape(len(values), -1) * weight, weight]))
     sums = cv2.GaussianBlur(picture, (0, 0), scale * model.diagonal, borderType=cv2.BORDER_CONSTANT)
     sums = sums[tuple(model.frame.pixels.T)]
     return (sums[:, :-1] / np.maximum(sums[:, -1:], 1e-9)).reshape(values.shape)

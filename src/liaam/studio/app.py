@@ -36,12 +36,12 @@ from liaam.studio.fits import LAYER_SIZE, Fits, truth_of
 from liaam.studio.folder import checked_folder, plain_name, status_of
 from liaam.studio.live import LiveVideos
 from liaam.studio.model_store import ModelStore, load_dropped_model, load_studio_model, model_json
-from liaam.studio.pictures import Pictures, Source, Uploads, jpeg_bytes
+from liaam.studio.pictures import Pictures, PictureSource, Uploads, jpeg_bytes
 from liaam.studio.project import Project
 from liaam.studio.routes import Events, attachment, checked_size, light_of, maybe_json, parse_start, read_json, route
 from liaam.studio.safety import FILES, FITS, GUEST, HEADERS, UPLOADS, Guard, Refusal
 from liaam.studio.sets import agreement, make_set, observers, others
-from liaam.studio.settings import Settings
+from liaam.studio.settings import StudioSettings
 from liaam.studio.store import folder_locked
 from liaam.studio.training import Trainer
 
@@ -62,7 +62,7 @@ class Studio:
         Folder of the pictures; may be empty.
     model : Path, optional
         Model to use instead of the one that the studio trained in this folder before.
-    settings : Settings, optional
+    settings : StudioSettings, optional
     of : tuple, optional
         The studio that has the folder open, and a further set of landmarks of that folder, by name.
 
@@ -73,9 +73,13 @@ class Studio:
     """
 
     def __init__(
-        self, folder: str | Path, model: Path | None = None, settings: Settings | None = None, of: OfSet | None = None
+        self,
+        folder: str | Path,
+        model: Path | None = None,
+        settings: StudioSettings | None = None,
+        of: OfSet | None = None,
     ) -> None:
-        self.settings = settings or Settings()
+        self.settings = settings or StudioSettings()
         with ExitStack() as lock:
             if of is None:
                 lock.enter_context(folder_locked(checked_folder(folder), self.settings.address.partition("?")[0]))
@@ -160,13 +164,13 @@ class Studio:
 
     def _overview(self, request: Request) -> dict[str, Any]:
         project, training, model = self.project, self.training, self.models.current
-        known = request.query_params.get("stamp", "")
+        stamp = request.query_params.get("stamp", "")
         # Read before the data: a change in between shows up in the next request.
         sets = project.sets
         suffix = f"-{0 if model is None else model.number}-{training.state.state}-{self.background.checks}-{len(sets)}"
-        overview = project.overview(known.removesuffix(suffix) if known.endswith(suffix) else None, OVERVIEW_SECONDS)
+        overview = project.overview(stamp.removesuffix(suffix) if stamp.endswith(suffix) else None, OVERVIEW_SECONDS)
         if overview is None:
-            return {"unchanged": True, "stamp": known}
+            return {"unchanged": True, "stamp": stamp}
         training.follow_template()
         return {
             "id": project.store.id,
@@ -267,18 +271,18 @@ class Studio:
         camera = CameraModel() if current is None else current.model.camera
         kind = f"chroma-{size}-{hash(camera.response) & 0xFFFFFFFF:x}"
 
-        def make(picture: Source) -> bytes:
+        def make(picture: PictureSource) -> bytes:
             return self.pictures.chroma(picture, size, camera.suited_to(raw=picture.raw).response)
 
         return self._cached(request, kind, make, "application/octet-stream")
 
-    def _cached(self, request: Request, kind: str, make: Callable[[Source], bytes], media: str) -> Response:
+    def _cached(self, request: Request, kind: str, make: Callable[[PictureSource], bytes], media: str) -> Response:
         """Return bytes computed from a picture, or 304 if the browser has them; remember JPEGs that cannot be made."""
         asked = request.path_params
         picture = self.uploads.source(asked["id"]) if "id" in asked else self.project.source(asked["name"])
         headers = {"etag": f'"{picture.tag}-{kind}"', "cache-control": "private, no-cache"}
-        known = [tag.strip().removeprefix("W/") for tag in request.headers.get("if-none-match", "").split(",")]
-        if headers["etag"] in known:
+        tags = [tag.strip().removeprefix("W/") for tag in request.headers.get("if-none-match", "").split(",")]
+        if headers["etag"] in tags:
             return Response(status_code=304, headers=headers)
         try:
             return Response(make(picture), media_type=media, headers=headers)

@@ -84,8 +84,8 @@ class Background:
                 self._fitter_of(self._face).fit(example(self._face, WARM_UP))
         while not self._stopped.is_set():
             with suppress(LiaamError, OSError):  # such as a folder that is gone for a while; the page says so
-                own = self.models.own
-                now = (self.project.stamp, self.trainer.state.state, own and own.number)
+                trained = self.models.own
+                now = (self.project.stamp, self.trainer.state.state, trained and trained.number)
                 if now != self._seen:
                     self.fit_new()
                     self._seen = now if self.check_landmarks() else None
@@ -136,11 +136,11 @@ class Background:
 
     def _find_model(self, waiting: list[tuple[str, Path]]) -> ModelInUse | None:
         """Return the model of the folder, or else the face model if it finds faces."""
-        own, templates = self.models.own, self.project.templates
-        if own is not None:
+        trained, templates = self.models.own, self.project.templates
+        if trained is not None:
             if templates.current is None:
-                templates.offer(template_of_model(own.model))
-            return own
+                templates.offer(template_of_model(trained.model))
+            return trained
         if not waiting or not self._may_use_face():
             return None
         has_faces = templates.current is not None
@@ -148,8 +148,8 @@ class Background:
             tagged = [(name, file_tag(path), path) for name, path in waiting]
             fresh = [each for each in tagged if each[:2] not in self._without_faces][:TRIED]
             trial = partial(propose, self._fitter_of(self._face))
-            found = list(in_order(trial, [path for *_, path in fresh], THREADS))
-            has_faces = bool(fresh) and 2 * sum(not proposal["doubtful"] for proposal in found) >= len(fresh)
+            proposals = list(in_order(trial, [path for *_, path in fresh], THREADS))
+            has_faces = bool(fresh) and 2 * sum(not proposal["doubtful"] for proposal in proposals) >= len(fresh)
             self._without_faces.update(each[:2] for each in fresh)
         if has_faces:
             self._without_faces.clear()
@@ -189,11 +189,11 @@ class Background:
         revisions = {item.name: item.revision for item in done}
         if revisions == self._checked:
             return True
-        found: dict[str, tuple[str, str, list[int]]] = {}
+        slips: dict[str, tuple[str, str, list[int]]] = {}
         for fault in find_label_faults([item.points for item in done]) if len(done) >= LEAST_PICTURES else ():
             item = done[fault.picture]
-            found.setdefault(item.name, (item.revision, fault.message, [int(index) for index in fault.points]))
-        self.project.set_slips(found)
+            slips.setdefault(item.name, (item.revision, fault.message, [int(index) for index in fault.points]))
+        self.project.set_slips(slips)
         self._checked = revisions
         self.checks += 1
         self._next_check = time.monotonic() + 9 * (time.monotonic() - began)
@@ -234,14 +234,14 @@ def proposal_of(result: FitResult) -> dict[str, Any]:
         return {**_NOTHING, **facts}
     covariances, size = result.landmark_covariances, diagonal_of(result.landmarks)
     has_covariances = bool(np.isfinite(covariances).all()) and size > 0
-    found = not result.detection_doubtful
+    is_certain = not result.detection_doubtful
     return {
         **facts,
         "points": [[round(x, 3), round(y, 3)] for x, y in result.landmarks.tolist()],
         "covariances": np.round(covariances, 4).tolist() if has_covariances else None,
         "quality": None if np.isnan(result.quality) else round(float(result.quality), 4),
         "ok": result.status.ok,
-        "found": found,
-        "doubtful": not found or not result.status.ok,
+        "found": is_certain,
+        "doubtful": not is_certain or not result.status.ok,
         "uncertainty": round(float(result.sd.mean()) / size, 5) if has_covariances else None,
     }

@@ -29,9 +29,9 @@ from liaam.relighting import Lamp, Relighter, paint
 from liaam.studio import layers
 from liaam.studio.folder import plain_name
 from liaam.studio.model_store import ModelInUse, ModelStore
-from liaam.studio.pictures import Kept, Pictures, Source, averaged, fitted_size, png_bytes, shown
+from liaam.studio.pictures import Kept, Pictures, PictureSource, averaged, fitted_size, png_bytes, shown
 from liaam.studio.safety import Refusal
-from liaam.studio.settings import Settings
+from liaam.studio.settings import StudioSettings
 from liaam.studio.template import text_of
 
 LAYER_SIZE = 1280  # default longest side of a layer in pixels
@@ -39,20 +39,29 @@ LIGHT_SIZE = 2048
 """Longest side in pixels of a relit picture on the page. Splitting a picture into appearance and shading takes about a
 second per megapixel. Exported files have the full size."""
 
-LAYER_BYTES = 30_000_000  # bytes of encoded layers in the cache
+LAYER_BYTES = 30_000_000  # maximum bytes of encoded layers in the cache
 LIGHT_BYTES = 200_000_000  # maximum bytes of relighters in the cache: a few at 1280 pixels, one at 2048
 MODELS_KEPT = 2  # models whose fits are cached: the current and the previous one, each with tens of megabytes
-FITTERS_KEPT = 16
-Light = tuple[Sequence[Lamp], float]  # lamps, and the fraction of ambient light
+FITTERS_KEPT = 16  # fitters in the cache, one for each model, method, and kind of picture (RAW or not)
+Lighting = tuple[Sequence[Lamp], float]  # lamps, and the fraction of ambient light
 SHARP = 2.0
 """Diagonal of the object on the copy of a large picture, relative to the model's, from which its fit is kept. The
 finest level compares at the model's resolution: on pictures of 12 megapixels, fits differ by 0.04 % of the diagonal."""
 
-FILES = {"pts": "text/plain", "ljson": "application/json", "csv": "text/csv", "json": "application/json"}
-FILES |= dict.fromkeys(("overlay", "flat", "shading", "relit"), "image/png")
+FILES = {
+    "pts": "text/plain",
+    "ljson": "application/json",
+    "csv": "text/csv",
+    "json": "application/json",
+    "overlay": "image/png",
+    "flat": "image/png",
+    "shading": "image/png",
+    "relit": "image/png",
+}
 """Kinds of files of a fit, and their media types."""
 
 WARM_UP = (480, 640)  # height and width of the image that a new model is fitted to, so that the first real fit is fast
+EXAMPLE_DIAGONAL = 0.6  # diagonal of the object on that image, as a fraction of its height
 
 
 @dataclass(frozen=True, eq=False)
@@ -60,7 +69,7 @@ class Fit:
     """A fit and its inputs."""
 
     id: str
-    source: Source
+    source: PictureSource
     fitter: Fitter
     result: FitResult
     search_seconds: float
@@ -76,11 +85,9 @@ class Fit:
         return self.fitter.model
 
     def as_json(self) -> dict[str, Any]:
-        """Return the fit as JSON for the page. ``objects`` are boxes (left, top, right, bottom), its own first."""
-        result, model, found = self.result, self.model, self.result.found
-        is_finite = bool(np.isfinite(result.landmarks).all())
-        shapes = [result.landmarks, *(each.landmarks for each in result.beside)] if result.beside and is_finite else []
-        boxes = [np.concatenate([shape.min(axis=0), shape.max(axis=0)]) for shape in shapes]
+        """Return the fit as JSON for the page."""
+        result = self.result
+        model = self.model
         return {
             "id": self.id,
             "method": result.method.name,
@@ -95,9 +102,9 @@ class Fit:
             "deviations": numbers(result.sd, 3),
             "theta_deg": result.theta_degrees,
             "cost": finite_or_none(result.cost),
-            "found": None if found is None else {"score": round(found.score, 4), "doubtful": found.doubtful},
+            "found": self._detection_json(),
             "n_found": result.n_found,
-            "objects": [numbers(box, 1) for box in boxes],
+            "objects": self._boxes(),
             "iterations": [
                 {
                     "shape": numbers(step.landmarks, 2),
@@ -108,15 +115,45 @@ class Fit:
                 for step in result.history
             ],
             "trained_on": self.trained_on,
-            "error": None if self.error is None else dict(zip(("pixels", "percent"), self.error, strict=True)),
+            "error": self._error_json(),
             "triangles": model.triangles.tolist(),
             "contours": [{"indices": list(indices), "closed": closed} for indices, closed in model.contours],
             "width": self.source.size[0],
             "height": self.source.size[1],
-            "layers": [] if not is_finite else ["residual"] if self.no_flat else layers.LAYERS,
+            "layers": self._layer_names(),
             "no_flat": self.no_flat,
             self.of[0]: self.of[1],
         }
+
+    @property
+    def _is_finite(self) -> bool:
+        return bool(np.isfinite(self.result.landmarks).all())
+
+    def _detection_json(self) -> dict[str, Any] | None:
+        """Return how the object was found; None if the fit had a start."""
+        detection = self.result.found
+        if detection is None:
+            return None
+        return {"score": round(detection.score, 4), "doubtful": detection.doubtful}
+
+    def _boxes(self) -> list[list[float]]:
+        """Return boxes (left, top, right, bottom) of all objects, this one first; none if it is the only one."""
+        if not self.result.beside or not self._is_finite:
+            return []
+        shapes = [self.result.landmarks, *(other.landmarks for other in self.result.beside)]
+        return [numbers(np.concatenate([shape.min(axis=0), shape.max(axis=0)]), 1) for shape in shapes]
+
+    def _error_json(self) -> dict[str, float] | None:
+        if self.error is None:
+            return None
+        pixels, percent = self.error
+        return {"pixels": pixels, "percent": percent}
+
+    def _layer_names(self) -> Sequence[str]:
+        """Return the layers that can be drawn: without shading only the residuals, and none of a lost object."""
+        if not self._is_finite:
+            return []
+        return ["residual"] if self.no_flat else layers.LAYERS
 
 
 def numbers(values: np.ndarray, digits: int) -> list:
@@ -127,15 +164,18 @@ def numbers(values: np.ndarray, digits: int) -> list:
 class Fits:
     """Fits pictures with the current model; thread-safe. A new model is warmed up when it is published."""
 
-    def __init__(self, settings: Settings, models: ModelStore, pictures: Pictures) -> None:
-        self.settings, self.models, self.pictures = settings, models, pictures
+    def __init__(self, settings: StudioSettings, models: ModelStore, pictures: Pictures) -> None:
+        self.settings = settings
+        self.models = models
+        self.pictures = pictures
         self._fits: Kept[str, Fit] = Kept(settings.fits_kept)
         self._fitters: Kept[tuple[int, str, bool], Fitter] = Kept(FITTERS_KEPT)
         self._found: Kept[tuple[str, str, tuple[int, ...], int], Sequence[Detection]] = Kept(settings.fits_kept)
         self._layers: Kept[tuple[str, str, int], tuple[bytes, Any]] = Kept(LAYER_BYTES, lambda layer: len(layer[0]))
         self._lights: Kept[tuple[str, tuple[int, int]], Relighter] = Kept(LIGHT_BYTES, lambda light: light.nbytes)
         self._recent: deque[ModelInUse] = deque(maxlen=MODELS_KEPT)
-        self._forgetting, self._large = threading.Lock(), threading.Lock()
+        self._forgetting = threading.Lock()  # of _recent
+        self._large = threading.Lock()  # one large relighter at a time, because of its memory
         models.listeners += [self.forget_former, self.warm_up_soon]
 
     def forget_former(self, current: ModelInUse | None) -> None:
@@ -159,7 +199,8 @@ class Fits:
                 return
             with suppress(LiaamError):  # the request that needs the result will report it
                 image = example(current.model, WARM_UP)
-                searcher, fitter = self._searcher(current, False), self._fitter(current, DEFAULT_METHOD, False)
+                searcher = self._searcher(current, raw=False)
+                fitter = self._fitter(current, DEFAULT_METHOD, raw=False)
                 result = fitter.fit(image, searcher.find(image)[0])
                 if layers.why_not_flat(fitter, image, result) is None:
                     layers.taken_apart(fitter, image, result, (image.shape[1], image.shape[0]))
@@ -171,7 +212,7 @@ class Fits:
 
     def fit(
         self,
-        source: Source,
+        source: PictureSource,
         of: tuple[str, str],
         method: str = DEFAULT_METHOD,
         start: Any = None,
@@ -185,32 +226,57 @@ class Fits:
         if (current := self.models.current) is None:
             raise Refusal(409, "there is no model yet: train one first, or drop a model file on the page")
         fitter = self._fitter(current, method, source.raw)
-        small = start is None and source.has_copy  # tried first: it will do for an object that is large on it
-        while True:
-            with self.pictures.at_work(source, small) as image:
-                began = time.perf_counter()
-                begin = start
-                if start is None:  # all methods share one search
-                    key = (source.name, source.tag, image.shape, current.number)
-                    searcher = self._searcher(current, source.raw)
-                    begin = self._found.get(key, partial(searcher.find, image, name=source.name))[0]
-                searched = time.perf_counter()
-                result = fitter.fit(image, begin, source.name)
-                if start is None and result.quality < result.least_quality:  # try the search's other places
-                    result = max(result, fitter.fit(image, None, source.name), key=lambda fit: fit.quality)
-                seconds = searched - began, time.perf_counter() - searched
-                no_flat = layers.why_not_flat(fitter, image, result)
-                result = layers.scaled(result, (image.shape[1], image.shape[0]), source.size)
-            # Landmarks on the copy are coarser by the ratio of the widths.
-            least = SHARP * fitter.model.diagonal * source.size[0] / image.shape[1]
-            if not small or (result.status.ok and diagonal_of(result.landmarks) >= least):
-                break
-            small = False
-        facts, error = current.facts, error_of(result.landmarks, truth)
-        trained_on = of[0] == "picture" and of[1] in facts.get("pictures", {}).keys() - facts.get("left_out", {})
-        fit = Fit(secrets.token_urlsafe(9), source, fitter, result, *seconds, no_flat, error, of, trained_on)
+        computed = None
+        if start is None and source.has_copy:  # tried first: it will do for an object that is large on it
+            computed = self._compute(source, fitter, current, start=None, on_copy=True)
+        if computed is None or not computed.is_sharp:
+            computed = self._compute(source, fitter, current, start, on_copy=False)
+        facts = current.facts
+        trained_on = facts.get("pictures", {}).keys() - facts.get("left_out", {}).keys()
+        fit = Fit(
+            id=secrets.token_urlsafe(9),
+            source=source,
+            fitter=fitter,
+            result=computed.result,
+            search_seconds=computed.search_seconds,
+            fit_seconds=computed.fit_seconds,
+            no_flat=computed.no_flat,
+            error=error_of(computed.result.landmarks, truth),
+            of=of,
+            trained_on=of[0] == "picture" and of[1] in trained_on,
+        )
         self._fits.put(fit.id, fit)
         return fit
+
+    def _compute(
+        self, source: PictureSource, fitter: Fitter, current: ModelInUse, start: Any, on_copy: bool
+    ) -> "_Computed":
+        """Fit a picture, or the small copy of a large one, from a start, or else where the search finds the object."""
+        with self.pictures.at_work(source, on_copy) as image:
+            began = time.perf_counter()
+            begin = self._detection(source, image, current) if start is None else start
+            searched = time.perf_counter()
+            result = fitter.fit(image, begin, source.name)
+            if start is None and result.quality < result.least_quality:  # try the search's other places
+                result = max(result, fitter.fit(image, None, source.name), key=lambda fit: fit.quality)
+            fitted = time.perf_counter()
+            no_flat = layers.why_not_flat(fitter, image, result)
+            result = layers.scaled(result, (image.shape[1], image.shape[0]), source.size)
+        # Landmarks on the copy are coarser by the ratio of the widths.
+        least_diagonal = SHARP * fitter.model.diagonal * source.size[0] / image.shape[1]
+        return _Computed(
+            result=result,
+            search_seconds=searched - began,
+            fit_seconds=fitted - searched,
+            no_flat=no_flat,
+            is_sharp=result.status.ok and diagonal_of(result.landmarks) >= least_diagonal,
+        )
+
+    def _detection(self, source: PictureSource, image: np.ndarray, current: ModelInUse) -> Detection:
+        """Return the best place of the object in a picture; all methods share one search."""
+        key = (source.name, source.tag, image.shape, current.number)
+        searcher = self._searcher(current, source.raw)
+        return self._found.get(key, partial(searcher.find, image, name=source.name))[0]
 
     def get(self, number: str) -> Fit:
         """Return the fit with an id."""
@@ -228,7 +294,7 @@ class Fits:
         return self._layers.get((fit.id, what, size), make)
 
     def draw(
-        self, fit: Fit, what: str, size: int | None, light: Light | None = None
+        self, fit: Fit, what: str, size: int | None, light: Lighting | None = None
     ) -> tuple[np.ndarray, dict[str, Any] | None]:
         """Draw a layer of the whole picture as (h, w, 4) or (h, w, 3) uint8, its longest side at most ``size``.
 
@@ -236,7 +302,7 @@ class Fits:
         for ``relit``.
         """
         if what == "overlay":
-            from liaam.plotting import overlay
+            from liaam.plotting import overlay  # heavy: imported when first needed
 
             with self.pictures.at_work(fit.source) as pixels:
                 image = shown(pixels, fit.source.size, fit.source.raw)
@@ -251,28 +317,38 @@ class Fits:
             return layer, {"box": box}
         if what == "shading":
             return layers.shading_layer(relighter, to), {"limit": layers.SHADING_LIMIT, "what": "light"}
-        return averaged(relighter.under(*light) if what == "relit" and light else relighter.flat(), to), None
+        if what == "relit" and light:
+            return averaged(relighter.under(*light), to), None
+        return averaged(relighter.flat(), to), None
 
-    def export(self, fit: Fit, what: str, light: Light) -> tuple[str, str, bytes]:
+    def export(self, fit: Fit, what: str, light: Lighting) -> tuple[str, str, bytes]:
         """Return the name, media type and content of a file, one of :data:`FILES`; the light is for ``relit``."""
         if what not in FILES:
             raise Refusal(422, f"a fit cannot be exported as '{what[:40]}': choose one of {', '.join(FILES)}")
-        stem, kind = plain_name(fit.source.name).rpartition(".")[0] or plain_name(fit.source.name), FILES[what]
-        if kind == "image/png":
-            content = png_bytes(self.draw(fit, what, None, light)[0])
-            return f"{stem}_{'fit' if what == 'overlay' else what}.png", kind, content
+        media_type = FILES[what]
+        name = plain_name(fit.source.name)
+        stem = name.rpartition(".")[0] or name
+        if media_type == "image/png":
+            image, _ = self.draw(fit, what, None, light)
+            ending = "fit" if what == "overlay" else what
+            return f"{stem}_{ending}.png", media_type, png_bytes(image)
         landmarks = Landmarks(fit.result.landmarks, Contour.all_of(fit.model.contours), fit.model.landmark_names)
         if what == "json":
             text = fit_text(landmarks, fit.result.to_dict() | {"image": fit.source.name, "image_size": fit.source.size})
         else:
             text = text_of(landmarks, f".{what}")
-        return f"{stem}.{what}", kind, text.encode()
+        return f"{stem}.{what}", media_type, text.encode()
 
     def _relighter(self, fit: Fit, size: int | None) -> tuple[Relighter, tuple[int, int]]:
-        """Return a relighter, computed at no less than :data:`LAYER_SIZE`, and the output size; None: the picture's."""
+        """Return a relighter of a fit, and the (width, height) to draw.
+
+        The longest side is ``size``, at most :data:`LIGHT_SIZE`, or if None that of the picture. A relighter that is
+        cached has at least :data:`LAYER_SIZE`, so that smaller layers share it.
+        """
         whole = fit.source.size
 
         def make(to: tuple[int, int]) -> Relighter:
+            """Compute the relighter at a (width, height)."""
             if fit.no_flat is not None:
                 raise MethodError(fit.no_flat)
             with self.pictures.at_work(fit.source) as image:
@@ -291,20 +367,35 @@ class Fits:
         return self._lights.get((fit.id, at), partial(make, at)), fitted_size(*whole, size)
 
     def _searcher(self, current: ModelInUse, raw: bool) -> Fitter:
-        return self._fitter(current, (*methods_of(current.model), DEFAULT_METHOD)[0], raw)
+        """Return the fitter whose search all methods share: that of the model's first method."""
+        methods = (*methods_of(current.model), DEFAULT_METHOD)
+        return self._fitter(current, methods[0], raw)
 
     def _fitter(self, current: ModelInUse, method: str, raw: bool) -> Fitter:
+        """Return the fitter of a model and a method, for pictures that are ``raw`` (linear values) or not."""
         # A fitter holds its model, so that the id is not used again. A model may be prepared before it has a number.
         model = current.model
         camera = model.camera.suited_to(raw=raw)
         return self._fitters.get((id(model), method, raw), lambda: Fitter(model, method, camera=camera))
 
 
+@dataclass(frozen=True, eq=False)
+class _Computed:
+    """The result of a fit, in pixels of the picture, and how it was computed."""
+
+    result: FitResult
+    search_seconds: float
+    fit_seconds: float
+    no_flat: str | None  # why its shading cannot be computed
+    is_sharp: bool  # whether the object is so large on the image that was fitted that a larger one adds no accuracy
+
+
 def example(model: AAM, size: tuple[int, int]) -> np.ndarray:
-    """Return an image of a model's mean appearance on grey, (h, w, 3) uint8."""
+    """Return an image of a model's mean appearance on grey, (h, w, 3) uint8, of a (height, width)."""
     mean = linear_to_srgb(np.clip(np.exp(model.levels[-1].appearances["log"].mean), 0.0, 1.0))
     height, width = size
-    shape = model.shape_model.mean * (0.6 * height / diagonal_of(model.shape_model.mean)) + (width / 2, height / 2)
+    scale = EXAMPLE_DIAGONAL * height / diagonal_of(model.shape_model.mean)
+    shape = model.shape_model.mean * scale + (width / 2, height / 2)
     painted, inside = paint(np.broadcast_to(0, (height, width, 3)), shape, model, mean)
     return np.rint(255 * np.where(inside[..., None], painted, 0.5)).astype(np.uint8)
 
@@ -313,11 +404,11 @@ def error_of(shape: np.ndarray, truth: np.ndarray | None) -> tuple[float, float]
     """Return the mean distance from the true landmarks in pixels and in percent of their diagonal, if defined."""
     if truth is None or truth.shape != shape.shape or not np.isfinite(shape).all():
         return None
-    known = truth[np.isfinite(truth).all(axis=1)]
-    if len(known) < 2 or not diagonal_of(known) > 0:
+    present = truth[np.isfinite(truth).all(axis=1)]
+    if len(present) < 2 or not diagonal_of(present) > 0:
         return None
     error = point_error(shape, truth)
-    return error, 100.0 * error / diagonal_of(known)
+    return error, 100.0 * error / diagonal_of(present)
 
 
 def truth_of(landmarks: Landmarks | None) -> np.ndarray | None:

@@ -121,10 +121,10 @@ class Listing:
         self.stranded, self.unlisted, self._times = [], [], {}
         unavailable = partial(Refusal, 503)
         with disk_errors(f"{self.folder.root.name} cannot be read", "is the folder still there?", unavailable):
-            found, below = self._listed("")
+            signatures, below = self._listed("")
         sets = sets_in(self.folder)
         waiting = deque(name for name in below if name not in sets)
-        if any(PurePosixPath(name).suffix.lower() in PICTURE_SUFFIXES for name in found):
+        if any(PurePosixPath(name).suffix.lower() in PICTURE_SUFFIXES for name in signatures):
             self.unlisted.extend(waiting)
             waiting.clear()
         waiting.extendleft(name for name in below if f"{name}/" == self.place)
@@ -133,13 +133,13 @@ class Listing:
             with suppress(OSError):
                 if len(self._times) < MOST_FOLDERS:
                     more, below = self._listed(name)
-                    found.update(more)
+                    signatures.update(more)
                     waiting.extend(below)
                     continue
             self.unlisted.append(name)
-        if found == {name: file.signature for name, file in self.files.items()}:
+        if signatures == {name: file.signature for name, file in self.files.items()}:
             return  # sorting thousands of files takes far longer than listing them
-        self.files = {name: File(name, found[name]) for name in sorted(found, key=natural_key)}
+        self.files = {name: File(name, signatures[name]) for name in sorted(signatures, key=natural_key)}
         self._arrange()
 
     def renew(self, name: str) -> None:
@@ -187,7 +187,7 @@ class Listing:
     def _listed(self, subfolder: str) -> tuple[dict[str, Signature], list[str]]:
         """List the files of a folder, without links that lead out and unreadable entries, and its subfolders."""
         time = self.folder.time(subfolder)  # before the scan, so that changes during it are noticed
-        found, below = {}, []
+        signatures, below = {}, []
         with os.scandir(self.folder.root / subfolder) as entries:
             for entry in entries:
                 if entry.name.startswith("."):
@@ -199,13 +199,13 @@ class Listing:
                         is_known = PurePosixPath(name).suffix.lower() in (*PICTURE_SUFFIXES, *LANDMARK_SUFFIXES)
                         self.stranded += [name] if is_known else []
                     elif entry.is_file():
-                        found[name] = _signature(entry.stat())
+                        signatures[name] = _signature(entry.stat())
                     elif entry.is_dir(follow_symlinks=False):  # a link could lead to a folder above it
                         below.append(name)
                 except (OSError, UnicodeEncodeError):
                     continue
         self._times[subfolder] = time
-        return found, sorted(below, key=natural_key)
+        return signatures, sorted(below, key=natural_key)
 
     def usable_size(self, picture: File) -> tuple[int, int]:
         """Return the width and height of a picture."""
@@ -290,7 +290,7 @@ class Listing:
             stem = place.removesuffix(Path(place).suffix)
             if is_picture and (other := self._added.setdefault(stem, self.winners.get(stem, place))) != place:
                 raise Refusal(409, f"{place} and {other} have the same name except for the suffix: rename one of them")
-            others = [stem + own for own in OWN_SUFFIXES] if suffix in OWN_SUFFIXES else []
+            others = [stem + ending for ending in OWN_SUFFIXES] if suffix in OWN_SUFFIXES else []
             there = [other for other in others if self.folder.inside(other).exists()]
             if there:
                 raise Refusal(409, f"{place}: the picture has landmarks already, in {there[0]}")

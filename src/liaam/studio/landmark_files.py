@@ -23,7 +23,7 @@ from liaam.io.files import read_bytes, some_names
 from liaam.io.landmarks import Landmarks, parse_landmark_data
 from liaam.studio.folder import OWN_SUFFIXES, File, Listing, Signature, disk_errors, revision_of
 from liaam.studio.safety import Refusal
-from liaam.studio.store import Store, Table
+from liaam.studio.store import Store, StoredTable
 from liaam.studio.template import Template, landmarks_of, parse_points, text_of
 
 UNITS = {"µm": 0.001, "mm": 1.0, "cm": 10.0, "m": 1000.0, "in": 25.4}  # units of length, in millimetres
@@ -64,7 +64,7 @@ class Marks:
 class LandmarkFiles:
     """Landmark files of the listed pictures, cached until they change; ``problems`` are those of no picture."""
 
-    def __init__(self, listing: Listing, store: Store, most_bytes: int, bars: Table) -> None:
+    def __init__(self, listing: Listing, store: Store, most_bytes: int, bars: StoredTable) -> None:
         self._listing, self._store, self._folder, self._most_bytes = listing, store, listing.folder, most_bytes
         self._read: dict[str, tuple[Signature, Marks]] = {}
         self._paired: dict[str, Marks] = {}
@@ -72,18 +72,18 @@ class LandmarkFiles:
         self.problems: list[str] = []
         self._pairs_of, self._paired_version = lru_cache(1)(self._pair), -1
         self.bars = bars  # shared by all sets of landmarks of the folder
-        self._invisible = Table(store, "invisible")  # points by name and revision of a .pts
+        self._invisible = StoredTable(store, "invisible")  # points by name and revision of a .pts
 
     def of(self, picture: File) -> Marks:
         """Return the landmarks of a picture, none if it has no file or the file belongs to another picture."""
         if self._listing.winners[picture.stem] != picture.name:
             return Marks()
-        own = self._listing.own(picture)
-        if own is None:
+        file = self._listing.own(picture)
+        if file is None:
             return self._foreign().get(picture.name, Marks())
         if not self.is_read(picture):
-            self._read[own.name] = (own.signature, self._read_own(own))
-        return self._read[own.name][1]
+            self._read[file.name] = (file.signature, self._read_own(file))
+        return self._read[file.name][1]
 
     def fault_of(self, picture: File) -> str | None:
         """Return why the file of another format cannot be read for a picture without landmarks."""
@@ -98,31 +98,31 @@ class LandmarkFiles:
 
     def is_read(self, picture: File) -> bool:
         """Whether the landmark file of a picture was read before, so that :meth:`of` is quick."""
-        own = self._listing.own(picture)
-        return own is None or self._read.get(own.name, (None,))[0] == own.signature
+        file = self._listing.own(picture)
+        return file is None or self._read.get(file.name, (None,))[0] == file.signature
 
-    def _read_own(self, own: File) -> Marks:
+    def _read_own(self, file: File) -> Marks:
         revision = ""
         try:
-            data = self._bytes(self._folder.inside(own.name))
+            data = self._bytes(self._folder.inside(file.name))
             revision = revision_of(data)
-            landmarks = parse_landmark_data(own.name, data)
+            landmarks = parse_landmark_data(file.name, data)
         except LandmarkError as fault:
             text = f"{fault} A copy is kept when you place the points again." if revision else self._folder.plain(fault)
-            return Marks(own.name, revision, None, text)
+            return Marks(file.name, revision, None, text)
         assert isinstance(landmarks, Landmarks)  # these formats hold one picture
-        invisible = self._invisible.get(f"{own.name} {revision}", ())
+        invisible = self._invisible.get(f"{file.name} {revision}", ())
         if max(invisible, default=0) < len(landmarks):
             landmarks = replace(landmarks, invisible=(*landmarks.invisible, *invisible))
-        return Marks(own.name, revision, landmarks)
+        return Marks(file.name, revision, landmarks)
 
     def _foreign(self) -> dict[str, Marks]:
         """Return the landmarks of files in other formats by picture, paired as ``liaam train`` does."""
         listing = self._listing
         if self._paired_version != listing.version:
             self._paired_version, others = listing.version, tuple(listing.other_files)
-            found = self._pairs_of(others, tuple(listing.winners.values())) if others else ({}, {}, [])
-            self._paired, self._faults, self.problems = found
+            pairs = self._pairs_of(others, tuple(listing.winners.values())) if others else ({}, {}, [])
+            self._paired, self._faults, self.problems = pairs
         return self._paired
 
     def _pair(self, others: tuple[File, ...], pictures: tuple[str, ...]) -> tuple[dict, dict, list]:
@@ -163,8 +163,8 @@ class LandmarkFiles:
 
     def target(self, picture: File) -> Path:
         """Return the file to which a picture's landmarks are written."""
-        own = self._listing.own(picture)
-        path = self._folder.inside(f"{self._listing.place}{picture.stem}.ljson" if own is None else own.name)
+        file = self._listing.own(picture)
+        path = self._folder.inside(f"{self._listing.place}{picture.stem}.ljson" if file is None else file.name)
         if self._listing.place:
             with disk_errors(f"{path.parent} cannot be made"):
                 path.parent.mkdir(parents=True, exist_ok=True)
@@ -172,9 +172,9 @@ class LandmarkFiles:
 
     def scale_of(self, picture: File) -> float | None:
         """Return the length of a pixel in millimetres: by the scale bar, or else by the landmark file."""
-        known = self.scale_bar(picture)
-        bar = known["bar"]
-        return known["scale"] if bar is None else bar["length"] * UNITS[bar["unit"]] / math.dist(*bar["ends"])
+        state = self.scale_bar(picture)
+        bar = state["bar"]
+        return state["scale"] if bar is None else bar["length"] * UNITS[bar["unit"]] / math.dist(*bar["ends"])
 
     def scale_bar(self, picture: File) -> dict[str, Any]:
         """Return the ``bar`` of a picture; its ``scale`` without one; and, of a shared bar, what was ``before``."""

@@ -70,9 +70,9 @@ def scaled(result: FitResult, size: tuple[int, int], to: tuple[int, int]) -> Fit
     def there(points: np.ndarray) -> np.ndarray:
         return rescaled(points, (size[1], size[0]), (to[1], to[0]))
 
-    def moved(found: Detection) -> Detection:
-        others = tuple(map(moved, found.others))
-        return replace(found, landmarks=there(found.landmarks), scale=found.scale * factor, others=others)
+    def moved(detection: Detection) -> Detection:
+        others = tuple(map(moved, detection.others))
+        return replace(detection, landmarks=there(detection.landmarks), scale=detection.scale * factor, others=others)
 
     factor = float(np.sqrt(to[0] * to[1] / (size[0] * size[1])))
     return replace(

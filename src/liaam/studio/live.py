@@ -24,7 +24,7 @@ from liaam.studio.model_store import ModelStore
 from liaam.studio.pictures import Kept, jpeg_bytes
 from liaam.studio.routes import route
 from liaam.studio.safety import RECORDINGS, Refusal
-from liaam.studio.settings import Settings
+from liaam.studio.settings import StudioSettings
 from liaam.tracking import TrackedFrame, Tracker, TrackStatus
 from liaam.tracking.files import TrackRows
 from liaam.tracking.motion import rescaled
@@ -112,9 +112,9 @@ def in_whole(tracked: TrackedFrame, size: tuple[int, int], whole: tuple[int, int
 class LiveVideos:
     """The videos that are tracked live; thread-safe. A new model ends all of them; their pages start them again."""
 
-    def __init__(self, models: ModelStore, settings: Settings | None = None) -> None:
+    def __init__(self, models: ModelStore, settings: StudioSettings | None = None) -> None:
         self.models = models
-        self._videos: Kept[str, LiveVideo] = Kept((settings or Settings()).live_kept)
+        self._videos: Kept[str, LiveVideo] = Kept((settings or StudioSettings()).live_kept)
         models.listeners.append(lambda _: self._videos.keep_only(lambda *_: False))
 
     def open(self) -> LiveVideo:

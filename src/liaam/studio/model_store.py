@@ -20,6 +20,7 @@ MODEL_FILE = "model.liaam"  # file of the trained model; the facts about it are 
 SHOWN_VERSIONS = 30  # number of versions that the page shows
 
 Place = Literal["guest", "own", "spare"]
+"""Places of :class:`ModelStore`."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -30,7 +31,8 @@ class ModelInUse:
     number: int  # incremented with every published model
     facts: dict[str, Any]
     """``source`` ("studio", "file" or "guest"), ``trained`` (ISO 8601 or None) and ``pictures`` (revision by name). A
-    model of the studio also has ``order`` (:attr:`liaam.studio.template.Templates.order`), a guest its ``name``."""
+    model of the studio also has ``order`` (:attr:`liaam.studio.template.Templates.order`) and ``left_out`` (the
+    reasons why ``pictures`` were left out, by name), a guest its ``name``."""
 
     @property
     def key(self) -> str:
@@ -62,15 +64,18 @@ class ModelStore:
         self, model: AAM | None, facts: Mapping[str, Any] | None = None, place: Place = "own"
     ) -> ModelInUse | None:
         """Set a model by its place; None removes it."""
-        made = None if model is None else ModelInUse(model, next(self._numbers), dict(facts or {}))
-        setattr(self, place, made)
+        published = None if model is None else ModelInUse(model, next(self._numbers), dict(facts or {}))
+        setattr(self, place, published)
         for listener in self.listeners:
             listener(self.current)
-        return made
+        return published
 
 
 class Versions:
-    """The trained models of a folder, and the errors of models trained without the held-out pictures on these."""
+    """The trained models of a folder.
+
+    Each has errors by name of a held-out picture: of another model, trained without these pictures.
+    """
 
     def __init__(self, store: Store) -> None:
         self._store = store
@@ -85,10 +90,16 @@ class Versions:
 
     def held_out(self, order: str) -> list[str]:
         """Return the held-out pictures of the newest model with an order of its points (see ``Templates``)."""
-        return next((list(version["errors"]) for version in reversed(self._all) if version["order"] == order), [])
+        for version in reversed(self._all):
+            if version["order"] == order:
+                return list(version["errors"])
+        return []
 
     def as_json(self, order: str) -> list[dict[str, Any]]:
-        """Return the newest versions with an order of the points as JSON; ``same`` pictures are those of the newest."""
+        """Return the newest versions with errors, and with an order of the points, as JSON.
+
+        ``same`` is whether the held-out pictures are those of the newest, so that errors can be compared.
+        """
         versions = [version for version in self._all if version["order"] == order and version["errors"]]
         return [
             {
@@ -106,7 +117,8 @@ def load_studio_model(project: Project, models: ModelStore) -> None:
     """Publish the model that the studio trained here before, if there is one; errors are noted in the state."""
     project.store.note(MODEL_FILE, None)
     try:
-        path, order = project.store.path(MODEL_FILE), project.templates.order
+        path = project.store.path(MODEL_FILE)
+        order = project.templates.order
         facts = {"source": "studio", "trained": None, "pictures": {}, "order": order}
         facts |= project.store.get("model", MODEL_FILE) or {}
         if path.exists() and facts["order"] == order:
@@ -130,14 +142,20 @@ def load_dropped_model(data: bytes, name: str, points: int) -> AAM:
 
 
 def model_json(current: ModelInUse | None, done: Mapping[str, str], unread: Collection[str] = ()) -> dict | None:
-    """Return the current model as JSON; ``done`` are revisions by picture for training, ``unread`` those not known."""
+    """Return the current model as JSON for the page.
+
+    ``done`` are the revisions of the landmarks of pictures for training, by name; ``unread`` names of pictures whose
+    files have not been read, so that it is not known whether they are done.
+    """
     if current is None:
         return None
-    model, facts = current.model, current.facts
-    known, left_out = facts["pictures"], facts.get("left_out", {})
-    lost = known.keys() - left_out - done.keys() - set(unread)  # left out by the user since, or without landmarks now
-    # A picture that has changed since may be used by the next training.
-    same = {name for name, revision in done.items() if known.get(name) == revision}
+    model = current.model
+    facts = current.facts
+    trained_on = facts["pictures"]
+    left_out = facts.get("left_out", {})
+    # Pictures that were left out by the user since, or have no landmarks now.
+    lost = trained_on.keys() - left_out.keys() - done.keys() - set(unread)
+    unchanged = {name for name, revision in done.items() if trained_on.get(name) == revision}
     return {
         "number": current.number,
         "name": facts.get("name", model.name),
@@ -145,13 +163,14 @@ def model_json(current: ModelInUse | None, done: Mapping[str, str], unread: Coll
         "n_points": model.n_points,
         "names": list(model.landmark_names),
         "trained": facts["trained"],
-        "stale": len(done) - len(same) + len(lost),
+        "stale": len(done) - len(unchanged) + len(lost),
         "colour": model.is_colour,
         "methods": methods_of(model),
         "triangles": model.triangles.tolist(),
         "theta_deg": float(np.rad2deg(model.theta)),
         "contours": [{"indices": list(indices), "closed": closed} for indices, closed in model.contours],
         "source": facts["source"],
-        "left_out": {name: why for name, why in left_out.items() if name in same},
+        # Without pictures that have changed since: the next training may use them.
+        "left_out": {name: why for name, why in left_out.items() if name in unchanged},
         "mean": model.shape_model.mean.tolist(),
     }

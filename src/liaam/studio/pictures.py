@@ -28,7 +28,7 @@ from liaam.photometry import Response, linear_to_srgb
 from liaam.photometry.encoding import as_colour, encode, refuse_grey, stored_values
 from liaam.studio.folder import disk_errors, plain_name, size_in_header
 from liaam.studio.safety import Refusal, refusing
-from liaam.studio.settings import Settings
+from liaam.studio.settings import StudioSettings
 
 JPEG_QUALITY = 92
 CHROMA_STEP = 1 / 4096  # step of chroma's 16-bit integers: natural logarithm of a ratio of light
@@ -80,9 +80,9 @@ class Kept(Generic[K, V]):
         with self._lock:
             if (value := self.peek(key)) is not None:
                 return value
-            known = self._being_made.get(key)
-            future = self._being_made[key] = known or Future()
-        if known is None:
+            pending = self._being_made.get(key)
+            future = self._being_made[key] = pending or Future()
+        if pending is None:
             try:
                 future.set_result(make())
             except BaseException as fault:
@@ -134,7 +134,7 @@ class Room:
 
 
 @dataclass(frozen=True, eq=False)
-class Source:
+class PictureSource:
     """A picture that can be decoded."""
 
     name: str
@@ -151,7 +151,7 @@ class Source:
         return self.preview is not None and prod(self.size) > COPIED_FROM
 
 
-def source_of(path: Path, max_pixels: int, name: str = "") -> Source:
+def source_of(path: Path, max_pixels: int, name: str = "") -> PictureSource:
     """Return the picture of a file; its name is by default that of the file."""
     tag = file_tag(path)
 
@@ -165,7 +165,7 @@ def source_of(path: Path, max_pixels: int, name: str = "") -> Source:
         return value
 
     decode, preview = partial(read, read_image, max_pixels), lambda size: read(read_preview, size, max_pixels)
-    return Source(name or path.name, tag, read(image_size), decode, preview, is_raw(path))
+    return PictureSource(name or path.name, tag, read(image_size), decode, preview, is_raw(path))
 
 
 def file_tag(path: Path) -> str:
@@ -186,7 +186,7 @@ class Pictures:
         # Acquired before a picture is decoded, so that a waiting thread does not hold one.
         self.work_room = Room(WORKED_ON_AT_ONCE)
 
-    def pixels(self, source: Source, small: bool = False) -> np.ndarray:
+    def pixels(self, source: PictureSource, small: bool = False) -> np.ndarray:
         """Return the decoded picture with three channels, or a ``small`` copy of it. The array must not be modified."""
 
         def read() -> np.ndarray:
@@ -199,12 +199,12 @@ class Pictures:
         return self._decoded.get((source.name, source.tag, small), read)
 
     @contextmanager
-    def at_work(self, source: Source, small: bool = False) -> Iterator[np.ndarray]:
+    def at_work(self, source: PictureSource, small: bool = False) -> Iterator[np.ndarray]:
         """Yield :meth:`pixels`, within a limit of those at work. Nested, or around a :meth:`Kept.get`, it can lock."""
         with self.work_room.of(prod(source.size)):
             yield self.pixels(source, small)
 
-    def image(self, source: Source, size: int) -> bytes:
+    def image(self, source: PictureSource, size: int) -> bytes:
         """Return a JPEG for display, its longest side at most ``size``."""
 
         def make() -> bytes:
@@ -218,7 +218,7 @@ class Pictures:
 
         return self._encoded.get(("image", source.name, source.tag, size), make)
 
-    def chroma(self, source: Source, size: int, response: Response) -> bytes:
+    def chroma(self, source: PictureSource, size: int, response: Response) -> bytes:
         """Return the chroma of a picture (see :func:`chroma`)."""
 
         def make() -> bytes:
@@ -242,9 +242,9 @@ class Upload:
 class Uploads:
     """The last used dropped pictures, up to limits of number, bytes and pixels; thread-safe."""
 
-    def __init__(self, pictures: Pictures, settings: Settings | None = None) -> None:
+    def __init__(self, pictures: Pictures, settings: StudioSettings | None = None) -> None:
         self._pictures = pictures
-        self._settings = settings or Settings()
+        self._settings = settings or StudioSettings()
         most, self._least = self._settings.uploads_bytes, self._settings.uploads_bytes // self._settings.uploads_kept
         self._uploads: Kept[str, Upload] = Kept(most, lambda upload: min(max(len(upload.data), self._least), most))
 
@@ -265,17 +265,17 @@ class Uploads:
 
     def get(self, number: str) -> Upload:
         """Return the upload with an id."""
-        kept = f"only the {self._settings.uploads_kept} last used are kept"
-        return self._uploads.found(number, f"this picture is no longer in memory, where {kept}: drop it again")
+        limit = f"only the {self._settings.uploads_kept} last used are kept"
+        return self._uploads.found(number, f"this picture is no longer in memory, where {limit}: drop it again")
 
-    def source(self, number: str) -> Source:
-        """Return an upload as a :class:`Source`, which can be read while the upload is in memory."""
+    def source(self, number: str) -> PictureSource:
+        """Return an upload as a :class:`PictureSource`, which can be read while the upload is in memory."""
         return self._source(self.get(number))
 
-    def _source(self, upload: Upload, data: bytes | None = None) -> Source:
+    def _source(self, upload: Upload, data: bytes | None = None) -> PictureSource:
         # A source may outlive the upload, so it must not hold its bytes, unless they are not kept yet.
         number, name, pixels = upload.id, upload.name, self._settings.pixels
-        return Source(
+        return PictureSource(
             name,
             f"upload-{number}",
             (upload.width, upload.height),

@@ -28,19 +28,23 @@ from liaam.io.table_writer import columns_text
 from liaam.morphometry import Specimen, measure
 from liaam.studio.folder import File, Folder, Listing, checked_folder, plain_name, revision_of, sets_in
 from liaam.studio.landmark_files import LandmarkFiles, parse_bar
-from liaam.studio.pictures import Source, source_of
+from liaam.studio.pictures import PictureSource, source_of
 from liaam.studio.review import PictureStates, ReviewLog, parse_who
 from liaam.studio.safety import Refusal
-from liaam.studio.settings import Settings
-from liaam.studio.store import Store, Table
+from liaam.studio.settings import StudioSettings
+from liaam.studio.store import Store, StoredTable
 from liaam.studio.template import Template, Templates, parse_indices, parse_points, parse_template, template_of, text_of
 
 PART_SECONDS = 0.02  # how long files are read at a time, while requests wait
 REST_SECONDS = 0.3  # files are read more slowly until so long after a request, so that the page opens soon
+# Pauses between the parts, during that time and later. The lock is not fair, so that requests get it in pauses only
+BUSY_PAUSE_SECONDS = 5 * PART_SECONDS
+PAUSE_SECONDS = 0.1 * PART_SECONDS
 READ_AT_ONCE = 100  # number of pictures whose files an overview reads in any case
 LONG = 2000  # number of pictures above which an overview reads no more files than these
 
 EXPORTS = {"pts": "-pts.zip", "coco": ".json", "tps": ".tps", "csv": ".csv"}  # ends of the names of files, by kind
+UNKNOWN_SIZE = (640, 480)  # width and height that a template is read for where no picture can be read
 
 
 @dataclass(frozen=True)
@@ -49,9 +53,18 @@ class Annotated:
 
     name: str
     path: Path
-    points: np.ndarray
+    points: np.ndarray  # (n, 2) float64, pixels
     revision: str  # :meth:`PictureStates.version_of` the landmarks
-    slip: str | None = None
+    slip: str | None = None  # description of what seems to be wrong
+
+
+@dataclass(frozen=True)
+class Placed:
+    """A picture with landmarks, complete or not, for export."""
+
+    file: File
+    landmarks: Landmarks  # with the picture's scale and the template's names
+    size: tuple[int, int]  # width and height
 
 
 @dataclass(frozen=True)
@@ -72,9 +85,14 @@ class Project:
     """
 
     def __init__(
-        self, folder: str | Path, settings: Settings | None = None, set_name: str = "", first: "Project | None" = None
+        self,
+        folder: str | Path,
+        settings: StudioSettings | None = None,
+        set_name: str = "",
+        first: "Project | None" = None,
     ) -> None:
-        self.settings, self.set_name = settings or Settings(), set_name
+        self.settings = settings or StudioSettings()
+        self.set_name = set_name
         self._sets: dict[str, Project] = first._sets if first else {"": self}
         self.folder = Folder(checked_folder(folder))
         self.root = self.folder.root
@@ -82,17 +100,24 @@ class Project:
         self.store = Store(self.folder, set_name)
         self._lock = first._lock if first else threading.RLock()
         self._asked = 0.0  # time of the last request for pictures
-        self._salt = secrets.token_hex(8)
-        self._listing = listing = Listing(self.folder, self.settings.pixels, set_name and f"{set_name}/")
-        bars = first._landmarks.bars if first else Table(self.store, "bar")
-        self._landmarks = LandmarkFiles(listing, self.store, self.settings.upload_bytes, bars)
-        self._proposals = Table(self.store, "proposal")
+        self._salt = secrets.token_hex(8)  # makes stamps of another run different
+        self._listing = Listing(self.folder, self.settings.pixels, place=f"{set_name}/" if set_name else "")
+        bars = first._landmarks.bars if first else StoredTable(self.store, "bar")
+        self._landmarks = LandmarkFiles(self._listing, self.store, self.settings.upload_bytes, bars)
+        self._proposals = StoredTable(self.store, "proposal")
         # Pictures left at the mean shape have no landmark file, so no training uses them.
-        self._unchecked = Table(self.store, "unchecked")
-        self.templates = Templates(listing, self.store, self._landmarks, self._proposals, self._lock)
+        self._unchecked = StoredTable(self.store, "unchecked")
+        self.templates = Templates(self._listing, self.store, self._landmarks, self._proposals, self._lock)
         self._log = ReviewLog(self.store)
-        parts = (listing, self.store, self._landmarks, self._proposals, self._unchecked, self.templates, self._log)
-        self._states = PictureStates(*parts)
+        self._states = PictureStates(
+            listing=self._listing,
+            store=self.store,
+            landmarks=self._landmarks,
+            proposals=self._proposals,
+            unchecked=self._unchecked,
+            templates=self.templates,
+            log=self._log,
+        )
         self._rescan()
 
     @property
@@ -106,9 +131,9 @@ class Project:
         """Return the JSON of a request. Refuse what is no object, or whose ``folder`` is the id of another folder."""
         if not isinstance(data, dict):
             raise Refusal(422, f"send an object with {wanted}")
-        own = self.store.id
-        if data.get("folder", own) != own:
-            raise Refusal(409, "the studio now serves another folder than this page shows: reload it", folder=own)
+        folder = self.store.id
+        if data.get("folder", folder) != folder:
+            raise Refusal(409, "the studio now serves another folder than this page shows: reload it", folder=folder)
         return data
 
     @property
@@ -138,10 +163,14 @@ class Project:
         self._listing.scan()
 
     def _stamp(self) -> str:
-        listing, store, templates = self._listing, self.store, self.templates
-        files = (listing.version, listing.stranded, listing.unlisted)
-        own = (store.writes, sorted(store.faults.items()), templates.offered, templates.is_pending, self._states.slips)
-        return revision_of(repr((self._salt, files, own)).encode())
+        """Return the stamp of what was found by the last scan, and of what the studio holds."""
+        listing = self._listing
+        store = self.store
+        templates = self.templates
+        of_folder = (listing.version, listing.stranded, listing.unlisted)
+        of_store = (store.writes, sorted(store.faults.items()))
+        of_studio = (templates.offered, templates.is_pending, self._states.slips)
+        return revision_of(repr((self._salt, of_folder, of_store, of_studio)).encode())
 
     def overview(self, stamp: str | None = None, seconds: float = math.inf) -> Overview | None:
         """Return all pictures, or None if nothing has changed since a :attr:`stamp`.
@@ -154,15 +183,20 @@ class Project:
             self._rescan()
             if self._stamp() == stamp:
                 return None
-            files, states = self._listing.pictures, self._states
+            files = self._listing.pictures
             is_long = len(files) > LONG and seconds < math.inf
             self._read_for(0.0 if is_long else seconds, deque(files), READ_AT_ONCE)
-            stamp, ranks = self._stamp(), states.ranks()
+            stamp = self._stamp()
+            ranks = self._states.ranks()
             read = {file.name for file in files if self._listing.is_read(file) and self._landmarks.is_read(file)}
-            pictures = [states.as_json(file, ranks if file.name in read else None) for file in files]
-            stamp += "" if len(read) == len(pictures) else "-reading"
-            done = {item.name: item.revision for item in self.annotated(read)}
-            return Overview(stamp, pictures, done, [file.name for file in files if file.name not in read])
+            if len(read) < len(files):
+                stamp += "-reading"
+            return Overview(
+                stamp=stamp,
+                pictures=[self._states.as_json(file, ranks if file.name in read else None) for file in files],
+                done={item.name: item.revision for item in self.annotated(read)},
+                unread=[file.name for file in files if file.name not in read],
+            )
 
     def read_files(self, until: threading.Event) -> None:
         """Read the files of all pictures in small parts, so that others can use the project meanwhile."""
@@ -173,23 +207,26 @@ class Project:
             with self._lock:
                 self._read_for(PART_SECONDS, waiting)
             is_busy = time.monotonic() < self._asked + REST_SECONDS
-            time.sleep(PART_SECONDS * (5 if is_busy else 0.1))  # the lock is not fair
+            time.sleep(BUSY_PAUSE_SECONDS if is_busy else PAUSE_SECONDS)
 
     def _read_for(self, seconds: float, waiting: deque[File], least: int = 1) -> None:
-        until, last = time.monotonic() + seconds, len(waiting) - least
-        while waiting and (len(waiting) > last or time.monotonic() < until):
+        """Read the files of waiting pictures for so many seconds, but of the ``least`` number in any case."""
+        until = time.monotonic() + seconds
+        n_read = 0
+        while waiting and (n_read < least or time.monotonic() < until):
             file = waiting.popleft()
             if self._listing.files.get(file.name) == file:
-                self._states.as_json(file, {})
+                self._states.as_json(file, {})  # which reads them
+            n_read += 1
 
-    def source(self, name: str) -> Source:
+    def source(self, name: str) -> PictureSource:
         """Return a picture that can be decoded."""
         with self._lock:
             self._listing.usable_size(self._find(name))
             path = self.folder.inside(name)
         return source_of(path, self.settings.pixels, name)
 
-    def mark_unreadable(self, source: Source, fault: ImageError) -> None:
+    def mark_unreadable(self, source: PictureSource, fault: ImageError) -> None:
         """Remember that a picture without landmarks cannot be decoded, unless that may pass."""
         cause: BaseException | None = fault
         while cause is not None:
@@ -204,55 +241,78 @@ class Project:
                 self._listing.mark_unreadable(file, str(fault))
 
     def annotated(self, among: Container[str] | None = None) -> list[Annotated]:
-        """Return the done pictures that are not left out of training; with ``among``, of these at the last scan."""
-        states, found = self._states, []
+        """Return the done pictures that are not left out of training.
+
+        With ``among``, of the pictures with these names at the last scan; else the folder is scanned.
+        """
+        annotated = []
         with self._lock:
             if among is None:
                 self._rescan(strict=True)
             for file in self._listing.pictures:
-                is_among = (among is None or file.name in among) and not isinstance(self._listing.size_of(file), str)
-                if is_among and states.is_done(file) and self._log.who("left out", file.name) is None:
-                    marks, (slip, _) = self._landmarks.of(file), states.slip_of(file)
+                if (among is None or file.name in among) and self._is_for_training(file):
+                    marks = self._landmarks.of(file)
                     assert marks.landmarks is not None
-                    version = states.version_of(marks)
-                    found.append(Annotated(file.name, self.root / file.name, marks.landmarks.points, version, slip))
-        return found
+                    slip, _ = self._states.slip_of(file)
+                    annotated.append(
+                        Annotated(
+                            name=file.name,
+                            path=self.root / file.name,
+                            points=marks.landmarks.points,
+                            revision=self._states.version_of(marks),
+                            slip=slip,
+                        )
+                    )
+        return annotated
+
+    def _is_for_training(self, file: File) -> bool:
+        """Return whether a picture can be read, is done, and is not left out of training."""
+        is_unreadable = isinstance(self._listing.size_of(file), str)  # why it cannot be read
+        return not is_unreadable and self._states.is_done(file) and self._log.who("left out", file.name) is None
 
     def export(self, kind: str) -> tuple[str, bytes]:
         """Return the name and the content of a file with the landmarks of all pictures, one of :data:`EXPORTS`."""
         if kind not in EXPORTS:
             raise Refusal(422, f"landmarks cannot be exported as '{kind[:40]}': choose one of {', '.join(EXPORTS)}")
-        found, name = self.placed("export"), plain_name(self.title) + EXPORTS[kind]
+        pictures = self.placed("export")
+        name = plain_name(self.title) + EXPORTS[kind]
         if kind == "pts":
             stream = io.BytesIO()
             with zipfile.ZipFile(stream, "w", zipfile.ZIP_DEFLATED) as archive:
-                for file, landmarks, _ in found:
-                    archive.writestr(f"{file.stem}.pts", text_of(landmarks, ".pts"))
+                for picture in pictures:
+                    archive.writestr(f"{picture.file.stem}.pts", text_of(picture.landmarks, ".pts"))
             return name, stream.getvalue()
-        collection = {file.name: landmarks for file, landmarks, _ in found}
-        return name, collection_text(name, collection, {file.name: size for file, _, size in found}).encode()
+        collection = {picture.file.name: picture.landmarks for picture in pictures}
+        sizes = {picture.file.name: picture.size for picture in pictures}
+        return name, collection_text(name, collection, sizes).encode()
 
     def measurements(self, measures: str, scale: str) -> tuple[str, bytes]:
         """Return the name and the content of a table of measurements, as ``liaam measure`` writes them."""
-        found = self.placed("measure")
-        specimens = [Specimen(file.stem, own.points, names=own.names, scale=own.scale) for file, own, _ in found]
+        specimens = []
+        for picture in self.placed("measure"):
+            landmarks = picture.landmarks
+            specimens.append(
+                Specimen(picture.file.stem, landmarks.points, names=landmarks.names, scale=landmarks.scale)
+            )
         columns = measure(specimens, measures.split(), scale or None)
         return f"{plain_name(self.title)}-measurements.csv", columns_text(columns).encode()
 
-    def placed(self, to: str = "export") -> list[tuple[File, Landmarks, tuple[int, int]]]:
-        """Return the usable pictures with landmarks for the current template, their landmarks, and their sizes."""
-        found = []
+    def placed(self, to: str = "export") -> list[Placed]:
+        """Return the usable pictures with landmarks for the current template; ``to`` is what they are needed for."""
+        pictures = []
         with self._lock:
             self._rescan(strict=True)
             template = self.templates.current
             for file in self._listing.pictures:
-                marks, size = self._landmarks.of(file), self._listing.size_of(file)
+                marks = self._landmarks.of(file)
+                size = self._listing.size_of(file)
                 if template and marks.landmarks and marks.fits(template) and not isinstance(size, str):
-                    own = replace(marks.landmarks, scale=self._landmarks.scale_of(file), names=template.names)
-                    found.append((file, own, size))
-        if not found:
+                    scale = self._landmarks.scale_of(file)
+                    landmarks = replace(marks.landmarks, scale=scale, names=template.names)
+                    pictures.append(Placed(file, landmarks, size))
+        if not pictures:
             raise Refusal(422, f"no picture has landmarks yet: place the points of one, then {to}")
-        return found
+        return pictures
 
     def unfitted(self, model: str = "") -> list[tuple[str, Path]]:
         """Return the names and paths of the usable pictures without points to which a model, by key, was not fitted.
@@ -261,14 +321,21 @@ class Project:
         """
         with self._lock:
             self._rescan()
-            proposals = self._proposals
-            by = {file: (proposals.of(file) or {"model": None}).get("model", "") for file in self._listing.pictures}
-            blank = [file for file in by if by[file] != model and not self._landmarks.of(file).n_placed]
+            blank = [file for file in self._listing.pictures if self._is_blank(file, model)]
             names = [file.name for file in blank if not isinstance(self._listing.size_of(file), str)]
-            ranks = self._states.ranks() if any(map(proposals.of, blank)) else {}
-            known = sorted((name for name in names if name in ranks), key=ranks.__getitem__)
-            turns = zip_longest(known, (name for name in names if name not in ranks))
-            return [(name, self.root / name) for turn in turns for name in turn if name is not None]
+            has_proposals = any(self._proposals.of(file) for file in blank)
+            ranks = self._states.ranks() if has_proposals else {}  # which reads the files of all pictures
+            ranked = sorted((name for name in names if name in ranks), key=ranks.__getitem__)
+            others = [name for name in names if name not in ranks]
+            in_turns = [name for turn in zip_longest(ranked, others) for name in turn if name is not None]
+            return [(name, self.root / name) for name in in_turns]
+
+    def _is_blank(self, file: File, model: str) -> bool:
+        """Return whether a picture has neither points nor a proposal of a model."""
+        proposal = self._proposals.of(file)
+        if proposal is not None and proposal.get("model", "") == model:
+            return False
+        return not self._landmarks.of(file).n_placed
 
     def take_in(self, name: str, data: bytes) -> dict[str, Any]:
         """Add a picture or a landmark file to the folder (:meth:`liaam.studio.folder.Listing.add`)."""
@@ -314,7 +381,8 @@ class Project:
         who = parse_who(data.get("who"))
         with self._lock:
             self.templates.finish()
-            file, template = self._find(name), self.templates.needed
+            file = self._find(name)
+            template = self.templates.needed
             if "template" in data:
                 self.templates.check(data["template"], f"the landmarks of {name}")
             points = parse_points(data.get("points"), len(template))
@@ -322,30 +390,35 @@ class Project:
             invisible = sorted(index for index in invisible if points[index] is not None)
             current = self._states.marks_json(file)
             has_file = current["source"] == "file"
-            before = current["points"] if has_file else [None] * len(template)
-            moved = [None if p is None else list(p) for p in points] != before or invisible != current["invisible"]
+            points_before = current["points"] if has_file else [None] * len(template)
+            points_now = [None if point is None else list(point) for point in points]
+            has_moved = points_now != points_before or invisible != current["invisible"]
             bar = parse_bar(data["bar"]) if "bar" in data else current["bar"]
             is_scaled = bar != current["bar"]
-            if (moved or is_scaled) and data.get("revision") != current["revision"]:
+            if (has_moved or is_scaled) and data.get("revision") != current["revision"]:
                 clash = f"the landmarks of {name} were changed elsewhere in the meantime: check them"
                 gone = f"the landmark file of {name} was deleted in the meantime: save it again, or let it be"
                 raise Refusal(409, gone if current["revision"] is None else clash, current=current)
             if is_scaled:
                 self._landmarks.set_bar(file, bar)
-            if moved:
+            if has_moved:
                 self.templates.keep()  # the first save fixes a template that was taken from a file
-            if moved or (is_scaled and self._landmarks.of(file).n_placed):
+            if has_moved or (is_scaled and self._landmarks.of(file).n_placed):  # landmark files state the scale
                 self._landmarks.save(file, template, points, invisible)
-            if moved:
+            if has_moved:
                 with suppress(LiaamError):  # the landmarks are saved
                     did = "placed" if any(points) else "cleared"
                     self._log.add_change(who, file.name, did, self._landmarks.of(file).revision)
             if "unchecked" in data and not any(points):
-                tag = file.tag if data["unchecked"] else None
-                if self._unchecked.get(file.name) != tag:
-                    self._unchecked.save({file.name: tag})
+                self._set_unchecked(file, bool(data["unchecked"]))
             revision = self._landmarks.of(file).revision
             return {"revision": revision, "picture": self._states.as_json(file, self._states.ranks())}
+
+    def _set_unchecked(self, file: File, is_unchecked: bool) -> None:
+        """Store whether a picture without points was left at the mean shape, if that has changed."""
+        tag = file.tag if is_unchecked else None
+        if self._unchecked.get(file.name) != tag:
+            self._unchecked.save({file.name: tag})
 
     def review(self, data: Any) -> dict[str, Any]:
         """Apply an action to several pictures (:meth:`liaam.studio.review.PictureStates.apply`).
@@ -364,11 +437,13 @@ class Project:
             files = [self._find(name) for name in dict.fromkeys(names)]
             if data.get("did") != "scaled":
                 return self._states.apply(files, str(data.get("did")), who)
-            bar, drawn_on = parse_bar(data.get("bar")), data.get("of")
+            bar = parse_bar(data.get("bar"))
+            drawn_on = data.get("of")
             if bar is None or not isinstance(drawn_on, str):
                 raise Refusal(422, "send the scale bar, bar, and the picture on which it was drawn, of")
+            of_any_size = data.get("anyway") is True
             size = self._listing.usable_size(self._find(drawn_on))
-            return self._states.apply(files, "scaled", who, bar, None if data.get("anyway") is True else size)
+            return self._states.apply(files, "scaled", who, bar, like=None if of_any_size else size)
 
     def history(self, name: str) -> list[dict[str, Any]]:
         """Return the newest entries of a picture in the log."""
@@ -389,7 +464,7 @@ class Project:
         """Create a template from the contents of a landmark file, without saving it."""
         with self._lock:
             sizes = (self._listing.size_of(file) for file in self._listing.pictures)
-            size = next((size for size in sizes if not isinstance(size, str)), (640, 480))
+            size = next((size for size in sizes if not isinstance(size, str)), UNKNOWN_SIZE)
         parsed = parse_landmark_data(Path(name).name, data, size)
         landmarks = parsed if isinstance(parsed, Landmarks) else next(iter(parsed.values()))
         if len(landmarks) > self.settings.points:
@@ -399,7 +474,10 @@ class Project:
     def add_proposals(self, proposals: Mapping[str, dict[str, Any]], order: str | None = None) -> None:
         """Save proposals by picture, whose ``tag`` is by default the current one; none for another order of points."""
         with self._lock:
-            if order in (None, self.templates.order):
-                files = self._listing.files
-                tags = {name: files[name].tag if name in files else None for name in proposals}
-                self._proposals.save({name: {"tag": tags[name], **item} for name, item in proposals.items()})
+            if order not in (None, self.templates.order):
+                return
+            tagged = {}
+            for name, proposal in proposals.items():
+                file = self._listing.files.get(name)
+                tagged[name] = {"tag": None if file is None else file.tag, **proposal}
+            self._proposals.save(tagged)

@@ -18,7 +18,7 @@ from liaam.io.landmarks import Landmarks, parse_landmark_data
 from liaam.studio.folder import File, Listing, revision_of
 from liaam.studio.landmark_files import LandmarkFiles, Marks, revision_of_proposal
 from liaam.studio.safety import Refusal
-from liaam.studio.store import Store, Table
+from liaam.studio.store import Store, StoredTable
 from liaam.studio.template import Templates, text_of
 
 UNDONE = {
@@ -109,8 +109,8 @@ class PictureStates:
     listing: Listing
     store: Store
     landmarks: LandmarkFiles
-    proposals: Table
-    unchecked: Table
+    proposals: StoredTable
+    unchecked: StoredTable
     templates: Templates
     log: ReviewLog
     slips: dict[str, tuple[str, str, list[int]]] = field(default_factory=dict)

@@ -20,7 +20,7 @@ from starlette.responses import HTMLResponse, JSONResponse, RedirectResponse, Re
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
 from liaam.errors import LiaamError
-from liaam.studio.settings import LOOPBACK, Settings
+from liaam.studio.settings import LOOPBACK, StudioSettings
 
 FITS = "/api/fits"
 UPLOADS, GUEST, FILES, RECORDINGS = "/api/uploads", "/api/model/guest", "/api/files", "/api/recordings"
@@ -61,7 +61,7 @@ def refusing() -> Iterator[None]:
 class Guard:
     """Refuses requests from other sites, without the token, or with too large a body; adds headers to responses."""
 
-    def __init__(self, app: ASGIApp, settings: Settings) -> None:
+    def __init__(self, app: ASGIApp, settings: StudioSettings) -> None:
         self.app, self.settings, self.crowd = app, settings, Crowd(settings)
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
@@ -181,7 +181,7 @@ RETRY_AFTER = 2  # seconds until a client should retry a request to a busy studi
 class Crowd:
     """Limits the bytes of concurrent request bodies and the number of concurrent uploads. Not thread-safe."""
 
-    def __init__(self, settings: Settings) -> None:
+    def __init__(self, settings: StudioSettings) -> None:
         self.settings = settings
         self.n_bytes, self.uploads = 0, 0
 
@@ -208,7 +208,7 @@ class Crowd:
             self.n_bytes -= held
 
 
-def is_own_host(host: str, settings: Settings) -> bool:
+def is_own_host(host: str, settings: StudioSettings) -> bool:
     """Whether a ``Host`` header names this server.
 
     On all addresses it may be any IP address, but only this machine's name: other names can be pointed at this machine.

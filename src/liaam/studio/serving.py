@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from liaam.errors import LiaamError, installing
-from liaam.studio.settings import DEFAULT_PORT, LOOPBACK, Settings
+from liaam.studio.settings import DEFAULT_PORT, LOOPBACK, StudioSettings
 from liaam.workers import one_blas_thread
 
 if TYPE_CHECKING:
@@ -68,7 +68,7 @@ def serve(
     _return_freed_memory()
     listener = open_port(host, port)
     with listener, one_blas_thread():
-        settings = Settings(host=host, port=listener.getsockname()[1], face=face)
+        settings = StudioSettings(host=host, port=listener.getsockname()[1], face=face)
         studio = Studio(folder, model, settings)
         server = make_server(studio)
         studio.background.start()
@@ -184,7 +184,7 @@ def _uvicorn() -> Any:
     return uvicorn
 
 
-def _welcome(settings: Settings, open_browser: bool, say: Callable[[str], None]) -> None:
+def _welcome(settings: StudioSettings, open_browser: bool, say: Callable[[str], None]) -> None:
     shown = settings if settings.host not in ("0.0.0.0", "::") else replace(settings, host=socket.gethostname())
     if settings.host not in LOOPBACK:
         reach = f"other machines can reach the studio at {settings.host}"

@@ -48,14 +48,14 @@ def make_set(project: Project, data: Any) -> dict[str, str]:
 def observers(project: Project) -> list[str]:
     """Return the sets that have the points of a project, its own included."""
     current = {name: project.of_set(name).templates.current for name in project.sets}
-    own = current[project.set_name]
-    return [name for name, template in current.items() if own and template and template.names == own.names]
+    shown = current[project.set_name]
+    return [name for name, template in current.items() if shown and template and template.names == shown.names]
 
 
 def others(project: Project, picture: str) -> dict[str, Any]:
     """Return all points that other observers placed on a picture, by set; refused before they are placed here."""
     marks = {name: project.of_set(name).marks(picture) for name in observers(project)}
-    placed = {name: own["points"] for name, own in marks.items() if own["source"] == "file"}
+    placed = {name: marked["points"] for name, marked in marks.items() if marked["source"] == "file"}
     done = {name: points for name, points in placed.items() if None not in points}
     if done.pop(project.set_name, None) is None:
         raise Refusal(409, "the points of other observers are shown once all points are placed")
@@ -72,19 +72,19 @@ def agreement(project: Project) -> dict[str, Any]:
     for name in observers(project):
         for item in project.of_set(name).annotated():
             placed.setdefault(item.name, {})[name] = item.points
-    pictures = {picture: own for picture, own in placed.items() if len(own) > 1}
+    pictures = {picture: values for picture, values in placed.items() if len(values) > 1}
     if not pictures:
         raise Refusal(422, "no picture is done in two sets of the same points yet: let another observer place them")
-    every = [(picture, points) for picture, own in pictures.items() for points in own.values()]
+    every = [(picture, points) for picture, values in pictures.items() for points in values.values()]
     names = project.templates.needed.names
     specimens = [Specimen(f"{picture}#{i}", points, names=names) for i, (picture, points) in enumerate(every)]
     table = measurement_error(specimens, measure(specimens), "image")
     sd, percent = (table[name][-len(names) :] for name in ("sd", "sd_percent"))  # the rows of the points are the last
     points = zip(names, sd, percent, strict=True)
-    variance = {picture: np.var([*own.values()], axis=0, ddof=1) for picture, own in pictures.items()}
-    spread = {picture: float(np.sqrt(own.sum(axis=1).mean())) for picture, own in variance.items()}
+    variance = {picture: np.var([*values.values()], axis=0, ddof=1) for picture, values in pictures.items()}
+    spread = {picture: float(np.sqrt(values.sum(axis=1).mean())) for picture, values in variance.items()}
     return {
-        "observers": sorted({observer for own in pictures.values() for observer in own}),
+        "observers": sorted({observer for values in pictures.values() for observer in values}),
         "sd": float(np.sqrt(np.square(sd).mean())),
         "percent": float(np.sqrt(np.square(percent).mean())),
         "repeatability": finite_or_none(table["repeatability"][0]),

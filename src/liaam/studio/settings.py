@@ -10,7 +10,7 @@ STATIC = Path(__file__).with_name("static")
 
 
 @dataclass(frozen=True)
-class Settings:
+class StudioSettings:
     """The studio's address, its token, and its limits."""
 
     host: str = "127.0.0.1"  # address to listen on

@@ -46,14 +46,14 @@ class Store:
     def id(self) -> str:
         """Unique identifier of the folder. It survives a move; a copy has another one."""
         with self._lock:
-            known = self.get("id")
-            if known is None:
-                known = secrets.token_hex(16)
+            identifier = self.get("id")
+            if identifier is None:
+                identifier = secrets.token_hex(16)
                 with suppress(LiaamError):  # the id is then valid until the studio ends
-                    self.put("id", {"": known})
+                    self.put("id", {"": identifier})
             with disk_errors("the folder cannot be read", "restore it", partial(Refusal, 409)):
                 facts = self.folder.root.stat()
-            return revision_of(f"{known} {facts.st_dev} {facts.st_ino}".encode())
+            return revision_of(f"{identifier} {facts.st_dev} {facts.st_ino}".encode())
 
     def get(self, kind: str, name: str = "") -> Any:
         """Return a value, or None."""
@@ -116,7 +116,7 @@ class Store:
             except (sqlite3.Error, LiaamError) as fault:
                 self.note(DATABASE, f"{self.state}/{DATABASE} is not used: {fault}")
                 return []
-        whole = [(key, json.loads(text)) for key, text, known in rows if _hash(text) == known]
+        whole = [(key, json.loads(text)) for key, text, digest in rows if _hash(text) == digest]
         if len(whole) < len(rows):
             n = len(rows) - len(whole)
             self.note("damaged", f"{n} of the entries of {self.state}/{DATABASE} were damaged, so they are ignored")
@@ -139,8 +139,8 @@ class Store:
             for end in ("", "-journal"):  # a journal of the damaged file would spoil the new one
                 with suppress(FileNotFoundError):
                     path.with_name(path.name + end).replace(path.with_name(name + end))
-            kept = f"{self.state}/{DATABASE} was damaged ({fault}) and is kept as {name}: landmarks are not affected"
-            self.note("damaged", f"{kept}, but the template, proposals and reviews begin anew")
+            damage = f"{self.state}/{DATABASE} was damaged ({fault}) and is kept as {name}: landmarks are not affected"
+            self.note("damaged", f"{damage}, but the template, proposals and reviews begin anew")
             self._connection = _connected(path)
         else:
             self.note(DATABASE, None)
@@ -187,7 +187,7 @@ class Store:
                 sweep(folder)
 
 
-class Table(dict[str, Any]):
+class StoredTable(dict[str, Any]):
     """The values of a kind by name, in memory as well."""
 
     def __init__(self, store: Store, kind: str) -> None:

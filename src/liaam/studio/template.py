@@ -25,7 +25,7 @@ from liaam.io.landmarks.formats import writer_of
 from liaam.model.shape import mirror_order
 from liaam.studio.folder import Listing, revision_of, status_of
 from liaam.studio.safety import Refusal, refusing
-from liaam.studio.store import Store, Table
+from liaam.studio.store import Store, StoredTable
 
 if TYPE_CHECKING:
     from liaam.studio.landmark_files import LandmarkFiles
@@ -174,7 +174,7 @@ class Templates:
     _listing: Listing
     _store: Store
     _landmarks: "LandmarkFiles"
-    _proposals: Table
+    _proposals: StoredTable
     _lock: threading.RLock
     offered: Template | None = None
     offered_by: str = ""
@@ -192,8 +192,8 @@ class Templates:
         with self._lock:
             if self.saved is None and self._guessed_version != self._listing.version:
                 self._guessed_version = self._listing.version
-                found = (self._landmarks.of(file).landmarks for file in self._listing.pictures)
-                first = next((landmarks for landmarks in found if landmarks is not None), None)
+                candidates = (self._landmarks.of(file).landmarks for file in self._listing.pictures)
+                first = next((landmarks for landmarks in candidates if landmarks is not None), None)
                 self._guess = None if first is None else self._template_of(first)
             return self.saved or self._guess or self.offered
 
@@ -224,8 +224,8 @@ class Templates:
     @property
     def revision(self) -> str | None:
         """Revision of the current template; None without a template."""
-        known = self.current
-        return None if known is None else self._revision or revision_of(json.dumps(known.as_json()).encode())
+        template = self.current
+        return None if template is None else self._revision or revision_of(json.dumps(template.as_json()).encode())
 
     def as_json(self) -> dict[str, Any] | None:
         """Return the template as JSON for the page, with its ``revision``."""
@@ -305,17 +305,17 @@ class Templates:
     def _rewritten(self, template: Template, n: int, mapping: Sequence[Any], moved: bool) -> list[dict[str, Any]]:
         files = []
         for file in self._listing.pictures:
-            known = self._landmarks.of(file)
-            if known.landmarks is None or len(known.landmarks) != n:
+            marks = self._landmarks.of(file)
+            if marks.landmarks is None or len(marks.landmarks) != n:
                 continue
             target = self._landmarks.target(file)
             name = self._store.folder.name_of(target)
-            if not moved and (known.file != name or target.suffix.lower() == ".pts"):
+            if not moved and (marks.file != name or target.suffix.lower() == ".pts"):
                 continue
-            points, scale = known.points, self._landmarks.scale_of(file)
-            hidden = [i for i, source in enumerate(mapping) if source in known.landmarks.invisible]
+            points, scale = marks.points, self._landmarks.scale_of(file)
+            hidden = [i for i, source in enumerate(mapping) if source in marks.landmarks.invisible]
             landmarks = landmarks_of(template, [None if i is None else points[i] for i in mapping], hidden, scale)
-            before = known.revision if known.file == name else None
+            before = marks.revision if marks.file == name else None
             text = text_of(landmarks, target.suffix)
             files.append({"file": name, "before": before, "text": text, "invisible": hidden})
         return files

@@ -40,7 +40,7 @@ Publish = Callable[[str, Any], None]  # sends an event of a kind to the pages
 
 
 @dataclass(frozen=True)
-class Job:
+class TrainingJob:
     """Input of the training process: pictures, the template of their landmarks, and the file and name of the model."""
 
     done: list[Annotated]
@@ -93,7 +93,7 @@ class Trainer:
                 raise Refusal(422, f"the template has {len(template)} points, but a shape needs at least 3: add some")
             path, name = self.project.store.path(MODEL_FILE), self.project.title
             held_out = choose_held_out(used, self.versions.held_out(order))
-            job = Job(done, template.contours, template.names, order, path, name, held_out, wrong)
+            job = TrainingJob(done, template.contours, template.names, order, path, name, held_out, wrong)
             self._order, self._stopped, self.is_measuring = job.order, False, False
             context = fresh_interpreters()
             pipe, there = context.Pipe(duplex=False)
@@ -121,8 +121,8 @@ class Trainer:
             is_stale = self.state.state == "running" and self._order != order
         if is_stale:
             self.stop()
-        own = self.models.own
-        if own is not None and own.facts["source"] == "studio" and own.facts.get("order", "") != order:
+        trained = self.models.own
+        if trained is not None and trained.facts["source"] == "studio" and trained.facts.get("order", "") != order:
             self.models.publish(None)
             store.set_aside(MODEL_FILE)
             store.put("model", {MODEL_FILE: None})
@@ -133,7 +133,7 @@ class Trainer:
             self._listener.join(timeout)
         return self.state
 
-    def _listen(self, job: Job, pipe: Any, process: Any) -> None:
+    def _listen(self, job: TrainingJob, pipe: Any, process: Any) -> None:
         end = Training("failed", error="the training ended unexpectedly, perhaps for lack of memory: start it again")
         try:
             with pipe, suppress(EOFError, OSError):
@@ -153,7 +153,7 @@ class Trainer:
             self._set(Training() if self._stopped else end)
         self._publish("project", {})
 
-    def _handle(self, job: Job, message: tuple[str, Any]) -> Training | None:
+    def _handle(self, job: TrainingJob, message: tuple[str, Any]) -> Training | None:
         """Handle a message of the process; return the final state if it has ended."""
         kind, data = message
         if kind == "progress":
@@ -194,7 +194,7 @@ def choose_held_out(names: Sequence[str], before: Sequence[str]) -> tuple[str, .
     return tuple(order[:count])
 
 
-def _work(job: Job, pipe: Any) -> None:
+def _work(job: TrainingJob, pipe: Any) -> None:
     """Train the model, then measure another that is trained without the held-out pictures."""
     obey_parent()  # the server terminates this process
     with suppress(AttributeError, OSError):
@@ -213,8 +213,8 @@ def _work(job: Job, pipe: Any) -> None:
                 for item in job.done:
                     if item.name in job.held_out:
                         with suppress(LiaamError, MemoryError):
-                            found = fitter.fit(item.path).landmarks
-                            error = point_error(found, item.points) / diagonal_of(item.points)
+                            landmarks = fitter.fit(item.path).landmarks
+                            error = point_error(landmarks, item.points) / diagonal_of(item.points)
                             if np.isfinite(error):
                                 errors[item.name] = round(error, 5)
                 pipe.send(("measured", errors))
@@ -224,7 +224,12 @@ def _work(job: Job, pipe: Any) -> None:
 
 
 def _train(
-    job: Job, send: Callable, left_out: dict[str, str], unused: Sequence[str] = (), what: str = "", **options: Any
+    job: TrainingJob,
+    send: Callable,
+    left_out: dict[str, str],
+    unused: Sequence[str] = (),
+    what: str = "",
+    **options: Any,
 ) -> tuple[AAM, str]:
     """Train a model; also return its warnings. Add pictures that turn out to be unusable to those ``left_out``."""
     from liaam.training import train
@@ -247,8 +252,8 @@ def _train(
         used = [item for item in job.done if item.name not in {*left_out, *unused}]
         marks = [Landmarks(item.points, job.contours, job.names) for item in used]
         items = [
-            SimpleNamespace(name=item.name, landmarks=own, read_image=partial(read, item))
-            for item, own in zip(used, marks, strict=True)
+            SimpleNamespace(name=item.name, landmarks=landmarks, read_image=partial(read, item))
+            for item, landmarks in zip(used, marks, strict=True)
         ]
         try:
             with warnings.catch_warnings(record=True) as caught:

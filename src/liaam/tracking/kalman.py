@@ -93,13 +93,13 @@ def widened(belief: Belief, measured: np.ndarray, noise: np.ndarray) -> Belief:
 class Moments:
     """Running moments of a track's second differences.
 
-    ``own`` (k,) is their mean square, and ``neighbour`` (k,) the mean product of one with the next, over ``weight``
-    differences. ``last`` holds up to three measurements of consecutive frames, the newest last; it is empty after a
-    frame without a measurement.
+    ``mean_square`` (k,) is theirs, and ``mean_product`` (k,) that of one with the next, over ``weight`` differences.
+    ``last`` holds up to three measurements of consecutive frames, the newest last; it is empty after a frame without a
+    measurement.
     """
 
-    own: np.ndarray
-    neighbour: np.ndarray
+    mean_square: np.ndarray
+    mean_product: np.ndarray
     weight: float
     last: tuple[np.ndarray, ...] = ()
 
@@ -109,8 +109,8 @@ def first_moments(variances: np.ndarray) -> Moments:
     noise = FIRST_SHARE * variances
     drive = FIRST_DRIVE * variances
     return Moments(
-        own=6.0 * noise + 2.0 / 3.0 * drive,
-        neighbour=-4.0 * noise + drive / 6.0,
+        mean_square=6.0 * noise + 2.0 / 3.0 * drive,
+        mean_product=-4.0 * noise + drive / 6.0,
         weight=STEADY,
     )
 
@@ -126,8 +126,8 @@ def observed(moments: Moments, measured: np.ndarray) -> Moments:
     weight = min(moments.weight + 1.0, MEMORY)
     share = 1.0 / weight
     return Moments(
-        own=moments.own + share * (0.5 * (before**2 + now**2) - moments.own),
-        neighbour=moments.neighbour + share * (before * now - moments.neighbour),
+        mean_square=moments.mean_square + share * (0.5 * (before**2 + now**2) - moments.mean_square),
+        mean_product=moments.mean_product + share * (before * now - moments.mean_product),
         weight=weight,
         last=last[1:],
     )
@@ -139,10 +139,11 @@ def noise_and_drive(moments: Moments, variances: np.ndarray) -> tuple[float, np.
     Return the fraction of these variances that changes from frame to frame, median over the coordinates, and the
     density of each coordinate's acceleration (k,). The rest is constant, such as the error of the model.
     """
-    # The moments are own = 6 r + 2/3 q and neighbour = -4 r + q / 6, of which q cancels in own - 4 neighbour = 22 r.
-    scatter = (moments.own - 4.0 * moments.neighbour) / 22.0
+    # The mean square is 6 r + 2/3 q and the mean product -4 r + q / 6. So q cancels in the first less four times the
+    # second, 22 r.
+    scatter = (moments.mean_square - 4.0 * moments.mean_product) / 22.0
     median = float(np.sort(scatter / variances)[len(scatter) // 2])
     share = min(max(median, LEAST_SHARE), 1.0)
-    drive = 1.5 * (moments.own - 6.0 * share * variances)
+    drive = 1.5 * (moments.mean_square - 6.0 * share * variances)
     least_drive = LEAST_DRIVE * share * variances
     return share, np.maximum(drive, least_drive)

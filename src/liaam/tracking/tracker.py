@@ -14,7 +14,7 @@ import numpy as np
 
 from liaam.errors import ImageError, MethodError, StartError
 from liaam.fitting import FitResult, FitStatus, Fitter, Method, SolverOptions
-from liaam.fitting.loop.level_image import NEAR
+from liaam.fitting.loop.encoded_image import NEAR
 from liaam.fitting.methods import DEFAULT_METHOD
 from liaam.formatting import changed_repr
 from liaam.io import VideoReader
@@ -73,7 +73,7 @@ class TrackingOptions:
 
 
 @dataclass(frozen=True, eq=False)
-class _Track:
+class _CoordinateTrack:
     """Estimate of an object's coordinates, and statistics of its motion (see :func:`kalman.noise_and_drive`)."""
 
     belief: kalman.Belief
@@ -93,7 +93,7 @@ class TrackState:
     """
 
     count: int = 0
-    track: _Track | None = None
+    track: _CoordinateTrack | None = None
     lost: int = 0
     wait: int = 0
     due: int = 0
@@ -238,12 +238,12 @@ class Tracker:
                 return TrackStatus.CORRECTED, better
         searched = self.state.due <= 0
         if searched:
-            found = _fit(self.fitter, pixels, None, name, must=first)
-            tried = found or tried
+            result = _fit(self.fitter, pixels, None, name, must=first)
+            tried = result or tried
             # Reject a place with a low search score unless the quality of the fit confirms it.
-            if found is not None and _usable(found) and not found.detection_doubtful:
+            if result is not None and _usable(result) and not result.detection_doubtful:
                 self.state.track = None  # the motion before does not apply
-                return TrackStatus.FOUND, found
+                return TrackStatus.FOUND, result
         self._lose(searched)
         return TrackStatus.LOST, tried
 
@@ -251,10 +251,10 @@ class Tracker:
         """Fit from the predicted position; return whether the last fit is of the object, and that fit."""
         start, tried = self._predicted(), None
         for fitter in (self._near, self._far) if self.state.lost == 0 else (self._far,):
-            found = _fit(fitter, pixels, start, name)
-            if found is None:
+            result = _fit(fitter, pixels, start, name)
+            if result is None:
                 break
-            tried = found
+            tried = result
             if _usable(tried) and np.linalg.norm(tried.landmarks - start, axis=1).mean() < JUMP * diagonal_of(start):
                 return True, tried
         return False, tried
@@ -293,17 +293,17 @@ class Tracker:
     def _seen(self, result: FitResult, status: TrackStatus, index: int, time: float) -> TrackedFrame:
         """Update the track with a fit."""
         motion, track = self._motion, self.state.track
-        y, own, basis = motion.measured(result)
-        variances = own.diagonal()
+        y, covariance, basis = motion.measured(result)
+        variances = covariance.diagonal()
         if track is None:
-            noise = kalman.FIRST_SHARE * own
+            noise = kalman.FIRST_SHARE * covariance
             speed = np.full(len(y), FIRST_SPEED * diagonal_of(result.landmarks) * np.sqrt(len(result.landmarks)))
             moments, belief = kalman.first_moments(variances), kalman.first_belief(y, noise, speed)
         else:
-            noise = track.share * own
+            noise = track.share * covariance
             moments, belief = track.moments, kalman.update(kalman.widened(track.belief, y, noise), y, noise)
         moments = kalman.observed(moments, y)
-        self.state.track = _Track(belief, moments, *kalman.noise_and_drive(moments, variances))
+        self.state.track = _CoordinateTrack(belief, moments, *kalman.noise_and_drive(moments, variances))
         landmarks, covariances = result.landmarks, result.landmark_covariances
         if self.options.smooth:
             # The part of the shape outside the coordinates stays as fitted.

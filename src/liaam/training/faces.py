@@ -14,7 +14,7 @@ from liaam.model import load_model
 from liaam.model.shape import align
 from liaam.photometry import CameraModel
 from liaam.training.entries import Entry
-from liaam.training.lamps import Lamps
+from liaam.training.lamps import LearntLamps
 from liaam.training.lamps.bank import carried
 from liaam.training.lamps.learning import unit_shape
 from liaam.training.reliability import OPTIONS
@@ -29,7 +29,7 @@ MOST = 16  # Number of images that are fitted
 AGREEMENT, LEAST_QUALITY = 0.04, 0.1
 
 
-def face_lamps(entries: Sequence[Entry], mean: np.ndarray, camera: CameraModel) -> Lamps | None:
+def face_lamps(entries: Sequence[Entry], mean: np.ndarray, camera: CameraModel) -> LearntLamps | None:
     """Return lamps for training images of faces with a mean shape (n, 2); None if the objects are no faces."""
     from safetensors.numpy import load_file
 
@@ -45,6 +45,6 @@ def face_lamps(entries: Sequence[Entry], mean: np.ndarray, camera: CameraModel) 
     apart = np.linalg.norm(shapes - middle, axis=2).mean(axis=1)
     if not (np.median(apart) <= AGREEMENT and np.median(qualities) >= LEAST_QUALITY):
         return None
-    known = load_file(LAMPS)
-    names = tuple(f"head{1 + i // N_LAMPS}-{i % N_LAMPS:02d}" for i in range(len(known["fields"])))
-    return Lamps(mean, carried(known["mean"], known["fields"], middle), names)
+    bank = load_file(LAMPS)
+    names = tuple(f"head{1 + i // N_LAMPS}-{i % N_LAMPS:02d}" for i in range(len(bank["fields"])))
+    return LearntLamps(mean, carried(bank["mean"], bank["fields"], middle), names)

@@ -15,7 +15,7 @@ from liaam.model.shape import Recipe, shape_model_on
 from liaam.photometry.encoding import as_colour
 from liaam.training.entries import Entry, image_of
 from liaam.training.lamps import Copies
-from liaam.training.reliability import LeftOut, calibrate
+from liaam.training.reliability import LeftOutImage, calibrate
 from liaam.training.textures import FITTED, SOURCES, Sampled, Steps, learning_cost
 
 LEFT_OUT_FOLDS = 5  # Largest number of folds: a model is trained without each, which takes as long as a level
@@ -27,7 +27,7 @@ NUMBER_OF_IMAGE = re.compile(r"([-_. ][^-_. /]*|\d+)$")
 
 
 @dataclass(frozen=True, eq=False)
-class Settings:
+class ViewSettings:
     """What the models of a view are trained with.
 
     Attributes
@@ -49,7 +49,7 @@ def calibrated(
     shapes: np.ndarray,
     sampled: Sampled,
     copied: Copies,
-    settings: Mapping[str, Settings],
+    settings: Mapping[str, ViewSettings],
     methods: Sequence[Method],
     folds: list[np.ndarray],
     steps: Steps,
@@ -71,7 +71,7 @@ def calibrated(
         Their textures, and those of their copies.
     copied : Copies
         How images are relit.
-    settings : mapping of str to Settings
+    settings : mapping of str to ViewSettings
         What the whole model was trained with, by view.
     methods : sequence of Method
     folds : list of arrays of int
@@ -86,7 +86,7 @@ def calibrated(
     """
     halves = [np.zeros(0, int)] if copied.lamps is None else copied.lamps.halves()
 
-    def images() -> Iterator[LeftOut]:
+    def images() -> Iterator[LeftOutImage]:
         """Yield some images of each fold with the model of the other folds, one model at a time."""
         for i, fold in enumerate(folds):
             steps.next(f"leaving out part {i + 1} of {len(folds)}", learning_cost(model.n_textures))
@@ -96,9 +96,9 @@ def calibrated(
             for j in fitted_of(fold, folds):
                 steps.next(f"fitting {entries[j].name}", FITTED)
                 image = as_colour(entries[j].read_image(), entries[j].name)
-                yield LeftOut(part, image, shapes[j])
+                yield LeftOutImage(part, image, shapes[j])
                 for relit in copied.relit(j, image, shapes[j], model.response, lamps):
-                    yield LeftOut(part, relit, shapes[j], relit=True)
+                    yield LeftOutImage(part, relit, shapes[j], relit=True)
 
     reliabilities = calibrate(model, images(), methods)
     for view in VIEWS:
@@ -160,7 +160,7 @@ def _without(
     fold: np.ndarray,
     shapes: np.ndarray,
     sampled: Sampled,
-    settings: Mapping[str, Settings],
+    settings: Mapping[str, ViewSettings],
     methods: Sequence[Method],
     under_other_lamps: np.ndarray,
 ) -> AAM:

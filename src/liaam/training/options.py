@@ -12,7 +12,7 @@ from liaam.model import MESH, SURROUNDINGS
 from liaam.model.file import MAX_BLUR, MAX_DIAGONAL, MAX_LEVELS, MOST_SHAPES
 from liaam.model.pca import Variance, check_variance
 from liaam.model.shape import check_prior
-from liaam.training.kept import Methods, chosen
+from liaam.training.compacting import Methods, chosen
 
 Blurs = tuple[float, ...]
 
@@ -127,8 +127,8 @@ class TrainingOptions:
 
     def changed(self, changes: Mapping[str, Any]) -> "TrainingOptions":
         """Return a copy with some options replaced by name; raises for unknown names."""
-        known = [*(field.name for field in fields(self)), *ARGUMENTS]
-        check_options(changes, known, CAMERA_OPTIONS)
+        allowed = [*(field.name for field in fields(self)), *ARGUMENTS]
+        check_options(changes, allowed, CAMERA_OPTIONS)
         return replace(self, **changes)
 
     @property

@@ -26,14 +26,16 @@ def _apart(pair: tuple[Entry, np.ndarray]) -> float:
 
 def map_of_points(points: Points, entries: Sequence[Entry], mean: np.ndarray) -> PointMap:
     """Learn the map from the points of another landmarker to the landmarks of samples with a mean shape (n, 2)."""
-    known = [
-        (entry, found) for entry, found in zip(entries, _points_of(points, entries), strict=True) if found is not None
+    pairs = [
+        (entry, theirs)
+        for entry, theirs in zip(entries, _points_of(points, entries), strict=True)
+        if theirs is not None
     ]
     # Of several objects in an image for which the landmarker found the same points, keep the nearest to them.
     nearest: dict[tuple[str, bytes], tuple[Entry, np.ndarray]] = {}
-    m = len(getattr(known[0][1], "points", known[0][1])) if known else 0
-    for entry, found in known:
-        array = np.array(getattr(found, "points", found), dtype=np.float64)
+    m = len(getattr(pairs[0][1], "points", pairs[0][1])) if pairs else 0
+    for entry, theirs in pairs:
+        array = np.array(getattr(theirs, "points", theirs), dtype=np.float64)
         if array.shape != (m, 2) or m < 3 or m > MAX_POINTS or not np.isfinite(array).all() or not np.ptp(array):
             raise TrainingError(
                 f"{entry.name}: the points of the other landmarker, of shape {array.shape}, are not {max(m, 3)} finite "
@@ -42,21 +44,21 @@ def map_of_points(points: Points, entries: Sequence[Entry], mean: np.ndarray) ->
         pair = entry, array
         key = image_of(entry.name), array.tobytes()
         nearest[key] = min(nearest.get(key, pair), pair, key=_apart)
-    known = list(nearest.values())
-    if len(known) < 3:
+    pairs = list(nearest.values())
+    if len(pairs) < 3:
         where = f" of {points}" if isinstance(points, (str, os.PathLike)) else ""
         raise TrainingError(
-            f"points{where}: there are points of another landmarker for {len(known)} of {len(entries)} images; at "
+            f"points{where}: there are points of another landmarker for {len(pairs)} of {len(entries)} images; at "
             f"least 3 are needed, in files named as the images, such as {Path(entries[0].name).stem}.pts"
         )
-    theirs = np.array([found for _, found in known])
-    if theirs.shape[1] == len(mean):
+    shapes = np.array([theirs for _, theirs in pairs])
+    if shapes.shape[1] == len(mean):
         raise TrainingError(
             f"points: the other landmarker has {len(mean)} points, as the model has; fits tell them apart by their "
             "number: add a point to theirs (such as their mean), or leave one out"
         )
-    folds = folds_of([entry.name for entry, _ in known])
-    return learn_point_map(theirs, np.array([entry.points for entry, _ in known]), mean, folds)
+    folds = folds_of([entry.name for entry, _ in pairs])
+    return learn_point_map(shapes, np.array([entry.points for entry, _ in pairs]), mean, folds)
 
 
 def points_of(points: Points | None, group: np.ndarray) -> Points | None:
@@ -78,8 +80,10 @@ def _points_of(points: Points, entries: Sequence[Entry]) -> Iterator[np.ndarray 
         for entry in entries:  # a file has the name of the sample, with or without its subfolder
             names = dict.fromkeys((entry.name, Path(entry.name).name))
             files = (folder / f"{name}{suffix}" for name in names for suffix in LANDMARK_SUFFIXES)
-            found = next((file for file in files if file.is_file()), None)
-            yield None if found is None else read_landmarks(found, entry.read_image().shape[1::-1]).points
+            file_of_entry = next((file for file in files if file.is_file()), None)
+            yield (
+                None if file_of_entry is None else read_landmarks(file_of_entry, entry.read_image().shape[1::-1]).points
+            )
     elif callable(points):
         yield from (points(as_colour(entry.read_image(), entry.name)) for entry in entries)
     elif len(points) != len(entries):

@@ -43,7 +43,7 @@ MOST_ODDS = 9.0
 
 
 @dataclass(frozen=True, eq=False)
-class LeftOut:
+class LeftOutImage:
     """An image, its landmarks, and a model trained without it, on the reference frame of the full model.
 
     ``relit`` marks images whose light was changed; their background is then not valid.
@@ -85,14 +85,14 @@ class LeftOutFit(NamedTuple):
         return self.error > WRONG
 
 
-def calibrate(model: AAM, pictures: Iterable[LeftOut], methods: Sequence[Method]) -> dict[str, Reliability]:
+def calibrate(model: AAM, pictures: Iterable[LeftOutImage], methods: Sequence[Method]) -> dict[str, Reliability]:
     """Learn the quality of fits and the errors of right fits from left-out images.
 
     Parameters
     ----------
     model : AAM
         Model trained on all images.
-    pictures : iterable of LeftOut
+    pictures : iterable of LeftOutImage
     methods : sequence of Method
         Methods to calibrate.
 
@@ -121,7 +121,7 @@ def calibrate(model: AAM, pictures: Iterable[LeftOut], methods: Sequence[Method]
     return {name: each for name, each in learnt.items() if each is not None}
 
 
-def _fit(picture: LeftOut, fitter: Fitter, start: np.ndarray | Detection, near: bool = False) -> LeftOutFit | None:
+def _fit(picture: LeftOutImage, fitter: Fitter, start: np.ndarray | Detection, near: bool = False) -> LeftOutFit | None:
     """Fit a left-out image; None if the fit is lost by its status."""
     result, model = fitter.fit(picture.image, start), picture.model
     if result.status.lost or not (np.isfinite(result.landmarks).all() and np.isfinite(result.evidence).all()):
@@ -143,9 +143,10 @@ def _fit(picture: LeftOut, fitter: Fitter, start: np.ndarray | Detection, near: 
 
 def learnt_from(model: AAM, fits: Sequence[LeftOutFit], view: str) -> Reliability | None:
     """Learn the quality and the errors of a method's fits from those to left-out images; None if too few are right."""
-    judged, known = [fit for fit in fits if fit.right or fit.wrong], [fit for fit in fits if fit.near and not fit.wrong]
+    judged = [fit for fit in fits if fit.right or fit.wrong]
+    near_fits = [fit for fit in fits if fit.near and not fit.wrong]
     evidence, right = np.array([fit.evidence for fit in judged]), np.array([fit.right for fit in judged], bool)
-    if right.sum() < 3 or not known:
+    if right.sum() < 3 or not near_fits:
         return None
     weights = _weights(evidence, right)
     if not weights[1] > 0:  # quality must increase with the explained contrast
@@ -153,22 +154,22 @@ def learnt_from(model: AAM, fits: Sequence[LeftOutFit], view: str) -> Reliabilit
     alike = Alike.of(model.shape_model.mean, model.contours)
     # The covariance of left-out shapes: a lower bound, because lost fits are not among the errors.
     unexplained, nothing = model.views[view].shape_model.unexplained, np.zeros((model.n_points, 2, 2))
-    about = learn_covariances(
-        np.array([fit.errors for fit in known]),
-        np.array([fit.spreads for fit in known]),
-        variance_factor(np.array([fit.surprise for fit in known])),
-        np.array([fit.unit for fit in known]),
+    covariances = learn_covariances(
+        np.array([fit.errors for fit in near_fits]),
+        np.array([fit.spreads for fit in near_fits]),
+        variance_factor(np.array([fit.surprise for fit in near_fits])),
+        np.array([fit.unit for fit in near_fits]),
         nothing if unexplained is None else widened(unexplained, model.n_images, alike),
         alike,
     )
-    made = Reliability(weights=weights, **about)
+    made = Reliability(weights=weights, **covariances)
     qualities = [made.quality(fit.evidence) for fit in judged if fit.right]
     near = [fit.right for fit in fits if fit.near]
     prior = min((sum(near) + 1) / (len(near) - sum(near) + 1), MOST_ODDS)  # as if there were one more of each
     return replace(made, typical=float(np.quantile(qualities, RARE)), prior=prior)
 
 
-def _near(picture: LeftOut, rng: np.random.Generator) -> np.ndarray:
+def _near(picture: LeftOutImage, rng: np.random.Generator) -> np.ndarray:
     mean = picture.model.shape_model.mean
     return _moved(align(mean, picture.points)(mean), rng, turn=4.0, shift=0.02)
 

@@ -85,9 +85,9 @@ class FilterLearner:
         noise = along.transpose(0, 2, 1, 3).reshape(len(mean), len(mean))
         noise[np.diag_indices(len(mean))] += RIDGE * noise.trace() / len(mean)
         weights = np.linalg.solve(noise, mean)
-        found = np.zeros(self.total.shape, np.float16)
-        found[y, x] = (weights / (weights @ mean)).reshape(2, -1).T
-        return found.astype(np.float32)
+        weighted = np.zeros(self.total.shape, np.float16)
+        weighted[y, x] = (weights / (weights @ mean)).reshape(2, -1).T
+        return weighted.astype(np.float32)
 
 
 @lru_cache(maxsize=4)

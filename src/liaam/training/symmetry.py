@@ -37,10 +37,12 @@ def sideways_offset(
         """Mean and difference of both gradients (n_pixels, 2), and their shift (2,) by an offset of one pixel."""
         image = camera.flatten(as_colour(entry.read_image(), entry.name))
         both = ((image, entry.points), mirrored(image, entry.points, order))
-        (own, known), (other, also) = (sample_appearance(*pair, warp, "soft", camera.response, blur) for pair in both)
-        own, other = (values[:, :2] * (known * also)[:, None] for values in (own, other))
+        (direct, usable), (other, also) = (
+            sample_appearance(*pair, warp, "soft", camera.response, blur) for pair in both
+        )
+        direct, other = (values[:, :2] * (usable * also)[:, None] for values in (direct, other))
         move = sum(align(warp.rest, points).inverse().matrix[:, 0] for _, points in both)
-        return (own + other) / 2.0, own - other, np.asarray(move)
+        return (direct + other) / 2.0, direct - other, np.asarray(move)
 
     some = np.unique(np.linspace(0, len(entries) - 1, MOST).astype(int))
     compared = in_threads(compare, [entries[i] for i in some])

@@ -18,12 +18,12 @@ from liaam.photometry.camera import check_camera
 from liaam.photometry.features import FeatureFunction
 from liaam.progress import Progress, reported
 from liaam.training import faces
+from liaam.training.compacting import ALL, chosen, keep_only, wanted
 from liaam.training.entries import Entry, TrainingData, check_flat, mesh_of, read_entries, without_folded
 from liaam.training.features import encoder_of
 from liaam.training.images import check_images
-from liaam.training.kept import ALL, chosen, keep_only, wanted
-from liaam.training.lamps import Copies, Lamps, learn_lamps
-from liaam.training.left_out import Settings, calibrated, can_be_calibrated, fitted_of, folds_of
+from liaam.training.lamps import Copies, LearntLamps, learn_lamps
+from liaam.training.left_out import ViewSettings, calibrated, can_be_calibrated, fitted_of, folds_of
 from liaam.training.options import AUTO, TrainingOptions
 from liaam.training.points import Points, map_of_points, points_of
 from liaam.training.search_filter import FilterLearner
@@ -39,7 +39,7 @@ def train(
     options: TrainingOptions | None = None,
     *,
     camera: CameraModel | None = None,
-    lamps: Lamps | Iterable | None = AUTO,
+    lamps: LearntLamps | Iterable | None = AUTO,
     training_lamp: str | None = None,
     points: Points | None = None,
     features: FeatureFunction | None = None,
@@ -59,7 +59,7 @@ def train(
         How to train. The defaults suit most data.
     camera : CameraModel, optional
         The training camera. Default: an angle of 122 degrees and sRGB.
-    lamps : "auto", Lamps, Dataset or iterable of Sample, optional
+    lamps : "auto", LearntLamps, Dataset or iterable of Sample, optional
         Lamps under which copies of the images are relit, or images of a few objects under several lamps to learn these
         from (:func:`liaam.training.learn_lamps`); None for none. ``"auto"``: lamps of generated heads if the objects
         are faces (:func:`liaam.training.faces.face_lamps`), else none.
@@ -103,7 +103,7 @@ def train(
     check_camera(camera)
     samples = read_entries(data, contours, options.strict)
     groups = shape_groups(samples.shapes, samples.names, options.shapes)
-    if len(groups) > 1 and not isinstance(lamps, str | PathLike | Lamps | None):
+    if len(groups) > 1 and not isinstance(lamps, str | PathLike | LearntLamps | None):
         lamps = list(lamps)  # every model learns from them
     task = _Task(
         options=options,
@@ -128,7 +128,7 @@ class _Task:
 
     options: TrainingOptions
     camera: CameraModel
-    lamps: Lamps | Iterable | None
+    lamps: LearntLamps | Iterable | None
     training_lamp: str | None
     features: FeatureFunction | None
     name: str
@@ -294,10 +294,10 @@ def _with_appearances(
     return model
 
 
-def _settings_of_parts(shapes: _Shapes, options: TrainingOptions) -> Mapping[str, Settings]:
+def _settings_of_parts(shapes: _Shapes, options: TrainingOptions) -> Mapping[str, ViewSettings]:
     """Return what models without some images are trained with, by view: the same as the whole model."""
     return {
-        view: Settings(
+        view: ViewSettings(
             recipe=shapes.recipes[view],
             shape_variance=options.variance,
             appearance_variance=options.appearance_variances[view],
@@ -328,7 +328,7 @@ def _check_cost(model: AAM) -> None:
 
 
 def _copies(
-    lamps: Lamps | None, mirrored: np.ndarray | None, entries: list[Entry], model: AAM, options: TrainingOptions
+    lamps: LearntLamps | None, mirrored: np.ndarray | None, entries: list[Entry], model: AAM, options: TrainingOptions
 ) -> Copies:
     """Return which copies of the images are made, and how far the landmarks of mirrored ones are moved sideways.
 
@@ -354,10 +354,10 @@ def _steps(model: AAM, options: TrainingOptions, folds: list[np.ndarray], progre
     return Steps(progress, total)
 
 
-def _lamps(task: _Task, entries: list[Entry], mean: np.ndarray) -> Lamps | None:
+def _lamps(task: _Task, entries: list[Entry], mean: np.ndarray) -> LearntLamps | None:
     """Return the lamps for copies of the images: given, learnt, or those of faces; None for none."""
     lamps, training_lamp, camera = task.lamps, task.training_lamp, task.camera
-    if training_lamp is not None and (lamps is None or isinstance(lamps, str | Lamps)):
+    if training_lamp is not None and (lamps is None or isinstance(lamps, str | LearntLamps)):
         raise TrainingError(
             f"training_lamp {training_lamp!r} names the training light in lamp images; give these images as lamps=, or "
             "leave it out"
@@ -371,7 +371,7 @@ def _lamps(task: _Task, entries: list[Entry], mean: np.ndarray) -> Lamps | None:
                 "liaam.training.load_lamps(file), for a folder liaam.load_folder(folder)"
             )
         return faces.face_lamps(entries, mean, camera)
-    if not isinstance(lamps, Lamps):
+    if not isinstance(lamps, LearntLamps):
         lamps = learn_lamps(lamps, training_lamp, response=camera.response)
     lamps.check_landmarks(len(mean), "the images")
     return lamps

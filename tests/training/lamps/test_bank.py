@@ -10,7 +10,7 @@ from safetensors.numpy import save
 
 from liaam.errors import LiaamError
 from liaam.model.light_basis import SIDE
-from liaam.training.lamps import Lamps, load_lamps
+from liaam.training.lamps import LearntLamps, load_lamps
 
 MEAN = np.array([[-0.5, 0.0], [0.5, 0.0], [0.0, 0.5]])
 HEADER = {"format": "liaam-lamps", "schema": 1, "names": ["left"]}
@@ -38,12 +38,12 @@ def complaint(path: Path) -> str:
 def test_lamps_come_back_as_they_were_saved(tmp_path):
     lit = fields(2)
     lit[1, 3, 4] = (0.5, -0.25, 1.0)
-    Lamps(MEAN, lit, ("left", "größer")).save(tmp_path / "heads.lamps")
+    LearntLamps(MEAN, lit, ("left", "größer")).save(tmp_path / "heads.lamps")
     loaded = load_lamps(str(tmp_path / "heads.lamps"))
     assert loaded.names == ("left", "größer")
     np.testing.assert_array_equal(loaded.mean, MEAN)
     np.testing.assert_array_equal(loaded.fields, lit)
-    assert (len(loaded), repr(loaded)) == (2, "Lamps(2 lamps, 3 landmarks)")
+    assert (len(loaded), repr(loaded)) == (2, "LearntLamps(2 lamps, 3 landmarks)")
 
 
 @pytest.mark.parametrize(

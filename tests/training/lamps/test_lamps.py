@@ -18,7 +18,7 @@ from liaam.model.shape import align, diagonal_of, mirror_order
 from liaam.photometry import from_linear, srgb_to_linear
 from liaam.relighting import Relighter
 from liaam.training import left_out, train
-from liaam.training.lamps import Copies, Lamps, learn_lamps, load_lamps
+from liaam.training.lamps import Copies, LearntLamps, learn_lamps, load_lamps
 from liaam.training.lamps.bank import FADED, GAMMA, SHARP, _away_from, as_srgb
 from liaam.training.lamps.copies import mirrored
 from scenes import DIFFUSE, Head, Pose, lateral, make_set, random_expression, random_pose, render
@@ -46,7 +46,7 @@ def pictures() -> list[Sample]:
 
 
 @pytest.fixture(scope="module")
-def lamps(pictures) -> Lamps:
+def lamps(pictures) -> LearntLamps:
     return learn_lamps(pictures, "day")
 
 
@@ -418,14 +418,14 @@ def test_the_remainder_is_what_the_lamps_of_other_objects_do_not_explain(lamps, 
     fields = np.zeros((2, SIDE, SIDE, 3), np.float16)
     fields[0, :, : SIDE // 2] = 1.0
     fields[1, :, slice(0, SIDE // 2) if alike else slice(SIDE // 2, SIDE)] = 1.0
-    basis = Lamps(lamps.mean, fields, ("a-left", "b-left")).basis(mirrored=False)
+    basis = LearntLamps(lamps.mean, fields, ("a-left", "b-left")).basis(mirrored=False)
     inside = _away_from(lamps.mean) <= 0
     expected = 0.0 if alike else GAMMA / np.sqrt(2.0)
     assert np.median(basis.remainder[inside]) == pytest.approx(expected, abs=0.05)
 
 
 def test_a_single_lamp_leaves_all_of_its_change_unexplained(lamps):
-    basis = Lamps(lamps.mean, np.full((1, SIDE, SIDE, 3), -0.5, np.float16), ("a-left",)).basis(mirrored=False)
+    basis = LearntLamps(lamps.mean, np.full((1, SIDE, SIDE, 3), -0.5, np.float16), ("a-left",)).basis(mirrored=False)
     assert np.median(basis.remainder[_away_from(lamps.mean) <= 0]) == pytest.approx(0.5 * GAMMA, abs=0.01)
 
 

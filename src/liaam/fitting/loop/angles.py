@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from liaam.fitting.loop.level_image import LevelImage
+from liaam.fitting.loop.encoded_image import EncodedImage
 from liaam.fitting.loop.objective import RIDGE, Objective, State
 
 SEARCH = np.deg2rad(60.0)
@@ -10,7 +10,7 @@ SEARCH = np.deg2rad(60.0)
 the global minimum over the full circle is often an inverted image."""
 
 
-def best_image_angle(objective: Objective, image: LevelImage, state: State) -> float:
+def best_image_angle(objective: Objective, image: EncodedImage, state: State) -> float:
     """Find the angle theta_2 that minimises the cost of eq 10 over theta_2 and lambda, at the state's shape.
 
     With u = (cos theta_2, sin theta_2) the cost is u'Su - 2 b'u + const. S and b hold inner products of the

@@ -1,7 +1,7 @@
 """Coarse-to-fine fitting: each level starts from the solution of the one before.
 
-:class:`Levels` is one call of the core. :func:`solve_levels` does the same level by level in Python, for what the core
-leaves out, and where it could not be built.
+:class:`CoarseToFine` is one call of the core. :func:`solve_levels` does the same level by level in Python, for what the
+core leaves out, and where it could not be built.
 """
 
 from collections.abc import Sequence
@@ -13,12 +13,12 @@ import numpy as np
 
 from liaam import _core
 from liaam.fitting.loop.angles import best_image_angle
-from liaam.fitting.loop.level_image import (
+from liaam.fitting.loop.encoded_image import (
     LOG_RANGE,
     MARGIN,
     NEAR,
     NO_NOISE,
-    LevelImage,
+    EncodedImage,
     noise_around,
     noise_table,
 )
@@ -26,7 +26,7 @@ from liaam.fitting.loop.objective import Objective, State
 from liaam.fitting.loop.options import SolverOptions, spare
 from liaam.fitting.methods import Method
 from liaam.fitting.reference.thresholds import THRESHOLDS
-from liaam.model.sampling import Light
+from liaam.model.sampling import AveragedImage
 from liaam.model.shape import Similarity, align, diagonal_of, own_parameters
 from liaam.photometry import NoiseModel, Response, is_grey
 from liaam.photometry.encoding import ENCODINGS, Encoding, Means, light_of_floats, light_table, log_floor
@@ -41,7 +41,7 @@ class FittedLevel:
 
     objective: Objective
     pose: Similarity  # model pixels to image pixels, to which the solution refers
-    solution: Any  # LevelFit of the core, or its like of liaam.fitting.reference.loop
+    solution: Any  # Solution of the core, or its like of liaam.fitting.reference.loop
     to_patch: Similarity  # image pixels to pixels of the encoded patch
     patch_size: tuple[int, int]  # its height and width
     begun_at: np.ndarray | None = None  # (n, 2) shape that it began at, if it has fewer modes than the last level
@@ -125,7 +125,7 @@ class Target(NamedTuple):
         return self._replace(noise=noise_around(self.image, self.start, self.linear.response))
 
 
-class Levels:
+class CoarseToFine:
     """Objectives from coarse to fine, which the core fits in one call without the interpreter's lock.
 
     :func:`solve_levels` does the same for what the core leaves out, and where it could not be built.
@@ -157,8 +157,15 @@ class Levels:
         shape = target.start
         for objective, each in zip(objectives, self._call(self._compiled[first, last], target, options), strict=False):
             pose, to_patch = (Similarity(rows[:, :2], rows[:, 2]) for rows in (each.pose, each.to_patch))
-            about = pose, each.fit, to_patch, each.patch_size
-            levels.append(FittedLevel(objective, *about, None if objective is objectives[-1] else shape))
+            level = FittedLevel(
+                objective=objective,
+                pose=pose,
+                solution=each.fit,
+                to_patch=to_patch,
+                patch_size=each.patch_size,
+                begun_at=None if objective is objectives[-1] else shape,
+            )
+            levels.append(level)
             shape = levels[-1].reached
         return levels
 
@@ -174,14 +181,14 @@ class Levels:
             }
             for each, warp in zip(objectives, warps, strict=True)
         ]
-        about = {"levels": levels, "mean": _flat(warps[0].rest), "encoding": ENCODINGS.index(method.encoding)}
-        about |= {"theta_1": float(theta), "has_invariant": method.solves_angle, "keeps_samples": self.keeps_samples}
-        return _core.prepare(about)
+        fields = {"levels": levels, "mean": _flat(warps[0].rest), "encoding": ENCODINGS.index(method.encoding)}
+        fields |= {"theta_1": float(theta), "has_invariant": method.solves_angle, "keeps_samples": self.keeps_samples}
+        return _core.prepare(fields)
 
     def _call(self, compiled: Any, target: Target, options: SolverOptions) -> list:
         objective, linear, noise = self.objectives[0], target.linear, target.noise
         image, encoding, response = linear.image, objective.method.encoding, linear.response
-        about = {
+        start_fields = {
             "start": _flat(target.start),
             "points": _flat(np.zeros(0) if target.mapped is None else target.mapped),
             "point_precision": np.ascontiguousarray(np.zeros((0, 0)) if target.pull is None else target.pull),
@@ -191,7 +198,7 @@ class Levels:
             "first_log": LOG_RANGE[0],
             "last_log": LOG_RANGE[1],
         }
-        given = encoding == "soft" and linear.grey, log_floor(response), about, options.as_dict
+        given = encoding == "soft" and linear.grey, log_floor(response), start_fields, options.as_dict
         if image.dtype.kind == "f":
             means = linear.light_of(encoding)
             return compiled.fit_light(means.light, means.finite, *given)
@@ -206,24 +213,38 @@ def solve_levels(objectives: Sequence[Objective], target: Target, options: Solve
     """Solve the levels from coarse to fine, each from the solution of the one before; fewer if the fit diverges."""
     finest, stages = objectives[-1], []
     target = target.prepared(objectives)
-    light, shape = light_for(objectives, target), target.start
+    averaged = averaged_image(objectives, target)
+    shape = target.start
     for objective in objectives:
-        own = options if objective is finest else spare(options)
-        image, state, pose = prepare_level(objective, target, stages, own, light)
-        solution = objective.solve(image, state, own, evaluate_last=objective is finest)
-        about = pose, solution, image.patch.from_image, image.channels.shape[:2]
-        stages.append(FittedLevel(objective, *about, None if objective is finest else shape))
+        level_options = options if objective is finest else spare(options)
+        image, state, pose = prepare_level(objective, target, stages, level_options, averaged)
+        solution = objective.solve(image, state, level_options, evaluate_last=objective is finest)
+        stage = FittedLevel(
+            objective=objective,
+            pose=pose,
+            solution=solution,
+            to_patch=image.patch.from_image,
+            patch_size=image.channels.shape[:2],
+            begun_at=None if objective is finest else shape,
+        )
+        stages.append(stage)
         shape = stages[-1].reached
         if not is_sane(shape, target.start):
             break
     return stages
 
 
-def light_for(objectives: Sequence[Objective], target: Target) -> Light:
+def averaged_image(objectives: Sequence[Objective], target: Target) -> AveragedImage:
     """Return the image averaged once for all levels."""
-    about = {"encoding": objectives[0].method.encoding, "response": target.linear.response, "margin": target.margin}
-    pose, blurs = align(objectives[0].warp.rest, target.start), [objective.blur for objective in objectives]
-    return Light.around(target.image, target.start, pose, blurs=blurs, **about)
+    return AveragedImage.around(
+        target.image,
+        target.start,
+        pose=align(objectives[0].warp.rest, target.start),
+        encoding=objectives[0].method.encoding,
+        response=target.linear.response,
+        blurs=[objective.blur for objective in objectives],
+        margin=target.margin,
+    )
 
 
 def prepare_level(
@@ -231,29 +252,38 @@ def prepare_level(
     target: Target,
     stages: Sequence[FittedLevel],
     options: SolverOptions,
-    light: Light | None = None,
-) -> tuple[LevelImage, State, Similarity]:
+    averaged: AveragedImage | None = None,
+) -> tuple[EncodedImage, State, Similarity]:
     """Return the encoded image, the initial state and the pose of a level, given the levels before it.
 
     The pose is updated at each level because shape modes rotate and scale with it, and the patch is cut around the
-    current shape. ``light`` is the image averaged for all levels; by default it is averaged here.
+    current shape. ``averaged`` is the image averaged for all levels; by default it is averaged here.
     """
     shape, margin = (stages[-1].reached, NEAR) if stages else (target.start, target.margin)
     warp, method = objective.warp, objective.method
     pose = align(warp.rest, shape)
-    about = method, target.linear.response, objective.blur, target.noise, margin, objective.density
-    image = LevelImage.at(target.image if light is None else light, shape, pose, *about)
+    image = EncodedImage.at(
+        target.image if averaged is None else averaged,
+        shape,
+        pose,
+        method=method,
+        response=target.linear.response,
+        blur=objective.blur,
+        noise=target.noise,
+        margin=margin,
+        density=objective.density,
+    )
     if target.pull is not None and target.mapped is not None:
         points = warp.parameters(pose.inverse()(target.mapped))
-        own = own_parameters(len(points), len(target.pull))
-        image = replace(image, point_precision=target.pull[np.ix_(own, own)], points=points)
+        indices = own_parameters(len(points), len(target.pull))
+        image = replace(image, point_precision=target.pull[np.ix_(indices, indices)], points=points)
     state = objective.start(warp.parameters(pose.inverse()(shape)))
     angles = stages[-1].solution.angles if stages else _first_angles(objective, image, state, options, target.theta)
     return image, state._replace(angles=np.array(angles, np.float64)), pose
 
 
 def _first_angles(
-    objective: Objective, image: LevelImage, state: State, options: SolverOptions, theta: float | None
+    objective: Objective, image: EncodedImage, state: State, options: SolverOptions, theta: float | None
 ) -> np.ndarray:
     if theta is not None and objective.method.free_angles == "none":
         return np.array([state.angles[0], theta])

@@ -8,7 +8,7 @@ import numpy as np
 
 from liaam import _core
 from liaam.errors import MethodError
-from liaam.fitting.loop.level_image import LevelImage, correlated_pixels
+from liaam.fitting.loop.encoded_image import EncodedImage, correlated_pixels
 from liaam.fitting.methods import LOSSES, STEPS, WEIGHTS, Method, at_angle, check_holds, gaussian_median
 from liaam.fitting.reference.loop import solve_level
 from liaam.fitting.reference.problem import CORRELATED, GRADIENT_ROWS, Problem
@@ -87,8 +87,8 @@ class Objective:
         m, none = len(rows) - 1, np.zeros((0, 0, 0), np.float32)
         lines = np.zeros((n * k, padded(m)), np.float32)
         lines[:, :m] = rows[1:].T
-        own = np.repeat(np.sqrt(self.appearance.usable), k).astype(np.float32)
-        weighted = rows[1:].astype(np.float64) * own
+        root_weights = np.repeat(np.sqrt(self.appearance.usable), k).astype(np.float32)
+        weighted = rows[1:].astype(np.float64) * root_weights
         return {
             **(self.warp.mesh()._asdict() if isinstance(self.warp, PiecewiseAffineWarp) else {}),
             "rows": rows,
@@ -96,7 +96,7 @@ class Objective:
             "slopes": at_angle(slope_parts, self.theta_model) if self._turns else slope_parts[0],
             "row_parts": parts.reshape(3, -1, n * k) if self._turns else none,
             "slope_parts": slope_parts if self._turns else none,
-            "sqrt_weights": own,
+            "sqrt_weights": root_weights,
             "gram": weighted @ weighted.T,
             "ridge": self._ridge(),
             "errors": self._errors(),
@@ -142,7 +142,7 @@ class Objective:
         """Return the ridge on the diagonal of A'A, (m,) float64, from the norms of the modes before projection."""
         appearance, k = self.appearance, self.method.n_rows
         textures = self._textures(appearance, self.illumination)[1:]
-        sizes = [np.square(own, dtype=np.float64).sum(axis=(1, 2)) for own in textures]
+        sizes = [np.square(texture, dtype=np.float64).sum(axis=(1, 2)) for texture in textures]
         biases = {"none": [], "common": [k * len(appearance.mean)], "rows": [len(appearance.mean)] * k}
         ridge = RIDGE * np.maximum(np.concatenate([*sizes, biases[self.method.bias]]), 1e-12)
         ridge[: appearance.n_modes] += self._ordinary_unit() / np.maximum(appearance.eigenvalues, 1e-12)
@@ -199,11 +199,11 @@ class Objective:
             return self.fields["rows"][0]
         return np.array([1.0, np.cos(theta), np.sin(theta)]) @ self.fields["row_parts"][:, 0]
 
-    def problem(self, image: LevelImage) -> Any:
+    def problem(self, image: EncodedImage) -> Any:
         """Return the objective at an image, in the parts that the loop calls (:class:`Problem`)."""
         return _core.Problem(self.compiled, image.compiled) if self.is_compiled else Problem(self, image)
 
-    def evaluate(self, image: LevelImage, state: State, weigh: int = 0, solves: bool = False) -> dict[str, Any]:
+    def evaluate(self, image: EncodedImage, state: State, weigh: int = 0, solves: bool = False) -> dict[str, Any]:
         """Evaluate the residual of a state, solve for lambda there if asked, and update the weights ``weigh`` times.
 
         The result are the arrays of :meth:`Problem.arrays`.
@@ -215,10 +215,10 @@ class Objective:
             problem.reweigh(solves)
         return problem.arrays()
 
-    def solve(self, image: LevelImage, state: State, options: Any, evaluate_last: bool = True) -> Any:
+    def solve(self, image: EncodedImage, state: State, options: Any, evaluate_last: bool = True) -> Any:
         """Minimise the cost over one image from a state (:class:`liaam.fitting.loop.options.SolverOptions`).
 
-        A fit that fails is returned, not raised. The solution is a ``LevelFit`` of the core or of the reference.
+        A fit that fails is returned, not raised. The solution is a ``Solution`` of the core or of the reference.
         """
         p, angles, lam = state.p, tuple(state.angles.tolist()), state.lam
         if self.is_compiled and options.elimination == "varpro":
@@ -279,16 +279,16 @@ def _objective(model: AAM, method: Method, warp: PiecewiseAffineWarp, level: Lev
     # N(0, eigenvalue) for the shape modes; the four similarity vectors have no prior.
     prior = np.concatenate([1.0 / np.maximum(warp.shape_model.eigenvalues, 1e-12), np.zeros(4)])
 
-    kept = warp.every(thinning * level.blur)
+    pixels = warp.every(thinning * level.blur)
     return Objective(
         method,
-        warp.at(kept),
-        appearance.at(kept),
+        warp.at(pixels),
+        appearance.at(pixels),
         model.theta,
         prior,
-        None if illumination is None else illumination.at(kept),
+        None if illumination is None else illumination.at(pixels),
         blur=level.blur,
-        density=len(kept) / len(appearance.mean),
+        density=len(pixels) / len(appearance.mean),
         dof=dof,
         in_frame=(appearance, illumination),
     )
@@ -299,11 +299,11 @@ def _encoded(model: AAM, method: Method) -> Method:
     if not callable(method.encoding) or isinstance(method.encoding, Encoder):
         return method
     function: Any = method.encoding
-    known, name = model.features, name_of(function)
-    if known is None or known.name != name:
-        given = "was trained without features" if known is None else f"was trained with the features {known.name}"
+    features, name = model.features, name_of(function)
+    if features is None or features.name != name:
+        given = "was trained without features" if features is None else f"was trained with the features {features.name}"
         raise MethodError(
             f"method {method.name} compares the features {name}, but the model {given}; train it with this function "
             "(train(..., features=function))"
         )
-    return replace(method, encoding=Encoder(function, known))
+    return replace(method, encoding=Encoder(function, features))

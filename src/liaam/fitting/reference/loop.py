@@ -67,7 +67,7 @@ class LoopVariables:
 class Proposal:
     """What can be said of the next step, which is not computed at the last state."""
 
-    possible: bool  # there is texture under the model, and the equations have a solution
+    has_step: bool  # there is texture under the model, and the equations have a solution
     negligible: bool = False  # the step is short compared with its standard deviation
 
 
@@ -116,7 +116,7 @@ class Loop:
             self.linearise(controls, current.fresh, ends)
             trace.held = not self.free.all()
             proposal = self.propose(controls, current.damping, ends)
-            trace.flat = not proposal.possible
+            trace.flat = not proposal.has_step
             if ends or trace.flat:
                 break
             length = self.movement()
@@ -211,7 +211,7 @@ class Loop:
         """Compute the next step of q = (p, free angles) from the normal equations with the priors; none at the end."""
         has_texture = self.has_texture()
         if not has_texture or ends:
-            return Proposal(possible=has_texture)
+            return Proposal(has_step=has_texture)
         problem = self.problem
         # The variance of a residual of weight 1: of the weights if they have one, else of the residuals.
         has_variance = self.fields["weighting"] == BY_ROWS and np.isfinite(problem.noise_variance)
@@ -219,7 +219,7 @@ class Loop:
         variance = problem.noise_variance if has_variance else of_residual
         self.add_priors(controls.options.shape_prior, variance)
         if controls.expected:
-            possible, self.step = clamped_newton_step(
+            has_step, self.step = clamped_newton_step(
                 base=self.damping_matrix,
                 hessian=problem.hessian,
                 gradient=problem.gradient,
@@ -230,11 +230,11 @@ class Loop:
             if goes_back(self.step, self.last_step, self.damping_matrix):
                 self.least_curvature *= 2.0
         else:
-            possible, self.step = damped_step(problem.hessian, problem.gradient, self.free, damping)
+            has_step, self.step = damped_step(problem.hessian, problem.gradient, self.free, damping)
         squared_length = float(self.step @ self.damping_matrix @ self.step)
         limit = controls.options.relative_tolerance**2 * len(self.step) * variance
         can_be_negligible = has_variance and squared_length < limit and damping <= T["MOST_NEGLIGIBLE_DAMPING"]
-        return Proposal(possible, negligible=bool(can_be_negligible and self.movement() < T["LONGEST_UNSEEN"]))
+        return Proposal(has_step, negligible=bool(can_be_negligible and self.movement() < T["LONGEST_UNSEEN"]))
 
     def has_texture(self) -> bool:
         """Return whether image and model both have texture, and all sums are finite."""
@@ -516,7 +516,7 @@ def append(more: Trace, trace: Trace) -> None:
 
 
 def collect(loop: Loop, trace: Trace) -> SimpleNamespace:
-    """Collect the solution, with the names of the core's ``LevelFit``."""
+    """Collect the solution, with the names of the core's ``Solution``."""
     problem = loop.problem
     # Rows that count as contrast: for weights by rows those of the gradients.
     shown = GRADIENT_ROWS if loop.fields["weighting"] == BY_ROWS else problem.k

@@ -16,7 +16,7 @@ from liaam.image_reference import CHANNELS, sample
 from liaam.photometry.encoding import BRIGHTNESS, LOG_FLOOR, SOFTNESS
 
 if TYPE_CHECKING:
-    from liaam.fitting.loop.level_image import LevelImage
+    from liaam.fitting.loop.encoded_image import EncodedImage
 
 UNKNOWN = 1e5  # variance of a pixel whose logarithm is not usable
 LEAST_UNEXPLAINED = 0.02  # lower bound on the unexplained variance, as a fraction of the residual's
@@ -47,7 +47,7 @@ L1_AT = 0.1  # residual below which the weight of l1, its inverse, stops growing
 class Problem:
     """An objective at one encoded image, with the state of the fit and all that follows from it."""
 
-    def __init__(self, objective: Any, image: "LevelImage") -> None:
+    def __init__(self, objective: Any, image: "EncodedImage") -> None:
         self.warp = objective.warp
         self.fields = objective.fields
         self.image = image

@@ -12,7 +12,7 @@ import numpy as np
 
 from liaam.errors import MethodError, ModelFileError
 from liaam.fitting.detection import DOUBTFUL, Detection, are_apart, are_beside, choose, is_inside
-from liaam.fitting.loop.levels import FittedLevel, Levels, LinearImage, Target
+from liaam.fitting.loop.levels import CoarseToFine, FittedLevel, LinearImage, Target
 from liaam.fitting.loop.objective import THINNING, make_objectives
 from liaam.fitting.loop.options import SolverOptions
 from liaam.fitting.methods import get_method
@@ -22,7 +22,7 @@ from liaam.fitting.search.templates import (
     TURNS,
     Field,
     Grey,
-    Template,
+    OrientationTemplate,
     make_templates,
     rotated_filters,
     shrink,
@@ -140,10 +140,10 @@ class Finder:
         return int(PADDING * self.small.diagonal)
 
     @cached_property
-    def level(self) -> Levels:
+    def level(self) -> CoarseToFine:
         """The level of the fits of places."""
         # The limits on scores were set with this thinning. All pixels find no more, and take longer.
-        return Levels(make_objectives(self.small, get_method("igo"), thinning=THINNING), keeps_samples=True)
+        return CoarseToFine(make_objectives(self.small, get_method("igo"), thinning=THINNING), keeps_samples=True)
 
     def find(
         self,
@@ -248,7 +248,7 @@ class _Place:
 
     centre: np.ndarray  # (2,): of the shape, image pixels
     scale: float  # image pixels per pixel of the reduced model
-    template: Template
+    template: OrientationTemplate
     field: Field
 
 

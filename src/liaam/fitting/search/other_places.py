@@ -12,7 +12,7 @@ import numpy as np
 
 from liaam.fitting.detection import Detection, are_apart
 from liaam.fitting.loop.levels import Target
-from liaam.fitting.prepared import Blurred, Prepared
+from liaam.fitting.one_shape_fitter import Blurred, OneShapeFitter
 from liaam.fitting.result import LEAST_QUALITY, FitResult, FitStatus, odds_of, with_prior
 from liaam.fitting.search.finder import LARGE, Finder
 from liaam.model.shape import diagonal_of
@@ -57,7 +57,7 @@ class _PlaceOdds:
 
 
 def likeliest(
-    prepared: Prepared, finder: Finder, first: PlacedFit, region: tuple[np.ndarray, np.ndarray]
+    fitter: OneShapeFitter, finder: Finder, first: PlacedFit, region: tuple[np.ndarray, np.ndarray]
 ) -> tuple[PlacedFit, float]:
     """Return the most likely fit in a region (its corners), and the factor on its odds.
 
@@ -69,20 +69,20 @@ def likeliest(
     if with_prior(first.result, prior_of_first).quality >= LEAST_QUALITY:
         return first, prior_of_first
 
-    brief = replace(prepared.options, max_iterations=BRIEF)
+    brief = replace(fitter.options, max_iterations=BRIEF)
     places = finder.others_in(first.target.linear.crop(low, high))
     blurred = []  # each with its place
     for place in places:
         target = first.target._replace(start=place.landmarks + low)
-        blurred.append((prepared.fit_blurred(target, brief), place))
+        blurred.append((fitter.fit_blurred(target, brief), place))
     blurred.sort(key=lambda each: odds.of_blurred(each[0]), reverse=True)
 
     fits = [first]
     for fit, place in blurred[:PROMISING]:
         # What else the search found is the same for all places.
         detection = None if first.detection is None else replace(place, others=first.detection.others)
-        fits.append(PlacedFit(prepared.fit_sharpest(fit, brief), fit.target, detection))
-    best = fits[_finish_best(fits, prepared, odds.of_result)]
+        fits.append(PlacedFit(fitter.fit_sharpest(fit, brief), fit.target, detection))
+    best = fits[_finish_best(fits, fitter, odds.of_result)]
 
     shape = best.result.landmarks
     odds_elsewhere = [odds.of_result(fit.result) for fit in fits if are_apart(shape, fit.result.landmarks)]
@@ -93,7 +93,7 @@ def likeliest(
     return replace(best, result=result), min(prior, 1.0) * share
 
 
-def _finish_best(fits: list[PlacedFit], prepared: Prepared, odds_of_result: Callable[[FitResult], float]) -> int:
+def _finish_best(fits: list[PlacedFit], fitter: OneShapeFitter, odds_of_result: Callable[[FitResult], float]) -> int:
     """Fit the best of some fits again until it is one that was not stopped early; return its index.
 
     The first fit was not. Others are replaced in the list by those with all steps.
@@ -104,4 +104,4 @@ def _finish_best(fits: list[PlacedFit], prepared: Prepared, odds_of_result: Call
         if best not in unfinished:
             return best
         unfinished.remove(best)
-        fits[best] = replace(fits[best], result=prepared.fit_target(fits[best].target))
+        fits[best] = replace(fits[best], result=fitter.fit_target(fits[best].target))

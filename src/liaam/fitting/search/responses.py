@@ -6,7 +6,7 @@ from typing import NamedTuple
 import numpy as np
 
 from liaam import _core
-from liaam.fitting.search.templates import Field, Template, spectra
+from liaam.fitting.search.templates import Field, OrientationTemplate, spectra
 
 # Number of field pixels for which spectra are cached, about 100 bytes each. Larger fields, of panoramas and strips, are
 # cut into tiles of so many pixels at most, so that memory for spectra and the time per pixel do not grow with them.
@@ -33,7 +33,7 @@ class Bank:
     mean cosines.
     """
 
-    def __init__(self, templates: Sequence[Template], pad: int, normalised: bool = False) -> None:
+    def __init__(self, templates: Sequence[OrientationTemplate], pad: int, normalised: bool = False) -> None:
         self.templates = tuple(templates)
         self.pad = pad
         self.shapes = np.array([template.field.shape for template in templates])

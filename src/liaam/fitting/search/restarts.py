@@ -12,7 +12,7 @@ import numpy as np
 from liaam.fitting.loop.levels import FittedLevel, Target, is_sane, prepare_level
 from liaam.fitting.loop.objective import Objective
 from liaam.fitting.loop.options import SolverOptions, spare
-from liaam.fitting.prepared import Prepared
+from liaam.fitting.one_shape_fitter import OneShapeFitter
 from liaam.fitting.result import FitResult
 from liaam.model.shape import diagonal_of
 
@@ -26,19 +26,19 @@ KEPT = 2  # starts returned; a third saves no more fits
 APART = 0.02  # root mean square distance, as a fraction of the diagonal, below which two shapes count as the same
 
 
-def fit_again(prepared: Prepared, target: Target, first: FitResult) -> FitResult:
+def fit_again(fitter: OneShapeFitter, target: Target, first: FitResult) -> FitResult:
     """Return the better fit by quality, of the first and the best from other starts."""
-    starts, options = other_starts(prepared.objectives[0], target, prepared.options), prepared.options
+    starts, options = other_starts(fitter.objectives[0], target, fitter.options), fitter.options
     if not starts:
         return first
-    fits = [prepared.fit_blurred(target._replace(start=start), options) for start in starts]
-    best = prepared.fit_sharpest(max(fits, key=lambda each: each.quality), options)
+    fits = [fitter.fit_blurred(target._replace(start=start), options) for start in starts]
+    best = fitter.fit_sharpest(max(fits, key=lambda each: each.quality), options)
     better = best.quality > first.quality and is_sane(best.landmarks, target.start)
     return replace(best if better else first, n_starts=first.n_starts + len(fits))
 
 
-def other_starts(objective: Objective, target: Target, options: SolverOptions, kept: int = KEPT) -> list[np.ndarray]:
-    """Find other shapes to start a fit from: (n, 2) float64, image pixels, the best first, at most ``kept``.
+def other_starts(objective: Objective, target: Target, options: SolverOptions, count: int = KEPT) -> list[np.ndarray]:
+    """Find other shapes to start a fit from: (n, 2) float64, image pixels, the best first, at most ``count``.
 
     The mean shape in the pose of the start is deformed and shifted, and fitted at the coarsest level, whose objective
     is given. The best of these are deformed further and fitted again. The shapes of least cost are returned.
@@ -67,7 +67,7 @@ def other_starts(objective: Objective, target: Target, options: SolverOptions, k
     for stage in _best(stages, BEST, target.start):
         p = stage.solution.p
         stages += [reached(bent(p, mode, by)) for mode in range(min(MODES, n_modes)) for by in (-BENT_ON, BENT_ON)]
-    return [stage.reached for stage in _best(stages, kept, target.start)]
+    return [stage.reached for stage in _best(stages, count, target.start)]
 
 
 def _best(stages: Sequence[FittedLevel], count: int, start: np.ndarray) -> list[FittedLevel]:

@@ -43,7 +43,7 @@ CONTRASTS = (0.3, 1.0)  # limits on the measured contrast, so that flat images a
 
 
 @dataclass(frozen=True, eq=False)
-class Template:
+class OrientationTemplate:
     """Gradient orientations that the reduced model expects."""
 
     # (h, w) complex64: cosine and sine, shorter than 1 where the orientation varies; 0 outside the mesh.
@@ -164,20 +164,20 @@ def shrink(model: AAM) -> AAM:
         raise MethodError(
             "the model has no gradient orientations, which the search needs; train it again, or give a start (--init)"
         )
-    own, shapes = level.appearances["search"], model.shape_model
+    learnt, shapes = level.appearances["search"], model.shape_model
     factor = min(1.0, TEMPLATE / model.diagonal)
     frame = ReferenceFrame(shapes.mean * factor, model.triangles)
     at = (frame.pixels[:, ::-1] + frame.origin) / factor
-    known = own.known
+    mask = learnt.mask
 
     def reduced(values: np.ndarray) -> np.ndarray:
-        return _read(model.frame, values, known, at, AVERAGED / factor if factor < 1.0 else 0.0)
+        return _read(model.frame, values, mask, at, AVERAGED / factor if factor < 1.0 else 0.0)
 
     appearance = AppearanceModel(
-        mean=reduced(own.mean),
-        modes=np.array([reduced(mode) for mode in own.modes], np.float32).reshape(-1, len(at), 2),
-        eigenvalues=own.eigenvalues,
-        usable=np.clip(reduced(own.usable[:, None])[:, 0], 0.0, 1.0),
+        mean=reduced(learnt.mean),
+        modes=np.array([reduced(mode) for mode in learnt.modes], np.float32).reshape(-1, len(at), 2),
+        eigenvalues=learnt.eigenvalues,
+        usable=np.clip(reduced(learnt.usable[:, None])[:, 0], 0.0, 1.0),
     )
     small = ShapeModel(frame.points, shapes.modes, shapes.eigenvalues * factor**2).seen_at(level.blur * factor)
     view = View(PiecewiseAffineWarp(frame, small), (Level(level.blur * factor, {"orientation": appearance}),))
@@ -186,17 +186,17 @@ def shrink(model: AAM) -> AAM:
 
 def pixels_for_search(warp: PiecewiseAffineWarp) -> np.ndarray:
     """Return a mask of the pixels that the search needs of a model: they are averaged when it is reduced."""
-    known = np.zeros(warp.frame.n_pixels, bool)
-    known[warp.every(AVERAGED * diagonal_of(warp.rest) / TEMPLATE)] = True
-    return known
+    mask = np.zeros(warp.frame.n_pixels, bool)
+    mask[warp.every(AVERAGED * diagonal_of(warp.rest) / TEMPLATE)] = True
+    return mask
 
 
-def _read(frame: ReferenceFrame, values: np.ndarray, known: np.ndarray, at: np.ndarray, blur: float) -> np.ndarray:
+def _read(frame: ReferenceFrame, values: np.ndarray, mask: np.ndarray, at: np.ndarray, blur: float) -> np.ndarray:
     """Interpolate per-pixel values (n_pixels, c), known at a mask, at points (m, 2), after a blur by pixels, (m, c)."""
     import cv2  # heavy: imported when first needed
 
     # The last channel measures which fraction of an average is known and inside the mesh.
-    picture = frame.picture(np.column_stack([values, known]))
+    picture = frame.picture(np.column_stack([values, mask]))
     if blur:
         picture = cv2.GaussianBlur(picture, (0, 0), blur, borderType=cv2.BORDER_CONSTANT)
     x, y = (at - frame.origin).astype(np.float32).T[:, :, None]
@@ -206,7 +206,7 @@ def _read(frame: ReferenceFrame, values: np.ndarray, known: np.ndarray, at: np.n
     return (np.stack(channels[:-1], axis=1) / np.maximum(channels[-1], 1e-6)[:, None]).astype(np.float32)
 
 
-def make_templates(small: AAM, rotations: str = "upright") -> tuple[Template, ...]:
+def make_templates(small: AAM, rotations: str = "upright") -> tuple[OrientationTemplate, ...]:
     """Make the templates of a reduced model: mean and deformed shapes in several rotations."""
     shapes = small.shape_model
     straight = np.zeros(len(shapes.basis))
@@ -221,27 +221,27 @@ def make_templates(small: AAM, rotations: str = "upright") -> tuple[Template, ..
     return tuple(templates)
 
 
-def rotated_filters(values: np.ndarray, rotations: str, small: AAM) -> tuple[Template, ...]:
+def rotated_filters(values: np.ndarray, rotations: str, small: AAM) -> tuple[OrientationTemplate, ...]:
     """Make templates of a learnt filter (h, w, 2), of the mean shape in several rotations."""
     import cv2  # heavy: imported when first needed
 
     height, width = values.shape[:2]
     centre, size = 0.5 * np.array([width - 1, height - 1]), max(height, width)
-    middle, straight, found = 0.5 * np.array([size - 1, size - 1]), np.zeros(len(small.shape_model.basis)), []
+    middle, straight, filters = 0.5 * np.array([size - 1, size - 1]), np.zeros(len(small.shape_model.basis)), []
     for turn in np.deg2rad(TURNS[rotations]):
         back = rotation(-turn)
         affine = np.column_stack([back, centre - back @ middle])
         moved = cv2.warpAffine(values, affine, (size, size), flags=cv2.INTER_CUBIC | cv2.WARP_INVERSE_MAP)
         field = (moved[..., 0] + 1j * moved[..., 1]) * np.exp(1j * turn)
-        found.append(Template(field.astype(np.complex64), -middle, float(turn), straight))
-    return tuple(found)
+        filters.append(OrientationTemplate(field.astype(np.complex64), -middle, float(turn), straight))
+    return tuple(filters)
 
 
-def _template(small: AAM, turn: float, p: np.ndarray) -> Template:
+def _template(small: AAM, turn: float, p: np.ndarray) -> OrientationTemplate:
     frame = ReferenceFrame(small.shape_model.shape(p) @ rotation(turn).T, small.triangles)
     at = np.einsum("nv,nvc->nc", frame.weights, small.shape_model.mean[frame.vertices])
     everywhere = np.ones(small.frame.n_pixels, bool)
     mean = _read(small.frame, small.levels[0].appearances["orientation"].mean, everywhere, at, 0.0)
     picture = frame.picture(mean)
     field = (picture[..., 0] + 1j * picture[..., 1]) * np.exp(1j * turn)
-    return Template(field.astype(np.complex64), frame.origin, turn, p)
+    return OrientationTemplate(field.astype(np.complex64), frame.origin, turn, p)

@@ -39,12 +39,23 @@ __all__ = [
     "write_landmarks",
 ]
 
-_FRACTION = 1.5  # largest fraction of an image's size of a point beyond its border, or of half its size
-_SMALL = 16  # width and height in pixels up to which all landmarks may lie within one pixel
+# Largest absolute value up to which all positions of an image look like fractions: of its size, 0 to 1, or of half its
+# size, -1 to 1. The rest is for points beyond the border.
+_FRACTION = 1.5
+_SMALL = 16  # up to this width or height in pixels, positions below _FRACTION may be pixels nevertheless
+
+# EXIF orientations of a stored image in which its axes are exchanged to turn it upright, and in which then its columns
+# or its rows are in reverse order.
+_TRANSPOSED = (5, 6, 7, 8)
+_X_REVERSED = (2, 3, 6, 7)
+_Y_REVERSED = (3, 4, 7, 8)
+
 SCALED = "positions are for another size of the image, and are scaled along"
 TURNED = "positions are for the photo before its EXIF orientation turns it, and are turned along"
-UNDECIDED = "photos have an EXIF orientation, and nothing says whether positions are for the photos before they are"
-UNDECIDED += " turned; they are taken for the turned ones (--stored-orientation if not)"
+UNDECIDED = (
+    "photos have an EXIF orientation, and nothing says whether positions are for the photos before they are turned; "
+    "they are taken for the turned ones (--stored-orientation if not)"
+)
 
 
 @dataclass(frozen=True)
@@ -76,23 +87,20 @@ class LandmarkFile(Source):
         Further objects of an image are its others, unless they have no point.
         """
         try:
-            found = self.form.parse(self)
+            parsed = self.form.parse(self)
         except LandmarkError as fault:
             raise type(fault)(f"{self.path}: {fault}") from fault
         except LACKING as fault:
             if "json" not in self.path.suffix.lower():
                 raise
             raise LandmarkError(f"{self.path} lacks the parts of a {self.form.title} file: export it again.") from fault
-        if not found:
+        if not parsed:
             remedy = "place those of at least one image, or export it again."
             raise LandmarkError(f"{self.path}: no landmarks in it ({self.form.title}): {remedy}")
-        objects = defaultdict[str, list[Landmarks]](list)
-        for own in found:
-            objects[own.image_name or ""].append(replace(own, format=self.form.title))
-        return {
-            image: replace(first, others=(*first.others, *(own for own in others if not own.missing.all())))
-            for image, (first, *others) in objects.items()
-        }
+        objects_by_image = defaultdict[str, list[Landmarks]](list)
+        for landmarks in parsed:
+            objects_by_image[landmarks.image_name or ""].append(replace(landmarks, format=self.form.title))
+        return {image: _joined(objects) for image, objects in objects_by_image.items()}
 
     @property
     def is_single(self) -> bool:
@@ -115,48 +123,102 @@ class LandmarkFile(Source):
         it, and its EXIF orientation.
         """
         landmarks = self.entries[entry]
-        how, name = landmarks.placing, name or entry or self.path.name
+        name = name or entry or self.path.name
         try:
-            if size is None and how != Placing():
-                size, orientation = self._beside.size_of(entry, how.size)
+            if size is None and landmarks.placing != Placing():
+                size, orientation = self._beside.size_of(entry, landmarks.placing.size)
             return landmarks if size is None else self._placed(landmarks, size, orientation, name)
         except LandmarkError as fault:
             raise LandmarkError(f"{self.path}: {fault}") from fault
 
     def _placed(self, landmarks: Landmarks, size: Size, orientation: int, name: str) -> Landmarks:
-        """Place landmarks and the others of their image."""
-        placing, reading, declared = landmarks.placing, self.reading, landmarks.placing.size
-        stored = (size[1], size[0]) if orientation >= 5 else size
-        fits, fits_stored = (  # whether sizes have one ratio, but for rounding to whole pixels
-            declared is not None and abs(declared[0] * each[1] - declared[1] * each[0]) <= max(*declared, *each)
-            for each in (size, stored)
-        )
-        if declared is not None and not fits and not fits_stored:
-            theirs, ours = (f"{width:g} x {height:g}" for width, height in (declared, size))
-            differ = f"the file is for an image of {theirs} pixels, but the image has {ours}, which is no scaled copy"
-            raise LandmarkError(f"{differ}: give the image that was annotated, or annotate this one.")
-        turned = reading.stored if fits == fits_stored else fits_stored
-        if orientation != 1 and not reading.stored and fits == fits_stored:
-            self.notes.say(UNDECIDED, name)
-        target = stored if turned else size
-        frame = declared or target
-        points, known = landmarks.points, landmarks.points[~landmarks.missing]
-        if placing.fractions:
-            points = points * frame
-        elif len(known) > 2 and np.abs(known).max() <= _FRACTION and min(frame) > _SMALL:
-            low, high = (0, 1) if 0 <= known.min() <= known.max() <= 1 else (known.min(), known.max())
-            between = f"all positions lie between {low:.3g} and {high:.3g}"
-            raise LandmarkError(f"{between}, as fractions of the image's size do: give pixels.")
-        if placing.upwards and not reading.y_down:
-            points = np.stack([points[:, 0], frame[1] - 1 - points[:, 1]], axis=1)
+        """Return landmarks in pixels of the upright image of a size, and the others of the image with them.
+
+        Three sizes matter: that which the file states, that of the image which the positions are for (stored or
+        upright), and that of the upright image.
+        """
+        stored = _stored_size(size, orientation)
+        is_stored = self._is_for_stored(landmarks.placing.size, size, orientation, name)
+        target = stored if is_stored else size
+        frame = landmarks.placing.size or target
+        points = self._in_pixels(landmarks, frame)
         if frame != target:
             self.notes.say(SCALED, name)
             points = (points + 0.5) * np.divide(target, frame) - 0.5
-        if turned and orientation != 1:
+        if is_stored and orientation != 1:
             self.notes.say(TURNED, name)
             points = turn(points, size, orientation)
         others = tuple(self._placed(other, size, orientation, name) for other in landmarks.others)
         return replace(landmarks, points=points, others=others, placing=Placing())
+
+    def _is_for_stored(self, declared: Size | None, size: Size, orientation: int, name: str) -> bool:
+        """Return whether positions are for the stored image, before its EXIF orientation turns it upright.
+
+        A declared size that only one of both images is a copy of decides it, or else the reading.
+
+        Raises
+        ------
+        LandmarkError
+            If neither image is a scaled copy of one of the declared size.
+        """
+        fits = declared is not None and _is_scaled_copy(size, declared)
+        fits_stored = declared is not None and _is_scaled_copy(_stored_size(size, orientation), declared)
+        if declared is not None and not fits and not fits_stored:
+            theirs = f"{declared[0]:g} x {declared[1]:g}"
+            ours = f"{size[0]:g} x {size[1]:g}"
+            differ = f"the file is for an image of {theirs} pixels, but the image has {ours}, which is no scaled copy"
+            raise LandmarkError(f"{differ}: give the image that was annotated, or annotate this one.")
+        if fits != fits_stored:
+            return fits_stored
+        if orientation != 1 and not self.reading.stored:
+            self.notes.say(UNDECIDED, name)
+        return self.reading.stored
+
+    def _in_pixels(self, landmarks: Landmarks, frame: Size) -> np.ndarray:
+        """Return points (n, 2) float64 in pixels of an image of the size `frame`, with y downwards.
+
+        Raises
+        ------
+        LandmarkError
+            If they seem to be fractions of the size, which the file's format does not use.
+        """
+        points = landmarks.points
+        if landmarks.placing.fractions:
+            points = points * frame
+        else:
+            _refuse_fractions(points[~landmarks.missing], frame)
+        if landmarks.placing.upwards and not self.reading.y_down:
+            points = np.stack([points[:, 0], frame[1] - 1 - points[:, 1]], axis=1)
+        return points
+
+
+def _joined(objects: list[Landmarks]) -> Landmarks:
+    """Return the first object of an image, with the further ones that have a point as its others."""
+    first, *further = objects
+    with_points = (each for each in further if not each.missing.all())
+    return replace(first, others=(*first.others, *with_points))
+
+
+def _stored_size(size: Size, orientation: int) -> Size:
+    """Return the size of a stored image, given that of the upright one."""
+    width, height = size
+    return (height, width) if orientation in _TRANSPOSED else size
+
+
+def _is_scaled_copy(size: Size, declared: Size) -> bool:
+    """Return whether two sizes have one ratio, but for rounding to whole pixels."""
+    return abs(declared[0] * size[1] - declared[1] * size[0]) <= max(*declared, *size)
+
+
+def _refuse_fractions(points: np.ndarray, frame: Size) -> None:
+    """Raise if three or more points (n, 2), none missing, look like fractions of the size of their image."""
+    if len(points) < 3 or np.abs(points).max() > _FRACTION or min(frame) <= _SMALL:
+        return
+    low, high = points.min(), points.max()
+    if low >= 0 and high <= 1:
+        low, high = 0, 1
+    between = f"all positions lie between {low:.3g} and {high:.3g}"
+    raise LandmarkError(f"{between}, as fractions of the image's size do: give pixels.")
 
 
 class ImagesBeside:
@@ -175,9 +237,7 @@ class ImagesBeside:
         fault = ""
         try:
             if name:
-                path = self._folder / name
-                there = path.is_file()  # which spares the list of a folder that holds a file for each image
-                return size_and_orientation(path if there else self._names.find(name, self._folder)[0] or path)
+                return size_and_orientation(self._path_of(name))
         except (ImageError, OSError) as error:
             fault = f" ({error})"
         if declared is not None:
@@ -185,12 +245,25 @@ class ImagesBeside:
         remedy = "put the image beside the file, or pass image_size=(width, height) in pixels"
         raise LandmarkError(f"the size of its image is needed{fault}: {remedy}.")
 
+    def _path_of(self, name: str) -> Path:
+        """Return the path of the image that a name means; if there is none, the path that it would have."""
+        path = self._folder / name
+        if path.is_file():  # which spares the list of a folder that holds a file for each image
+            return path
+        image, _ = self._names.find(name, self._folder)
+        return image or path
+
 
 def turn(points: np.ndarray, size: Size, orientation: int) -> np.ndarray:
     """Turn points (n, 2) on a stored image along with its EXIF orientation; `size` is that of the upright image."""
-    x, y = points.T[::-1] if orientation >= 5 else points.T
-    y = size[1] - 1 - y if orientation in (3, 4, 7, 8) else y
-    x = size[0] - 1 - x if orientation in (2, 3, 6, 7) else x
+    width, height = size
+    x, y = points.T
+    if orientation in _TRANSPOSED:
+        x, y = y, x
+    if orientation in _X_REVERSED:
+        x = width - 1 - x
+    if orientation in _Y_REVERSED:
+        y = height - 1 - y
     return np.stack([x, y], axis=1)
 
 
@@ -230,13 +303,21 @@ def read_landmarks(
         many = f"{len(entries)} images ({', '.join(entries[:3])} ...)"
         raise LandmarkError(f"{path} holds the landmarks of {many}: use read_collection, or load its folder.")
     if len(entries) > 1 and image_name is not None:
-        names, same = ImageNames([Path(image_name)]), [e for e in entries if PureWindowsPath(e).name == image_name]
-        entries = same or [entry for entry in entries if names.find(entry)[0] is not None]
+        entries = _entries_naming(image_name, entries)
         if not entries:
             raise LandmarkError(f"{path} has no landmarks of {image_name}: add them, or name another file.")
     placed = file.placed(entries[0], image_size)
     _warn(file)
     return placed
+
+
+def _entries_naming(image_name: str, entries: list[str]) -> list[str]:
+    """Return the entries with exactly this file name; if there are none, those that may mean it."""
+    same = [entry for entry in entries if PureWindowsPath(entry).name == image_name]
+    if same:
+        return same
+    names = ImageNames([Path(image_name)])
+    return [entry for entry in entries if names.find(entry)[0] is not None]
 
 
 def read_collection(path: AnyPath, reading: Reading = USUAL) -> dict[str, Landmarks]:
@@ -263,8 +344,9 @@ def read_collection(path: AnyPath, reading: Reading = USUAL) -> dict[str, Landma
 
 
 def _warn(file: LandmarkFile) -> None:
+    """Give the notes on a file as warnings."""
     for line in file.notes.lines():
-        warnings.warn(f"{file.path}: {line}", stacklevel=3)
+        warnings.warn(f"{file.path}: {line}", stacklevel=3)  # at the line that calls read_landmarks or read_collection
 
 
 def parse_landmark_data(
@@ -298,22 +380,35 @@ def write_landmarks(path: AnyPath, landmarks: Landmarks | np.ndarray, image_size
         If the format cannot be written, the points are invalid, or writing fails.
     """
     path = Path(path)
-    text = formats.writer_of(path)
-    own = landmarks if isinstance(landmarks, Landmarks) else Landmarks(landmarks)
-    [own] = _to_write(path, [own], {} if image_size is None else {own.image_name or "": image_size})
-    write_text_atomically(path, text(own), LandmarkError)
+    text_of = formats.writer_of(path)
+    landmarks = _as_landmarks(landmarks)
+    sizes = {} if image_size is None else {landmarks.image_name or "": image_size}
+    [converted] = _in_convention_of(path, [landmarks], sizes)
+    write_text_atomically(path, text_of(converted), LandmarkError)
 
 
-def _to_write(path: Path, every: list[Landmarks], sizes: Mapping[str, Size]) -> list[Landmarks]:
-    """Return landmarks in pixels as the format of a file counts them."""
+def _as_landmarks(points: Landmarks | np.ndarray) -> Landmarks:
+    """Return landmarks as they are, or make them from points (n, 2)."""
+    return points if isinstance(points, Landmarks) else Landmarks(points)
+
+
+def _in_convention_of(path: Path, records: list[Landmarks], sizes: Mapping[str, Size]) -> list[Landmarks]:
+    """Return the landmarks of several images as the format of a file counts them: in .tps, y counts upwards.
+
+    Sizes are by name of the image; those that lack are taken from the images beside the file.
+    """
     if path.suffix.lower() != ".tps":
-        return every
-    beside, names = ImagesBeside(path.parent), [own.image_name or "" for own in every]
-    try:
-        known = [sizes.get(name) or beside.size_of(name)[0] for name in names]
-    except LandmarkError as fault:
-        raise LandmarkError(f"{path}: {fault}") from fault
-    return list(map(writers.upwards, every, known))
+        return records
+    beside = ImagesBeside(path.parent)
+    converted = []
+    for landmarks in records:
+        name = landmarks.image_name or ""
+        try:
+            size = sizes.get(name) or beside.size_of(name)[0]
+        except LandmarkError as fault:
+            raise LandmarkError(f"{path}: {fault}") from fault
+        converted.append(writers.upwards(landmarks, size))
+    return converted
 
 
 def write_collection(
@@ -337,9 +432,10 @@ def collection_text(
 ) -> str:
     """Return the text that :func:`write_collection` writes to a file; the path is not used otherwise."""
     path = Path(path)
-    text = formats.writer_of(path, many=True)
+    sizes = image_sizes or {}
+    text_of = formats.writer_of(path, many=True)
     if not collection:
         raise LandmarkError(f"{path} cannot be written: there are no landmarks. Give those of at least one image.")
-    every = {name: own if isinstance(own, Landmarks) else Landmarks(own) for name, own in collection.items()}
-    named = [replace(own, image_name=name) for name, own in every.items()]
-    return text(dict(zip(every, _to_write(path, named, image_sizes or {}), strict=True)), image_sizes or {})
+    records = [replace(_as_landmarks(points), image_name=name) for name, points in collection.items()]
+    converted = _in_convention_of(path, records, sizes)
+    return text_of(dict(zip(collection, converted, strict=True)), sizes)

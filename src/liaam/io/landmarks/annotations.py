@@ -54,20 +54,22 @@ def parse_coco(source: Source) -> list[Landmarks]:
             raise LandmarkError(f"image '{name}' has {len(values)} keypoint values, not x, y, v of each: correct it.")
         seen = (rd.parse_number(value, f"a keypoint of '{name}'") for value in values[2::3])
         marks = zip(map(str, count(1)), values[::3], values[1::3], seen, strict=False)
-        own = rd.object_of(marks, name, rd.size_of(images[number]))
-        names, contours = outline(key, len(own))
-        return key, replace(own, names=names, contours=contours)
+        landmarks = rd.object_of(marks, name, rd.size_of(images[number]))
+        names, contours = outline(key, len(landmarks))
+        return key, replace(landmarks, names=names, contours=contours)
 
     labelled.sort(key=rank)
-    found = source.each(((f"annotation {each.get('id')}", each) for each in labelled), make)
-    return rd.of_category(source, found, {key: str(each.get("name", key)) for key, each in categories.items()})
+    objects = source.each(((f"annotation {each.get('id')}", each) for each in labelled), make)
+    return rd.of_category(source, objects, {key: str(each.get("name", key)) for key, each in categories.items()})
 
 
 def _by_number(records: Any, what: str) -> tuple[dict[str, Any], list[str]]:
     """Return records by number, and the numbers of several records that differ, which are left out."""
-    found: dict[str, Any] = {}
-    several = [key for each in records if found.setdefault(key := str(each["id"]), each).get(what) != each.get(what)]
-    return {key: record for key, record in found.items() if key not in several}, several
+    records_by_key: dict[str, Any] = {}
+    several = [
+        key for each in records if records_by_key.setdefault(key := str(each["id"]), each).get(what) != each.get(what)
+    ]
+    return {key: record for key, record in records_by_key.items() if key not in several}, several
 
 
 def _outline(source: Source, category: Any, n: int) -> tuple[tuple[str, ...], tuple[Contour, ...]]:
@@ -110,13 +112,13 @@ def parse_labelme(source: Source) -> list[Landmarks]:
         raise LandmarkError("it has no points: place the landmarks as points.")
     image = PureWindowsPath(str(source.json.get("imagePath") or "")).name or None
     size = rd.size_of(source.json, "imageWidth", "imageHeight")
-    made = [rd.object_of(own, image, size, group) for group, own in groups.items()]
+    made = [rd.object_of(group_marks, image, size, group) for group, group_marks in groups.items()]
     usual = Counter(map(len, made)).most_common(1)[0][0]
-    for own in made:
-        if len(own) != usual:
-            which = f"group '{own.label}' of {source.path.name}"
-            source.notes.leave_out(which, f"{len(own)} points where others have {usual}")
-    return [own for own in made if len(own) == usual]
+    for landmarks in made:
+        if len(landmarks) != usual:
+            which = f"group '{landmarks.label}' of {source.path.name}"
+            source.notes.leave_out(which, f"{len(landmarks)} points where others have {usual}")
+    return [landmarks for landmarks in made if len(landmarks) == usual]
 
 
 def parse_label_studio(source: Source) -> list[Landmarks]:
@@ -127,8 +129,8 @@ def parse_label_studio(source: Source) -> list[Landmarks]:
     """
     tasks = source.json if isinstance(source.json, list) else [source.json]
     records = ((f"task {i}", task) for i, task in enumerate(tasks, 1))
-    found = source.each(records, partial(_objects_of_task, source))
-    return rd.named_points(source, list(chain.from_iterable(found)))
+    objects = source.each(records, partial(_objects_of_task, source))
+    return rd.named_points(source, list(chain.from_iterable(objects)))
 
 
 def _objects_of_task(source: Source, task: dict[str, Any]) -> list[Landmarks]:
@@ -146,7 +148,7 @@ def _objects_of_task(source: Source, task: dict[str, Any]) -> list[Landmarks]:
     for mark in marks:
         if "keypointlabels" in mark or ({"labels", "x"} <= mark.keys() and "height" not in mark):
             groups[mark.get("parentID")].append(mark)
-    return [_marked(image, own) for own in groups.values()]
+    return [_marked(image, group_marks) for group_marks in groups.values()]
 
 
 def _marked(image: str, marks: list[Any]) -> Landmarks:
@@ -156,8 +158,10 @@ def _marked(image: str, marks: list[Any]) -> Landmarks:
     if any(mark.get("image_rotation") for mark in marks):
         raise LandmarkError(f"'{image}' was labelled on a turned picture: turn the image itself, and label that.")
     labels = [str((mark.get("keypointlabels") or mark["labels"])[0]) for mark in marks]
-    own = rd.object_of([(label, mark["x"], mark["y"], SEEN) for label, mark in zip(labels, marks, strict=True)], image)
-    return replace(own, points=own.points / 100, placing=Placing(sizes.pop(), fractions=True))
+    landmarks = rd.object_of(
+        [(label, mark["x"], mark["y"], SEEN) for label, mark in zip(labels, marks, strict=True)], image
+    )
+    return replace(landmarks, points=landmarks.points / 100, placing=Placing(sizes.pop(), fractions=True))
 
 
 def is_fit(content: Mapping[str, Any]) -> bool:
@@ -216,8 +220,8 @@ def _group(content: Any, wanted: str | None) -> Any:
     if version == 3:
         return groups[wanted or next(iter(groups), "")]
     for group in groups:
-        first, own = len(points), [mark["point"] for mark in group["landmarks"]]
-        points += own
+        first, group_points = len(points), [mark["point"] for mark in group["landmarks"]]
+        points += group_points
         edges += [(start + first, end + first) for start, end in group.get("connectivity") or ()]
         labels.append({"label": group["label"], "mask": list(range(first, len(points)))})
     return {"landmarks": {"points": points, "connectivity": edges}, "labels": labels}
@@ -283,12 +287,12 @@ def parse_dlib(source: Source) -> list[Landmarks]:
     Parts are in natural order of their names (1, 2, ... 10) over all images. If a box lacks a part, that landmark is
     missing. Boxes that are marked ``ignore`` are left out.
     """
-    found = rd.numbered_alike(rd.of_category(source, filter(None, source.each(_boxes(source), _box))))
-    names = sorted({name for own in found for name in own.names}, key=natural_key)
-    if len(names) * len(found) > _MOST_MISSING * sum(map(len, found)):
-        few = f"its {len(found)} boxes share hardly any of the {len(names)} part names"
+    boxes = rd.numbered_alike(rd.of_category(source, filter(None, source.each(_boxes(source), _box))))
+    names = sorted({name for box in boxes for name in box.names}, key=natural_key)
+    if len(names) * len(boxes) > _MOST_MISSING * sum(map(len, boxes)):
+        few = f"its {len(boxes)} boxes share hardly any of the {len(names)} part names"
         raise LandmarkError(f"{few}: give a part the same name in all images.")
-    return [own.with_names(names) for own in found]
+    return [box.with_names(names) for box in boxes]
 
 
 def _boxes(source: Source) -> Iterator[tuple[str, tuple[Any, Any]]]:

@@ -9,7 +9,7 @@ import re
 from collections import Counter
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
-from itertools import count, pairwise
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -17,7 +17,7 @@ import numpy as np
 from liaam.errors import LandmarkError
 from liaam.io.files import count_of, name_key, some_names
 
-Size = tuple[float, float]  # width and height
+Size = tuple[float, float]  # width and height in pixels
 
 
 @dataclass(frozen=True)
@@ -96,29 +96,14 @@ class Landmarks:
     format: str = ""
 
     def __post_init__(self) -> None:
-        try:
-            points = np.array(self.points, dtype=np.float64)
-        except (TypeError, ValueError) as fault:
-            raise LandmarkError(f"the landmarks are not numbers ({fault}): give an (n, 2) array of x, y.") from fault
-        if points.ndim != 2 or points.shape[1] != 2 or len(points) == 0:
-            raise LandmarkError(f"the landmarks have shape {points.shape}: give an (n, 2) array of x, y with n > 0.")
-        half = np.flatnonzero(np.isnan(points).sum(axis=1) == 1)
-        if len(half):
-            which = f"landmark {half[0] + 1} (counting from 1)"
-            raise LandmarkError(f"{which} has only one of x and y: give both, or leave out both.")
-        if np.isinf(points).any():
-            raise LandmarkError("a landmark is infinite: give finite pixels, or NaN for a missing one.")
+        points = _checked_points(self.points)
         points.setflags(write=False)
         object.__setattr__(self, "points", points)
         object.__setattr__(self, "invisible", tuple(sorted(set(self.invisible))))
         if self.names and len(self.names) != len(points):
             raise LandmarkError(f"there are {len(self.names)} names for {len(points)} landmarks: give one name each.")
-        in_contours = [i for contour in self.contours for i in contour.indices]
-        for what, indices in (("a contour names", in_contours), ("marked as invisible is", self.invisible)):
-            wrong = [i for i in indices if not 0 <= i < len(points)]
-            if wrong:
-                which = f"{what} landmark {wrong[0]} (counting from 0)"
-                raise LandmarkError(f"{which}, but there are {len(points)} landmarks: correct the indices.")
+        _check_indices("a contour names", [i for contour in self.contours for i in contour.indices], len(points))
+        _check_indices("marked as invisible is", self.invisible, len(points))
         if self.scale is not None and not 0 < self.scale < math.inf:
             raise LandmarkError(f"the scale is {self.scale:g}: give the length of a pixel, a positive number.")
 
@@ -131,7 +116,8 @@ class Landmarks:
         return np.array(self.points, dtype) if copy else np.asarray(self.points, dtype)
 
     def __repr__(self) -> str:
-        points, contours = count_of(len(self), "point"), count_of(len(self.contours), "contour")
+        points = count_of(len(self), "point")
+        contours = count_of(len(self.contours), "contour")
         return f"Landmarks({points}, {self.missing.sum()} missing, {contours})"
 
     @property
@@ -142,10 +128,14 @@ class Landmarks:
     def objects(self, name: str) -> "Iterator[tuple[str, Landmarks]]":
         """Yield each object and its name: ``name``, ``name#2``, ..., or ``name#ID`` if IDs tell them apart."""
         every = (self, *self.others)
-        labels = [re.sub(r"[\\/#]", "_", each.label) for each in every]
-        by_label = bool(self.others) and all(labels) and len(set(labels)) == len(labels)
-        for number, each in zip(labels if by_label else count(1), every, strict=False):
-            yield name if number == 1 else f"{name}#{number}", each
+        labels = [re.sub(r"[\\/#]", "_", each.label) for each in every]  # names may become those of files
+        if self.others and all(labels) and len(set(labels)) == len(labels):
+            for label, each in zip(labels, every, strict=True):
+                yield f"{name}#{label}", each
+            return
+        yield name, self
+        for number, other in enumerate(self.others, 2):
+            yield f"{name}#{number}", other
 
     def in_order_of(self, names: Sequence[str]) -> "Landmarks":
         """Return the landmarks with these names, in this order; unchanged if either has no names, or none in common.
@@ -158,32 +148,72 @@ class Landmarks:
         LandmarkError
             If some of the names are missing, or name several landmarks.
         """
-        wanted, own = ([without_zeros(name_key(name.strip())) for name in each] for each in (names, self.names))
-        if min(len(set(wanted)) - len(names), len(set(own)) - len(self.names)) < 0:
-            wanted, own = list(names), list(self.names)
-        if self.names == tuple(names) or not set(wanted) & set(own):
+        wanted_keys = [_spelling_key(name) for name in names]
+        keys = [_spelling_key(name) for name in self.names]
+        if len(set(wanted_keys)) < len(names) or len(set(keys)) < len(self.names):  # only the spelling tells some apart
+            wanted_keys = list(names)
+            keys = list(self.names)
+        if self.names == tuple(names) or not set(wanted_keys) & set(keys):
             return self
-        counts = Counter(own)
-        lacking = [name for name, key in zip(names, wanted, strict=True) if counts[key] != 1]
+        counts = Counter(keys)
+        lacking = [name for name, key in zip(names, wanted_keys, strict=True) if counts[key] != 1]
         if lacking:
             raise LandmarkError(f"its names lack {some_names(lacking)}, or have them twice: name each landmark once.")
-        called = dict(zip(wanted, names, strict=True))
-        renamed = (called.get(key, name) for key, name in zip(own, self.names, strict=True))
-        return replace(self, names=tuple(renamed)).with_names(names)
+        wanted_name = dict(zip(wanted_keys, names, strict=True))
+        renamed = tuple(wanted_name.get(key, name) for key, name in zip(keys, self.names, strict=True))
+        return replace(self, names=renamed).with_names(names)
 
     def with_names(self, names: Sequence[str]) -> "Landmarks":
-        """Return the landmarks of these names, in this order; those that lack are missing."""
-        place = {name: i for i, name in enumerate(self.names)}
-        order = [place.get(name, -1) for name in names]
-        at = {old: new for new, old in enumerate(order) if old >= 0}
-        contours = (Contour(tuple(at.get(i, -1) for i in each.indices), each.closed) for each in self.contours)
+        """Return the landmarks of these names, in this order; those that lack are missing.
+
+        Contours through landmarks that are none of these are left out.
+        """
+        old_index = {name: i for i, name in enumerate(self.names)}
+        order = [old_index.get(name, -1) for name in names]  # -1 for names that lack
+        is_lacking = np.less(order, 0)
+        new_index = {old: new for new, old in enumerate(order) if old >= 0}
+        contours = [
+            Contour(tuple(new_index[i] for i in contour.indices), contour.closed)
+            for contour in self.contours
+            if all(i in new_index for i in contour.indices)
+        ]
         return replace(
             self,
-            points=np.where(np.less(order, 0)[:, None], np.nan, self.points[list(order)]),
+            points=np.where(is_lacking[:, None], np.nan, self.points[order]),
             names=tuple(names),
-            contours=tuple(contour for contour in contours if -1 not in contour.indices),
-            invisible=tuple(at[i] for i in self.invisible if i in at),
+            contours=tuple(contours),
+            invisible=tuple(new_index[i] for i in self.invisible if i in new_index),
         )
+
+
+def _checked_points(values: Any) -> np.ndarray:
+    """Return a copy of points as (n, 2) float64. Raise unless each is finite, or missing in both coordinates."""
+    try:
+        points = np.array(values, dtype=np.float64)
+    except (TypeError, ValueError) as fault:
+        raise LandmarkError(f"the landmarks are not numbers ({fault}): give an (n, 2) array of x, y.") from fault
+    if points.ndim != 2 or points.shape[1] != 2 or len(points) == 0:
+        raise LandmarkError(f"the landmarks have shape {points.shape}: give an (n, 2) array of x, y with n > 0.")
+    half_missing = np.flatnonzero(np.isnan(points).sum(axis=1) == 1)
+    if len(half_missing):
+        which = f"landmark {half_missing[0] + 1} (counting from 1)"
+        raise LandmarkError(f"{which} has only one of x and y: give both, or leave out both.")
+    if np.isinf(points).any():
+        raise LandmarkError("a landmark is infinite: give finite pixels, or NaN for a missing one.")
+    return points
+
+
+def _check_indices(what: str, indices: Iterable[int], n_points: int) -> None:
+    """Raise if an index is not that of a landmark; `what` says what it is for, as the subject and verb of a message."""
+    for index in indices:
+        if not 0 <= index < n_points:
+            which = f"{what} landmark {index} (counting from 0)"
+            raise LandmarkError(f"{which}, but there are {n_points} landmarks: correct the indices.")
+
+
+def _spelling_key(name: str) -> str:
+    """Return what the spellings of a name have in common."""
+    return without_zeros(name_key(name.strip()))
 
 
 def without_zeros(name: str) -> str:
@@ -194,22 +224,31 @@ def without_zeros(name: str) -> str:
 def contour_of(indices: Sequence[int], closed: bool) -> Contour | None:
     """Make a contour. A repeated first point closes it; a single point gives None."""
     if len(indices) > 2 and indices[0] == indices[-1]:
-        indices, closed = indices[:-1], True
+        indices = indices[:-1]
+        closed = True
     return Contour(tuple(indices), closed) if len({*indices}) > 1 else None
 
 
 def edges_of(contours: Iterable[Contour]) -> list[tuple[int, int]]:
     """List the edges between neighbours along the contours."""
-    closed = (contour.indices + contour.indices[: int(contour.closed)] for contour in contours)
-    return [edge for indices in closed for edge in pairwise(indices)]
+    edges = []
+    for contour in contours:
+        edges += pairwise(contour.indices)
+        if contour.closed and contour.indices:
+            edges.append((contour.indices[-1], contour.indices[0]))
+    return edges
 
 
 def edges_from(pairs: Iterable[object], n: int) -> list[tuple[int, int]]:
-    """Return those pairs of numbers that are edges between n landmarks. They count from 1, unless one of them is 0."""
+    """Return those values of JSON that are edges between n landmarks, as pairs of indices from 0.
+
+    In the values landmarks count from 1, unless one of them is 0. What is no pair of such numbers is ignored.
+    """
     lists = [pair for pair in pairs if isinstance(pair, list) and len(pair) == 2]
-    sound = [pair for pair in lists if all(type(number) in (int, float) for number in pair)]
-    first = 0 if any(0 in edge for edge in sound) else 1
-    return [(int(a) - first, int(b) - first) for a, b in sound if {a - first, b - first} <= {*range(n)}]
+    edges = [pair for pair in lists if all(type(number) in (int, float) for number in pair)]  # true and false are none
+    first = 0 if any(0 in edge for edge in edges) else 1
+    landmarks = {first + i for i in range(n)}
+    return [(int(start) - first, int(end) - first) for start, end in edges if {start, end} <= landmarks]
 
 
 def chain_edges(edges: Iterable[tuple[int, int]]) -> tuple[Contour, ...]:
@@ -218,23 +257,35 @@ def chain_edges(edges: Iterable[tuple[int, int]]) -> tuple[Contour, ...]:
     Lines end at loose ends and where three or more edges meet; lines without ends are closed. Repeated edges
     count once, and edges from a landmark to itself are ignored.
     """
-    neighbours: dict[int, dict[int, None]] = {}  # sets in order
+    neighbours: dict[int, dict[int, None]] = {}  # the keys of the inner ones are sets that keep their order
     for start, end in edges:
         if start != end:
             neighbours.setdefault(start, {})[end] = None
             neighbours.setdefault(end, {})[start] = None
     used: set[frozenset[int]] = set()
-    chains = []
+    contours = []
     # From ends and junctions first: what is left are closed lines.
     for start in sorted(neighbours, key=lambda node: len(neighbours[node]) == 2):
-        for node in neighbours[start]:
-            chain = [start]
-            while (edge := frozenset((chain[-1], node))) not in used and len(edge) == 2:
-                used.add(edge)
-                chain.append(node)
-                if len(neighbours[node]) == 2:  # else this is the last
-                    node = next(other for other in neighbours[node] if other != chain[-2])
-            chains.append(chain)
-    contours = (contour_of(chain, closed=False) for chain in chains)
+        for second in neighbours[start]:
+            contour = contour_of(_chain(start, second, neighbours, used), closed=False)
+            if contour is not None:
+                contours.append(contour)
     order = {node: number for number, node in enumerate(neighbours)}
-    return tuple(sorted(filter(None, contours), key=lambda contour: min(order[node] for node in contour.indices)))
+    return tuple(sorted(contours, key=lambda contour: min(order[node] for node in contour.indices)))
+
+
+def _chain(start: int, second: int, neighbours: dict[int, dict[int, None]], used: set[frozenset[int]]) -> list[int]:
+    """Follow unused edges from a landmark through its neighbour to an end or a junction, or once around.
+
+    Its edges are added to those used. If the first one is used, the chain is the start alone.
+    """
+    chain = [start]
+    node = second
+    while (edge := frozenset((chain[-1], node))) not in used:
+        used.add(edge)
+        chain.append(node)
+        if len(neighbours[node]) != 2:  # an end or a junction
+            break
+        before, after = neighbours[node]
+        node = after if before == chain[-2] else before
+    return chain

@@ -32,9 +32,9 @@ class ImageNames:
     def find(self, entry: str, folder: Path = Path()) -> tuple[Path | None, str]:
         """Return the one image that an entry of a file in a folder names, if any, and what to say about the name."""
         for text, spelling in _spellings(entry):
-            found, how = self._find(PurePosixPath(text.replace("\\", "/")), folder)
-            if found is not None:
-                return found, how or spelling
+            image, how = self._find(PurePosixPath(text.replace("\\", "/")), folder)
+            if image is not None:
+                return image, how or spelling
         return None, ""
 
     def of_file(self, file: Path) -> Path | None:

@@ -142,17 +142,17 @@ def lines_of(source: Source) -> list[re.Match[str]]:
         cells = re.split(r"([\t;]|\s+)", line)
         made = list(map(rd.decimal, cells))
         lines[number] = "".join(made) if sum(map(operator.ne, made, cells)) == 2 else line
-    found = [match for match in map(_LINE.fullmatch, lines) if match is not None]
-    alike = len({match["name"] is None for match in found}) == 1
-    whole = alike and len(found) == len(lines) >= _FEWEST
-    return found if whole and _are_names([match["name"] for match in found if match["name"]]) else []
+    matches = [match for match in map(_LINE.fullmatch, lines) if match is not None]
+    alike = len({match["name"] is None for match in matches}) == 1
+    whole = alike and len(matches) == len(lines) >= _FEWEST
+    return matches if whole and _are_names([match["name"] for match in matches if match["name"]]) else []
 
 
 def _are_names(words: Sequence[str]) -> bool:
     """Whether the words before x and y name landmarks, and not images; nor are more numbers, as of x, y, confidence."""
     parts = [word.split() for word in words]
-    numbers = [[part for part in own if is_number(part)] for own in parts]
-    if any(len(own) > 1 for own in numbers) or not all(map(str.isdigit, chain.from_iterable(numbers))):
+    numbers = [[part for part in of_name if is_number(part)] for of_name in parts]
+    if any(len(of_name) > 1 for of_name in numbers) or not all(map(str.isdigit, chain.from_iterable(numbers))):
         return False
     if any(map(names_picture, chain.from_iterable(parts))):
         return False
@@ -195,7 +195,8 @@ def parse_tps(source: Source) -> list[Landmarks]:
             f"'{rd.short(source.lines[0])}' is not expected here, before any LM=: export the file again."
         )
     named = ((_facts(record).get("IMAGE") or _facts(record).get("ID") or record[0].where, record) for record in records)
-    return [own for own in source.each(named, lambda record: _specimen(source, record, len(records) == 1)) if own]
+    specimens = source.each(named, lambda record: _specimen(source, record, len(records) == 1))
+    return [specimen for specimen in specimens if specimen]
 
 
 def _blocks(source: Source) -> list[_Block]:
@@ -219,10 +220,10 @@ def _specimen(source: Source, record: list[_Block], only: bool) -> Landmarks | N
     points: Any = _points(record[0])
     for block in record[1:]:
         section = block.key if block.key in ("CURVES", "OUTLINES") else section
-        own = _points(block) if block.key == "POINTS" else []
-        if own and section == "CURVES":  # those of outlines are not used
-            curves.append(Contour(tuple(range(len(points), len(points) + len(own)))))
-            points = points + own
+        block_points = _points(block) if block.key == "POINTS" else []
+        if block_points and section == "CURVES":  # those of outlines are not used
+            curves.append(Contour(tuple(range(len(points), len(points) + len(block_points)))))
+            points = points + block_points
     if not points:
         return None
     name = facts.get("IMAGE") or facts.get("ID")

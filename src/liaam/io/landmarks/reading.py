@@ -20,7 +20,7 @@ from liaam.io.landmarks.base import Landmarks, Placing, Size, without_zeros
 
 MAX_BYTES = 500_000_000  # of a landmark file
 
-Row = tuple[int, list[str]]  # a line number, and the cells of the line
+TableLine = tuple[int, list[str]]  # a line number, and the cells of the line
 
 _UNIT = re.compile(r"[(\[]\s*([munµμ]?m|cm|microns?|in|inch(?:es)?|%|percent)\s*[)\]]", re.IGNORECASE)
 _SUMMARY = {"Mean", "SD", "Min", "Max"}  # labels of rows that ImageJ adds below its results
@@ -142,7 +142,7 @@ class Source:
             raise LandmarkError(f"this is not complete XML ({fault}); it may be cut short: export it again.") from fault
 
     @cached_property
-    def rows(self) -> list[Row]:
+    def rows(self) -> list[TableLine]:
         """Its rows of cells, without blank ones. Decimal commas become points if commas do not separate."""
         text, separator = re.sub(r"\A(?:[^\S\r\n]*[\r\n])+", "", self.text), ""
         declared = re.match(r"\"?sep=(.)\"?[^\S\n\r]*[\r\n]+", text, re.IGNORECASE)
@@ -234,68 +234,74 @@ def names_of(labels: Sequence[str]) -> tuple[str, ...]:
     return tuple(labels)
 
 
-def numbered_alike(found: Sequence[Landmarks]) -> Sequence[Landmarks]:
+def numbered_alike(objects: Sequence[Landmarks]) -> Sequence[Landmarks]:
     """Return landmarks whose numbers have no decimals, and no zeros in front if others lack these: 1, 01 and 1.0."""
-    names = {name for own in found for name in own.names}
+    names = {name for landmarks in objects for name in landmarks.names}
     plain = {name: re.sub(r"\A(\d+)\.0+\Z", r"\1", name) for name in names}
     bare = {name: without_zeros(plain[name]) for name in names}
     plain = bare if len({*bare.values()}) < len({*plain.values()}) else plain
-    alike = [tuple(plain[name] for name in own.names) for own in found]
-    if any(len({*each}) < len({*own.names}) for each, own in zip(alike, found, strict=True)):
-        return found
-    return [replace(own, names=each) for own, each in zip(found, alike, strict=True)]
+    alike = [tuple(plain[name] for name in landmarks.names) for landmarks in objects]
+    if any(len({*each}) < len({*landmarks.names}) for each, landmarks in zip(alike, objects, strict=True)):
+        return objects
+    return [replace(landmarks, names=each) for landmarks, each in zip(objects, alike, strict=True)]
 
 
-def named_points(source: Source, found: Sequence[Landmarks], numbers: bool = True) -> list[Landmarks]:
+def named_points(source: Source, objects: Sequence[Landmarks], numbers: bool = True) -> list[Landmarks]:
     """Make landmarks of many images alike by their names.
 
     Where an image lacks some of the names that most have, these landmarks are missing. It is left out where it has
     names that most lack, or has a name twice. If asked for, numbers are sorted, and those from 1 on are no names.
     """
-    found = numbered_alike(found)
-    counts, n_named = Counter(name for own in found for name in set(own.names)), sum(bool(own.names) for own in found)
-    known = {name for name, count in counts.items() if name and 2 * count >= n_named}
-    fullest = max((own.names for own in found), key=lambda names: len(known & {*names}), default=())
-    usual = [name for name in dict.fromkeys((*fullest, *counts)) if name in known]
+    objects = numbered_alike(objects)
+    counts = Counter(name for landmarks in objects for name in set(landmarks.names))
+    n_named = sum(bool(landmarks.names) for landmarks in objects)
+    common = {name for name, count in counts.items() if name and 2 * count >= n_named}
+    fullest = max((landmarks.names for landmarks in objects), key=lambda names: len(common & {*names}), default=())
+    usual = [name for name in dict.fromkeys((*fullest, *counts)) if name in common]
     numbers = numbers and all(name.isascii() and name.isdigit() for name in usual)
     usual = sorted(usual, key=natural_key) if numbers else usual
     counted = numbers and [name.lstrip("0") for name in usual] == [str(i + 1) for i in range(len(usual))]
 
-    def alike(own: Landmarks) -> Landmarks:
-        odd = [name for name, count in Counter(own.names).items() if name not in known or count > 1]
+    def alike(landmarks: Landmarks) -> Landmarks:
+        odd = [name for name, count in Counter(landmarks.names).items() if name not in common or count > 1]
         if odd:
             raise LandmarkError(f"its landmark '{short(odd[0])}' occurs twice, or in few others.")
-        if not own.names or (len(own) == len(usual) and not numbers):
-            return own
-        return replace(own.with_names(usual), names=() if counted else tuple(usual))
+        if not landmarks.names or (len(landmarks) == len(usual) and not numbers):
+            return landmarks
+        return replace(landmarks.with_names(usual), names=() if counted else tuple(usual))
 
-    return list(source.each(((own.label or own.image_name or "", own) for own in found), alike))
+    return list(
+        source.each(((landmarks.label or landmarks.image_name or "", landmarks) for landmarks in objects), alike)
+    )
 
 
 def of_category(
-    source: Source, found: Iterable[tuple[str, Landmarks]], titles: Mapping[str, str] = {}, alike: bool = True
+    source: Source, objects: Iterable[tuple[str, Landmarks]], titles: Mapping[str, str] = {}, alike: bool = True
 ) -> list[Landmarks]:
     """Return the landmarks of the category that is asked for, or else that has more of them, then more images.
 
     A category has a key and may have a title. Those of the same names are one, if they may be alike.
     """
-    found, groups = list(found), defaultdict[str, list[Landmarks]](list)
-    for key, own in found:
-        groups[key].append(own)
+    objects, groups = list(objects), defaultdict[str, list[Landmarks]](list)
+    for key, landmarks in objects:
+        groups[key].append(landmarks)
     named = {key: titles.get(key, key) for key in groups}
     wanted = source.reading.category
     if wanted is not None:
-        kept = {key for key in groups if wanted.casefold() in (key.casefold(), named[key].casefold())}
-        if not kept:
+        chosen = {key for key in groups if wanted.casefold() in (key.casefold(), named[key].casefold())}
+        if not chosen:
             has = some_names(list(dict.fromkeys(named.values())))
             raise LandmarkError(f"no landmarks of the category '{wanted}': it has {has}.")
-        return [own for key, own in found if key in kept]
+        return [landmarks for key, landmarks in objects if key in chosen]
 
     def rank(key: str) -> tuple[int, int]:
         usual = Counter(map(len, groups[key])).most_common(1)[0][0]
-        return usual, len({own.image_name for own in groups[key]})
+        return usual, len({landmarks.image_name for landmarks in groups[key]})
 
-    kinds = {key: {*chain(*(own.names for own in groups[key]))} or rank(key)[0] if alike else key for key in groups}
+    kinds = {
+        key: {*chain(*(landmarks.names for landmarks in groups[key]))} or rank(key)[0] if alike else key
+        for key in groups
+    }
     first, *others = sorted(groups, key=rank, reverse=True) if groups else [""]
     others = [key for key in others if kinds[key] != kinds[first]]
     if others and rank(others[0]) == rank(first):
@@ -303,9 +309,9 @@ def of_category(
         raise LandmarkError(f"the categories {both} have as many landmarks and images: choose one with --category.")
     for key in others:
         what = f"left out the category '{named[key]}', because '{named[first]}' has more (--category chooses)"
-        for own in groups[key]:
-            source.notes.say(what, own.image_name or "")
-    return [own for key, own in found if key not in others]
+        for landmarks in groups[key]:
+            source.notes.say(what, landmarks.image_name or "")
+    return [landmarks for key, landmarks in objects if key not in others]
 
 
 def read_text(path: Path, data: bytes | None = None) -> str:

@@ -18,7 +18,7 @@ from liaam.errors import LandmarkError
 from liaam.io.files import is_number, natural_key
 from liaam.io.landmarks.base import Landmarks, Placing
 from liaam.io.landmarks.matching import names_picture, without_title
-from liaam.io.landmarks.reading import NOWHERE, Row, Source, decimal, named_points, parse_point, plain, size_of
+from liaam.io.landmarks.reading import NOWHERE, Source, TableLine, decimal, named_points, parse_point, plain, size_of
 
 _HEADERS = ("scorer", "individuals", "bodyparts", "coords")  # of DeepLabCut; the second only for several animals
 _WFLW = 5  # pairs of numbers of a box and of attributes
@@ -58,13 +58,13 @@ class Columns:
     size: tuple[int, ...] = ()  # those of the width and height of the images
 
 
-def _check_width(header: Sequence[str], row: Row) -> Row:
+def _check_width(header: Sequence[str], row: TableLine) -> TableLine:
     if len(row[1]) != len(header):
         raise LandmarkError(f"line {row[0]} has {len(row[1])} cells but the header {len(header)}: correct the line.")
     return row
 
 
-def _whole(source: Source, header: Sequence[str], rows: Sequence[Row]) -> list[Row]:
+def _whole(source: Source, header: Sequence[str], rows: Sequence[TableLine]) -> list[TableLine]:
     """Return the rows that have as many cells as the header, and leave out others."""
     return list(source.each(((f"line {row[0]}", row) for row in rows), partial(_check_width, header)))
 
@@ -84,16 +84,16 @@ def parse_long(source: Source) -> list[Landmarks]:
     raw = source.rows[0][1]
     shift = 0.5 if {"X", "Y"} <= {*raw} and (source.text[:2] in (" ,", " \t") or "Label" in raw[:2]) else 0.0
 
-    def make(group: tuple[tuple[str, str], list[Row]]) -> Landmarks:
-        (image, specimen), own = group
+    def make(group: tuple[tuple[str, str], list[TableLine]]) -> Landmarks:
+        (image, specimen), lines = group
         points = []
-        for number, row in own:
+        for number, row in lines:
             point = parse_point((row[columns.x], row[columns.y]), f"line {number}")
             seen = "1" if columns.visible is None else row[columns.visible].strip().lower()
             points.append(NOWHERE if point == (0.0, 0.0) and seen in ("0", "false") else point)
-        names = () if columns.landmark is None else tuple(row[columns.landmark] for _, row in own)
+        names = () if columns.landmark is None else tuple(row[columns.landmark] for _, row in lines)
         names = names if any(names) else ()
-        size = size_of(dict(zip(("width", "height"), (own[0][1][i] for i in columns.size), strict=False)))
+        size = size_of(dict(zip(("width", "height"), (lines[0][1][i] for i in columns.size), strict=False)))
         return Landmarks(np.array(points) - shift, (), names, image or None, label=specimen, placing=Placing(size))
 
     groups = ((group[0][0] or "its table", group) for group in _grouped(source, rows, columns))
@@ -102,7 +102,7 @@ def parse_long(source: Source) -> list[Landmarks]:
     return named_points(source, made, numbers) if columns.image is not None or numbers else made
 
 
-def _filled(source: Source, rows: list[Row], column: int | None) -> list[str]:
+def _filled(source: Source, rows: list[TableLine], column: int | None) -> list[str]:
     """Return the names of the images or specimens of rows, which exports of merged cells give in the first row only."""
     if column is None:
         return [""] * len(rows)
@@ -113,23 +113,25 @@ def _filled(source: Source, rows: list[Row], column: int | None) -> list[str]:
     return names
 
 
-def _grouped(source: Source, rows: list[Row], columns: Columns) -> Iterator[tuple[tuple[str, str], list[Row]]]:
+def _grouped(
+    source: Source, rows: list[TableLine], columns: Columns
+) -> Iterator[tuple[tuple[str, str], list[TableLine]]]:
     """Yield the image and the specimen of each object, and its rows.
 
     The rows of an image whose every landmark occurs as often are those of several specimens or replicates.
     """
-    groups = defaultdict[tuple[str, str], list[Row]](list)
+    groups = defaultdict[tuple[str, str], list[TableLine]](list)
     images = map(without_title, _filled(source, rows, columns.image))
     for image, specimen, row in zip(images, _filled(source, rows, columns.specimen), rows, strict=True):
         groups[image, specimen.strip()].append(row)
-    for (image, specimen), own in groups.items():
-        parts, seen = defaultdict[int, list[Row]](list), Counter[str]()
-        for number, row in own:
+    for (image, specimen), lines in groups.items():
+        parts, seen = defaultdict[int, list[TableLine]](list), Counter[str]()
+        for number, row in lines:
             name = "" if columns.landmark is None else row[columns.landmark].strip()
             seen[name] += 1
             parts[seen[name]].append((number, row))
         if columns.image is None or "" in seen or len({*map(len, parts.values())}) > 1:
-            parts = {1: own}
+            parts = {1: lines}
         for i, part in parts.items():
             yield (image, specimen if i == 1 else f"{specimen}{i}"), part
 
@@ -184,16 +186,20 @@ def parse_dlc(source: Source) -> list[Landmarks]:
         if headers["scorer"][i] == scorer and coords[i] in ("x", "y"):
             individual = headers["individuals"][i] if "individuals" in headers else ""
             objects[individual][headers["bodyparts"][i]][coords[i]] = i
-    found = _of_rows(source, rows, objects, lambda row: "/".join(cell for cell in row[:first] if cell))
-    return [own for own in found if not own.missing.all()]
+    parsed = _of_rows(source, rows, objects, lambda row: "/".join(cell for cell in row[:first] if cell))
+    return [landmarks for landmarks in parsed if not landmarks.missing.all()]
 
 
 def _of_rows(
-    source: Source, rows: list[Row], objects: dict[str, _Pairs], image_of: Callable[[list[str]], str | None], named=True
+    source: Source,
+    rows: list[TableLine],
+    objects: dict[str, _Pairs],
+    image_of: Callable[[list[str]], str | None],
+    named=True,
 ) -> list[Landmarks]:
     """Return the landmarks of the objects of each row."""
 
-    def make(part: tuple[Row, str]) -> Landmarks:
+    def make(part: tuple[TableLine, str]) -> Landmarks:
         (number, row), label = part
         pairs = objects[label]
         points: Any = [parse_point((row[axes["x"]], row[axes["y"]]), f"line {number}") for axes in pairs.values()]
@@ -245,8 +251,10 @@ def parse_list(source: Source) -> list[Landmarks]:
 
     rows = list(source.each(((f"line {i}", words) for i, words in enumerate(lines, 1)), make))
     whole = len(rows) == len(lines)
-    wflw = whole and all(len(own) > _WFLW + 1 and {*own[-3:].flat} <= {0.0, 1.0} for _, own in rows)
-    last = _WFLW if wflw and all((own[-_WFLW] < own[1 - _WFLW]).all() for _, own in rows) else 0
+    wflw = whole and all(
+        len(row_values) > _WFLW + 1 and {*row_values[-3:].flat} <= {0.0, 1.0} for _, row_values in rows
+    )
+    last = _WFLW if wflw and all((row_values[-_WFLW] < row_values[1 - _WFLW]).all() for _, row_values in rows) else 0
     first = 0
     if whole and not last and len(rows) >= _FEW:
         first = 2 if all(_has_box(pairs) for _, pairs in rows) else 0
@@ -279,8 +287,8 @@ def columns_of(header: list[str], rows: Sequence[Sequence[str]]) -> Columns:
     """Find the columns of a table with a header in lower case. Raise if its meaning is ambiguous."""
     axes: dict[str, int] = {}
     for axis in "xy":
-        found = [i for i, name in enumerate(header) if (match := _AXIS.fullmatch(name)) and match[1] == axis]
-        first, *others = [i for i in found if header[i] == axis] or found
+        matching = [i for i, name in enumerate(header) if (match := _AXIS.fullmatch(name)) and match[1] == axis]
+        first, *others = [i for i in matching if header[i] == axis] or matching
         if others:
             both = f"and '{header[first]}' both may be {axis}: name one of them {axis}"
             raise _ambiguous(header, both, others[0])
@@ -312,7 +320,7 @@ def columns_of(header: list[str], rows: Sequence[Sequence[str]]) -> Columns:
     pairs = chain(*(zip(values[axes[axis]], values[i], strict=True) for i, axis in zip(sizes[-1], "xy", strict=False)))
     if any(is_number(at) and is_number(side) and float(at) > float(side) for at, side in pairs):
         sizes.pop()  # width and height are those of boxes, since points lie beyond
-    size = next((own for own in sizes if len(own) == 2), ())
+    size = next((pair for pair in sizes if len(pair) == 2), ())
     visible = next((i for i in texts if header[i] in VISIBLE), None)
     return Columns(axes["x"], axes["y"], image, specimen, landmark, visible, size)
 
@@ -332,7 +340,7 @@ def _tells_apart(keys: Sequence[tuple[str, str]], values: Sequence[str]) -> bool
     for key, value in zip(keys, values, strict=True):
         groups[key].append(value)
     most = max(groups.values(), key=len, default=[])
-    alike = all(len(set(own)) == len(own) and set(own) <= set(most) for own in groups.values())
+    alike = all(len(set(cells)) == len(cells) and set(cells) <= set(most) for cells in groups.values())
     return alike and len(groups) > 1 < len(most)
 
 
@@ -344,14 +352,14 @@ def pairs_of(header: list[str]) -> dict[str, dict[str, int]]:
     columns = list(_columns_of_axes(header))
     kinds = {(key, axis.isupper()) for _, key, axis in columns}
     in_space = {(key, axis.isupper()) for _, key, axis in columns if axis in "zZ" and (key, axis.islower()) in kinds}
-    found = defaultdict[str, dict[str, int]](dict)
+    pairs = defaultdict[str, dict[str, int]](dict)
     columns = [(i, key, axis.lower()) for i, key, axis in columns if (key, axis.isupper()) not in in_space]
     for i, key, axis in columns:
-        at = found[key].setdefault(axis, i)
+        at = pairs[key].setdefault(axis, i)
         if at != i:
             both = f"'{header[at]}' and '{header[i]}' both may be {axis} of '{key}'"
             raise LandmarkError(f"the columns {both}: remove one of them.")
-    return {key: axes for key, axes in found.items() if {"x", "y"} <= axes.keys()}
+    return {key: axes for key, axes in pairs.items() if {"x", "y"} <= axes.keys()}
 
 
 def _columns_of_axes(header: list[str]) -> Iterator[tuple[int, str, str]]:
@@ -369,13 +377,13 @@ def _columns_of_axes(header: list[str]) -> Iterator[tuple[int, str, str]]:
 def name_column(header: list[str], rows: Sequence[Sequence[str]], used: set[int]) -> int | None:
     """Return the column that names the images in a table of one row an image; `used` are those of x and y."""
     others = [i for i in range(len(header)) if i not in used]
-    for known in (IMAGES, SPECIMENS, {*UNCLEAR, ""}):
-        found = [i for i in others if header[i] in known and all(row[i].strip() for row in rows)]
-        pixels = [header[i] for i in found if all(re.fullmatch(r"\d+(\s+\d+)+", row[i].strip()) for row in rows)]
+    for names in (IMAGES, SPECIMENS, {*UNCLEAR, ""}):
+        candidates = [i for i in others if header[i] in names and all(row[i].strip() for row in rows)]
+        pixels = [header[i] for i in candidates if all(re.fullmatch(r"\d+(\s+\d+)+", row[i].strip()) for row in rows)]
         if pixels:
             raise LandmarkError(f"the column '{pixels[0]}' holds the images' pixels: put their names in its place.")
-        if found:
-            return found[0]
+        if candidates:
+            return candidates[0]
     texts = [i for i in others if not all(re.fullmatch(r"[-\d.]*", row[i].strip()) for row in rows)]
     if len(texts) == 1 and header[texts[0]] in LANDMARKS:
         raise LandmarkError("it has a row for each landmark and columns for each image: exchange rows and columns.")
@@ -395,10 +403,10 @@ def _check_one_image(header: list[str], values: list[list[str]], texts: list[int
             raise _ambiguous(header, "may name the images: name it 'image' if so, or else remove it", i)
 
 
-def _one(header: list[str], values: list[list[str]], found: list[int]) -> int | None:
+def _one(header: list[str], values: list[list[str]], candidates: list[int]) -> int | None:
     """Return one of the columns of a meaning; raise if they divide the rows differently."""
-    first = next((i for i in found if _are_files(values[i])), found[0] if found else None)
-    for i in found:
+    first = next((i for i in candidates if _are_files(values[i])), candidates[0] if candidates else None)
+    for i in candidates:
         if first is not None and len(set(zip(values[first], values[i], strict=True))) != len(set(values[first])):
             raise _ambiguous(header, f"and '{header[first]}' both may name the same: remove one of them", i)
     return first

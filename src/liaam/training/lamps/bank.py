@@ -46,7 +46,7 @@ MOST = 10_000  # Largest number of lamps in a file
 
 
 @dataclass(frozen=True, eq=False)
-class Lamps:
+class LearntLamps:
     """Lamps for relighting images of a class of objects.
 
     Attributes
@@ -67,7 +67,7 @@ class Lamps:
         return len(self.fields)
 
     def __repr__(self) -> str:
-        return f"Lamps({count_of(len(self), 'lamp')}, {len(self.mean)} landmarks)"
+        return f"LearntLamps({count_of(len(self), 'lamp')}, {len(self.mean)} landmarks)"
 
     def check_landmarks(self, n: int, whose: str) -> None:
         """Raise unless the lamps were learnt with n landmarks; ``whose`` names the objects in the message."""
@@ -304,7 +304,7 @@ def as_srgb(image: np.ndarray, response: Response) -> np.ndarray:
     return stored if response == "srgb" else linear_to_srgb(to_linear(stored, response)).astype(np.float32)
 
 
-def load_lamps(path: str | os.PathLike) -> Lamps:
+def load_lamps(path: str | os.PathLike) -> LearntLamps:
     """Read and validate a lamp file.
 
     Raises
@@ -321,7 +321,7 @@ def load_lamps(path: str | os.PathLike) -> Lamps:
     # NaN is not below a limit, either.
     if not has_types or not (np.abs(fields) <= MAX_LOG_LIGHT).all() or not (np.abs(mean) <= 1.0).all():
         raise LiaamError(f"{path}: {_CONTRADICTORY}")
-    return Lamps(mean, fields, tuple(names))
+    return LearntLamps(mean, fields, tuple(names))
 
 
 _CONTRADICTORY = "the lamp file contradicts itself; copy it again or make it again"

@@ -9,7 +9,7 @@ import numpy as np
 from liaam.model.sampling import corners_around
 from liaam.model.shape import align, diagonal_of
 from liaam.photometry import Response
-from liaam.training.lamps.bank import Lamps
+from liaam.training.lamps.bank import LearntLamps
 
 AROUND = 0.5  # Margin of a crop, as a fraction of the object's diagonal
 FINER = 2.0  # An image is averaged down if it exceeds the required resolution by more than this factor
@@ -21,7 +21,7 @@ MOST = 1200
 class Copies:
     """Plan of the copies of training images."""
 
-    lamps: Lamps | None  # for relit copies; without lamps, copies keep the training light
+    lamps: LearntLamps | None  # for relit copies; without lamps, copies keep the training light
     counts: np.ndarray  # (n,) int: number of copies of each image
     # (n_points,) int: index of each landmark's mirror image, for symmetric objects: half of the copies are mirrored
     order: np.ndarray | None = None
@@ -30,7 +30,7 @@ class Copies:
     offset: float = 0.0
 
     @classmethod
-    def of(cls, lamps: Lamps | None, n: int, each: int, order: np.ndarray | None) -> "Copies":
+    def of(cls, lamps: LearntLamps | None, n: int, each: int, order: np.ndarray | None) -> "Copies":
         """Plan ``each`` copies of each of n images: fewer of many images, and without lamps only a mirrored one."""
         each = each if lamps is not None else min(each, 0 if order is None else 1)
         total = min(each * n, max(MOST - n, n))
@@ -53,8 +53,8 @@ class Copies:
 
     def which(self, i: int) -> np.ndarray:
         """Lamp of each copy of image i, int."""
-        count, known = int(self.counts[i]), 1 if self.lamps is None else len(self.lamps)
-        return np.random.default_rng([30, i]).choice(known, count, replace=count > known)
+        count, n_lamps = int(self.counts[i]), 1 if self.lamps is None else len(self.lamps)
+        return np.random.default_rng([30, i]).choice(n_lamps, count, replace=count > n_lamps)
 
     def of_picture(
         self, i: int, image: np.ndarray, points: np.ndarray, response: Response, diagonal: float

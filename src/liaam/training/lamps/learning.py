@@ -13,7 +13,7 @@ from liaam.model.shape import diagonal_of, procrustes_mean
 from liaam.photometry import Response
 from liaam.photometry.encoding import as_colour
 from liaam.progress import Progress
-from liaam.training.lamps.bank import DARK, Lamps, anchors, as_srgb, square
+from liaam.training.lamps.bank import DARK, LearntLamps, anchors, as_srgb, square
 
 # Standard deviation of the blur of a ratio of two images, as a fraction of the object's diagonal. It keeps the light,
 # and removes fine texture and the effect of small movements.
@@ -30,7 +30,7 @@ def learn_lamps(
     *,
     response: Response = "srgb",
     progress: Progress | None = None,
-) -> Lamps:
+) -> LearntLamps:
     """Learn lamps from a few objects, each photographed under the training light and under other lamps.
 
     Parameters
@@ -47,7 +47,7 @@ def learn_lamps(
 
     Returns
     -------
-    Lamps
+    LearntLamps
         One lamp for each image that is not under the training light.
 
     Raises
@@ -75,7 +75,7 @@ def learn_lamps(
             names.append(picture.name)
     if progress:
         progress(total, total, "learnt")
-    return Lamps(mean, np.array(fields), tuple(names))
+    return LearntLamps(mean, np.array(fields), tuple(names))
 
 
 def unit_shape(mean: np.ndarray) -> np.ndarray:

@@ -21,13 +21,16 @@ import { h } from "./ui.js";
 import { Viewer } from "./viewer.js";
 
 const SAY_AFTER = 350; // milliseconds after the last arrow key until a position is announced
-const BUSY = { hovered: -1, gesture: {}, pointer: null }; // the tool, for the marks, while it edits something else
+const SEND_KEPT_AFTER = 500; // milliseconds until marks of an earlier page are saved: first, the page opens
+// What marks are drawn with, instead of the tool, while gestures edit something else: no point is near the pointer, and
+// a gesture is in progress, so that there is neither a frame nor the name of the next point.
+const BUSY = { hovered: -1, gesture: {}, pointer: null };
 
 export class Tab {
   shortcuts = SHORTCUTS;
   name = null; // name of the open picture
   visible = false;
-  drawn = { names: false, contours: true, ellipses: true };
+  drawn = { names: false, contours: true, ellipses: true }; // what is drawn beside the points
   boxing = false; // whether dragging selects with a box
   waiting = null; // timer of an announcement
   container = h("div", { testid: "annotate-viewer" });
@@ -51,23 +54,20 @@ export class Tab {
     this.container.append(this.prompt, this.hint, this.cover, this.alternative, this.spoken);
     this.say = (text) => { this.spoken.textContent = text; };
     this.marking = new Marking({
-      template: () => this.template, onchange: () => this.changed(), onselect: () => this.chosen(),
+      template: () => this.template,
+      onchange: () => this.changed(),
+      onselect: () => this.chosen(),
       onpreview: () => viewer.redraw(),
-      onplaced: (index) => { // then select the next missing one
-        const next = nextMissing(this.marking.points, index);
-        this.marking.select([next < 0 ? index : next]);
-        this.sayPlace(index, next);
-      },
+      onplaced: (index) => this.placed(index),
     });
     this.ruler = new ScaleBar(this.marking, {
       onchange: () => this.refresh(),
-      onpreview: () => viewer.redraw(), alone: () => state.pictures.length < 2,
-      onshare: (bar, anyway) => { // with all that the list can show
-        const others = state.pictures.map(({ name }) => name).filter((name) => name !== this.name);
-        app.bulk.run("scaled", others, { bar, of: this.name, anyway });
-      },
+      onpreview: () => viewer.redraw(),
+      alone: () => state.pictures.length < 2,
+      onshare: (bar, anyway) => this.shareBar(bar, anyway),
     });
     this.tracing = new Tracing(this.marking, { onchange: () => this.refresh() });
+    // In this order: the later ones use the earlier ones.
     this.commands = createCommands(this);
     this.status = createStatus(this);
     this.toolbar = createToolbar(this);
@@ -116,9 +116,10 @@ export class Tab {
     addEventListener("pagehide", () => saver.flush());
     document.addEventListener("keyup", (event) => event.key.toLowerCase() === "h" && commands.hideMarks(false));
     addEventListener("blur", () => commands.hideMarks(false));
-    setTimeout(() => this.saving.sendKept(), 500);
+    setTimeout(() => this.saving.sendKept(), SEND_KEPT_AFTER);
   }
 
+  /** The tab was opened. */
   show() {
     this.visible = true;
     if (this.name !== this.state.current || !this.marking.book) this.opening.open(this.state.current);
@@ -126,17 +127,20 @@ export class Tab {
     this.focus();
   }
 
+  /** Another tab was opened. */
   hide() {
     this.visible = false;
     this.tool.cancel();
     this.saver.flush();
   }
 
+  /** The server is reachable again. */
   online() {
     this.saver.retry();
     if (!this.marking.book && this.visible && !this.editing) this.opening.open(this.state.current);
   }
 
+  /** Another picture was selected in the list. */
   selected({ name, before }) {
     if (name === this.name && this.editing) return; // the selection was reverted by mayLeave below
     if (!this.templates.mayLeave(before)) return;
@@ -144,34 +148,58 @@ export class Tab {
     else this.saver.flush();
   }
 
+  /** Save a picture, then train if it is time: the server has its landmarks only then. */
   leavePicture(name) { this.saver.flush(name).then(() => this.assist.left()); }
 
+  /** The marks of the open picture were changed. */
   changed() {
     this.saving.change(this.name, this.marking.state);
     this.refresh();
   }
 
+  /** A point was placed: select the next missing one. */
+  placed(index) {
+    const next = nextMissing(this.marking.points, index);
+    this.marking.select([next < 0 ? index : next]);
+    this.sayPlace(index, next);
+  }
+
+  /** Set the scale bar of the open picture in all others of the shown folder, also in those that filters hide. */
+  shareBar(bar, anyway) {
+    const others = this.state.pictures.map(({ name }) => name).filter((name) => name !== this.name);
+    this.app.bulk.run("scaled", others, { bar, of: this.name, anyway });
+  }
+
+  /** Other points were selected. */
   chosen() {
-    this.commands.escaped = false;
+    this.commands.escaped = false; // Tab selects points again
     this.panel.mark(this.marking);
     this.showHint();
     this.viewer.redraw();
   }
 
+  /** Elements of the side panel. */
+  sideElements() {
+    const { assist, editing, panel, templates } = this;
+    if (!editing) return [assist.element, this.review, assist.notes, ...panel.elements];
+    // Before there is a template, notices may say why no landmark file gave one.
+    return this.template ? [templates.panel] : [templates.panel, assist.notes];
+  }
+
+  /** Show the state of all parts; after each change of the marks, the template, or what is edited. */
   refresh() {
     if (!this.tool) return; // the parts are not complete yet
     const { assist, editing, marking, panel, templates } = this;
-    const making = this.template ? [templates.panel] : [templates.panel, assist.notes];
-    const shown = editing ? making : [assist.element, this.review, assist.notes, ...panel.elements];
-    if (this.side.firstChild !== shown[0]) {
-      this.side.replaceChildren(...shown);
+    const elements = this.sideElements();
+    if (this.side.firstChild !== elements[0]) { // else they would lose the focus and the scroll position
+      this.side.replaceChildren(...elements);
       this.side.scrollTop = 0;
     }
     const isMarking = !editing && marking.book !== null;
     this.toolbar.refresh({ history: this.doc.history, editing, marking: isMarking });
     panel.edit.disabled = !isMarking || this.tracing.on;
     if (!editing) panel.render(marking);
-    assist.sure.hidden = marking.state?.source !== "layout";
+    assist.sure.hidden = marking.state?.source !== "layout"; // it accepts points at the mean shape as they are
     panel.tally.textContent = marking.book ? tallyOf(marking) : "";
     // A template is saved only with Done, so the status must not say "Saved" before.
     if (editing && templates.doc.started) this.status.show("draft", "");
@@ -181,24 +209,40 @@ export class Tab {
     this.viewer.redraw();
   }
 
+  /** Show where the next point belongs, as a small drawing of the template, and what to do, as a line of text. */
   showHint() {
     const { cover, drawing, editing, hint, marking, prompt, template } = this;
     hint.hidden = editing || drawing || !marking.placing || !template?.points || !cover.hidden;
     if (!hint.hidden) drawHint(hint, template.points, template.contours, marking.active, getComputedStyle(hint));
-    const own = () => (!marking.book ? "" : drawing?.prompt ?? promptOf(marking));
-    const text = !cover.hidden ? "" : editing ? this.templates.prompt : own();
+    const text = this.promptText();
     prompt.hidden = !text;
     prompt.dataset.kind = marking.suggested && !editing && !drawing ? "suggested" : "";
     if (prompt.textContent !== text) prompt.textContent = text;
   }
 
+  /** What the user may do next; empty if nothing. */
+  promptText() {
+    const { cover, drawing, editing, marking, templates } = this;
+    if (!cover.hidden) return "";
+    if (editing) return templates.prompt;
+    if (!marking.book) return "";
+    return drawing?.prompt ?? promptOf(marking);
+  }
+
+  /** Describe the picture to screen readers. */
   describe() {
-    const { editing, marking, name, templates } = this;
-    this.alternative.textContent = editing ? `Editing the template: ${several(templates.doc.names.length, "point")}.`
-      : marking.book ? descriptionOf(name, marking) : "No picture is open.";
+    this.alternative.textContent = this.descriptionText();
+    const { name } = this;
     this.viewer.canvas.setAttribute("aria-label", name ? `${name} with landmarks` : "Picture with landmarks");
   }
 
+  descriptionText() {
+    const { editing, marking, name, templates } = this;
+    if (editing) return `Editing the template: ${several(templates.doc.names.length, "point")}.`;
+    return marking.book ? descriptionOf(name, marking) : "No picture is open.";
+  }
+
+  /** Announce where a point is, and which one comes next, if any. */
   sayPlace(index, next = -1) { this.say(placeOf(this.marking, index, next)); }
 
   /** Announce moved points after a pause, so that a burst of keys does not flood a screen reader. */
@@ -211,6 +255,7 @@ export class Tab {
     }, SAY_AFTER);
   }
 
+  /** Layer of the viewer: what is edited, and the gesture in progress. */
   draw(ctx) {
     const { viewer, tool, marking } = this;
     if (!viewer.width || marking.hidden) return;
@@ -235,10 +280,14 @@ export class Tab {
         return point ? this.viewer.toClient(point) : null;
       },
       /** "file", "proposal", "layout", "none", or "template" while it is edited; null while a picture opens. */
-      source: () => (this.editing ? "template" : (this.marking.state?.source ?? null)), name: () => this.name,
+      source: () => (this.editing ? "template" : (this.marking.state?.source ?? null)),
+      name: () => this.name,
       wrong: () => this.wrong,
-      selection: () => [...this.doc.selection], invisible: () => [...this.marking.invisible], bar: () => this.ruler.bar,
-      undoSteps: () => this.doc.history?.past.length ?? 0, isDirty: () => this.saver.dirty.length > 0,
+      selection: () => [...this.doc.selection],
+      invisible: () => [...this.marking.invisible],
+      bar: () => this.ruler.bar,
+      undoSteps: () => this.doc.history?.past.length ?? 0,
+      isDirty: () => this.saver.dirty.length > 0,
       /** The loupe: {xy under its centre, centre on the screen, scale}, or null. */
       loupe: () => this.tool.loupe && { xy: this.tool.loupe, ...loupeOver(this.viewer, this.tool.pointer) },
     };

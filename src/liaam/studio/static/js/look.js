@@ -4,19 +4,23 @@
 import { button, h, icon, labelledSlider } from "./ui.js";
 import { attempt } from "./unsaved.js";
 
-const NEUTRAL = { brightness: 0, contrast: 0, gamma: 0 }; // powers of two
+const NEUTRAL = { brightness: 0, contrast: 0, gamma: 0 }; // exponents of 2, so that 0 changes nothing
 const LABELS = { brightness: "Brightness", contrast: "Contrast", gamma: "Gamma" };
-const LIMIT = 2;
+const LIMIT = 2; // largest exponent of a slider: from a quarter to four times
 
+/** How a stored value of a picture is shown, both 0 to 1: brightness is a factor, gamma a power, and contrast a factor
+ *  about middle grey. */
 export function shownValue(value, { brightness, contrast, gamma }) {
   const bright = (value * 2 ** brightness) ** (2 ** -gamma);
   return Math.min(1, Math.max(0, (bright - 0.5) * 2 ** contrast + 0.5));
 }
 
+/** The settings of the page. Tells listeners of "change" that pictures have to be drawn again. */
 class Look extends EventTarget {
   values = NEUTRAL;
-  _holder = null; // of the filter, which is an SVG element of the page
+  _holder = null; // element that holds the filter, an SVG element that has to be part of the page
 
+  /** Take the settings that were used last for a folder, by its id. */
   open(folder) {
     this._key = `liaam-look:${folder}`;
     this.set({ ...NEUTRAL, ...attempt(() => JSON.parse(localStorage.getItem(this._key))) });
@@ -31,8 +35,10 @@ class Look extends EventTarget {
 
   get isNeutral() { return Object.values(this.values).every((value) => value === 0); }
 
+  /** Value of `filter`, of a canvas or in CSS. */
   get filter() { return this.isNeutral ? "none" : "url(#look)"; }
 
+  /** Write the filter: a table of the 256 values of each channel, which are not converted to linear light. */
   _paint() {
     const table = Array.from({ length: 256 }, (_, i) => shownValue(i / 255, this.values).toFixed(4)).join(" ");
     const curves = ["R", "G", "B"].map((channel) => `<feFunc${channel} type="table" tableValues="${table}"/>`).join("");
@@ -41,11 +47,13 @@ class Look extends EventTarget {
       <feComponentTransfer>${curves}</feComponentTransfer></filter></svg>`;
   }
 
+  /** Call `show` now, and after each change. */
   _follow(show) {
     this.addEventListener("change", show);
     show();
   }
 
+  /** A button that opens a box with a slider for each setting. Each view has one; all show the same settings. */
   control() {
     const rows = Object.entries(LABELS).map(([name, label]) => {
       const { element, show } = labelledSlider(label, (value) => this.set({ ...this.values, [name]: value }), {
@@ -62,6 +70,7 @@ class Look extends EventTarget {
     this._follow(() => face.classList.toggle("on", !this.isNeutral));
     const foot = h("div.row", h("p.small.muted.grow", "Only for looking"), reset);
     const onkeydown = (event) => {
+      // Arrows move a slider, and Escape closes the box. The page must not move or deselect points as well.
       if (event.key.startsWith("Arrow") || event.key === "Escape") event.stopPropagation();
       if (event.key !== "Escape") return;
       box.open = false;

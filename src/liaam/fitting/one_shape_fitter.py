@@ -7,8 +7,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from liaam.fitting.loop.level_image import NEAR
-from liaam.fitting.loop.levels import FittedLevel, Levels, Target, is_sane
+from liaam.fitting.loop.encoded_image import NEAR
+from liaam.fitting.loop.levels import CoarseToFine, FittedLevel, Target, is_sane
 from liaam.fitting.loop.objective import Objective, make_objectives
 from liaam.fitting.loop.options import SolverOptions, scored, spare
 from liaam.fitting.methods import DEFAULT_METHOD, METHODS, Method, get_method
@@ -48,7 +48,7 @@ class Blurred(NamedTuple):
 
 
 @dataclass(frozen=True, eq=False)
-class Prepared:
+class OneShapeFitter:
     """A model of one shape, a method and the solver's options; :class:`liaam.fitting.Fitter` is for several shapes."""
 
     model: AAM
@@ -61,9 +61,9 @@ class Prepared:
         return make_objectives(self.model, scored(get_method(self.method), self.options))
 
     @cached_property
-    def levels(self) -> Levels:
+    def coarse_to_fine(self) -> CoarseToFine:
         """The objectives, ready to fit images."""
-        return Levels(self.objectives)
+        return CoarseToFine(self.objectives)
 
     @cached_property
     def dense(self) -> Objective:
@@ -114,7 +114,7 @@ class Prepared:
             first = self._first_level(REACH * points.deviation)
             if options.early_tolerance is None:
                 options = replace(options, early_tolerance=MAPPED_TOLERANCE)
-        return self.result_of(target, self.levels.fit(target, options, first))
+        return self.result_of(target, self.coarse_to_fine.fit(target, options, first))
 
     def _first_level(self, largest_blur: float) -> int:
         """Return the index of the first level whose blur is not larger, or else of the sharpest."""
@@ -125,7 +125,7 @@ class Prepared:
 
     def fit_blurred(self, target: Target, options: SolverOptions) -> Blurred:
         """Fit all levels but the sharpest."""
-        stages = self.levels.fit(target, spare(options), last=max(1, len(self.objectives) - 1))
+        stages = self.coarse_to_fine.fit(target, spare(options), last=max(1, len(self.objectives) - 1))
         shape = stages[-1].reached
         reliability = self.reliability
         if reliability is None or not is_sane(shape, target.start):
@@ -138,7 +138,7 @@ class Prepared:
         if not n_blurred or not fit.stages:
             return self.fit_target(fit.target, options)
         from_there = fit.target._replace(start=fit.shape, margin=NEAR)
-        return self.result_of(fit.target, [*fit.stages, *self.levels.fit(from_there, options, first=n_blurred)])
+        return self.result_of(fit.target, [*fit.stages, *self.coarse_to_fine.fit(from_there, options, first=n_blurred)])
 
     def result_of(self, target: Target, stages: Sequence[FittedLevel]) -> FitResult:
         """Make the result of a fit from its levels: compute status, quality and covariances."""

@@ -8,7 +8,7 @@ import numpy as np
 
 from liaam import _core
 from liaam.fitting.methods import Method
-from liaam.model.sampling import Light, Patch, make_patch
+from liaam.model.sampling import AveragedImage, Patch, make_patch
 from liaam.model.shape import Similarity, corners_of
 from liaam.photometry import NoiseModel, Response, linear_to_srgb, log_slope, noise_deviation
 
@@ -21,7 +21,7 @@ LEAST_BLUR = 0.3  # blur in pixels up to which it leaves white noise as it is
 
 
 @dataclass(frozen=True, eq=False)
-class LevelImage:
+class EncodedImage:
     """An image in a method's encoding, ready for an objective."""
 
     patch: Patch  # encoded region around the start
@@ -69,7 +69,7 @@ class LevelImage:
     @classmethod
     def at(
         cls,
-        image: np.ndarray | Light,
+        image: np.ndarray | AveragedImage,
         shape: np.ndarray,
         pose: Similarity,
         method: Method,
@@ -78,7 +78,7 @@ class LevelImage:
         noise: NoiseModel | float | None = None,
         margin: float = MARGIN,
         density: float = 1.0,
-    ) -> "LevelImage":
+    ) -> "EncodedImage":
         """Crop and encode an image around a shape (n, 2) in it.
 
         The pose maps model pixels to image pixels, ``blur`` is in model pixels, ``margin`` a fraction of the object's
@@ -92,7 +92,7 @@ class LevelImage:
         if not method.weighs_noise:
             return cls(patch, from_model, blur=blur, correlated=correlated)
         if noise is None:
-            picture = image.image if isinstance(image, Light) else image
+            picture = image.image if isinstance(image, AveragedImage) else image
             noise = noise_around(picture, shape, response)
         # The patch averages over blocks of the image, which reduces noise by their side.
         table = (noise_table(noise) * patch.from_image.scale).astype(np.float32)

@@ -96,9 +96,9 @@ def test_pixels_that_no_fit_uses_do_not_matter(fine_model, lit_scene):
     small = liaam.compact(fine_model).views[SURROUNDINGS]
     levels = []
     for level, kept in zip(view.levels, small.levels, strict=True):
-        known = kept.appearances["soft"].known
+        known = kept.appearances["soft"].mask
         levels.append(replace(level, appearances={"soft": level.appearances["soft"].only_at(known)}))
-    assert [level.appearances["soft"].known.mean() > 0.999 for level in levels] == [False, False, True]
+    assert [level.appearances["soft"].mask.mean() > 0.999 for level in levels] == [False, False, True]
     start = disturb(lit_scene.landmarks)
     changed = fine_model.with_view(SURROUNDINGS, levels=tuple(levels))
     ours, theirs = (Fitter(each).fit(lit_scene.image, start) for each in (fine_model, changed))
