@@ -33,6 +33,16 @@ def port_of(server) -> str:
     return server.address.split(":")[2].split("/")[0]
 
 
+def go_to_another(page, address: str) -> None:
+    """Go to the address of another folder on the same port.
+
+    With the cookie of the new address, the page may see the other folder and reload itself, which ends the first try.
+    """
+    with suppress(Exception):
+        page.goto(address)
+    page.goto(address)
+
+
 def test_unsaved_marks_stay_with_their_folder_whatever_another_is_called(serve, page, marked, tmp_path):
     other = tmp_path / "two" / "faces"
     shutil.copytree(marked, other)
@@ -46,14 +56,12 @@ def test_unsaved_marks_stay_with_their_folder_whatever_another_is_called(serve, 
     mine = points_of(page)
     second = serve(other, "--port", port)
     stored = read_landmarks(other / "portrait-02.ljson").points
-    with suppress(Exception):  # with the cookie of the new address, the page may see the other folder and reload itself
-        page.goto(second.address)
-    page.goto(second.address)
+    go_to_another(page, second.address)
     open_picture(page, NAMES[1])
     assert np.abs(points_of(page) - stored).max() < 0.02
     second.kill()
     third = serve(marked, "--port", port)
-    page.goto(third.address)
+    go_to_another(page, third.address)
     open_picture(page, NAMES[1])
     assert np.abs(points_of(page) - mine).max() < 0.02  # they waited for their own folder
     saved(page)
