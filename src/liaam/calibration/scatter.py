@@ -14,7 +14,7 @@ import numpy as np
 from liaam.calibration.estimate import WIDEST_ERROR, AngleEstimate, in_normal_units, jackknife
 from liaam.errors import CameraError
 from liaam.photometry.camera import CameraModel
-from liaam.photometry.encoding import as_colour, refuse_grey, stored_values, usable_range
+from liaam.photometry.encoding import as_colour, in_all_channels, refuse_grey, stored_values, usable_range
 from liaam.photometry.invariant import temperature_direction
 from liaam.photometry.noise import noise_deviation
 from liaam.photometry.response import log_slope, to_linear
@@ -132,7 +132,7 @@ def observe(
         least = least if dark is None else dark
         used = labels >= 0
         if picture.dtype.kind == "f":
-            used &= np.isfinite(picture).all(axis=2).ravel()
+            used &= in_all_channels(np.isfinite(picture)).ravel()
         labels, stored = labels[used], stored_values(picture.reshape(-1, 3)[used], np.float64)
         light, noise = _light_and_variance(stored, camera, deviation)
         if camera.vignetting:

@@ -177,13 +177,13 @@ class _JoinedCurves:
         Return the new places (e,), or the old ones if no move is worth it. No move is longer than half of a gap.
         """
         shape = self.shape_at(places)
-        semilandmarks = self.chain[self.sliding]
+        moving = self.chain[self.sliding]
         target = align(mean, shape)(mean)
         along = shape[self.chain[self.sliding + 1]] - shape[self.chain[self.sliding - 1]]
         along /= np.maximum(np.linalg.norm(along, axis=1, keepdims=True), 1e-300)
         # The Newton step of half the cost, of which these are gradient and Hessian.
-        gradient = np.sum(along * (weights @ (shape - target))[semilandmarks], axis=1)
-        hessian = weights[np.ix_(semilandmarks, semilandmarks)] * (along @ along.T)
+        gradient = np.sum(along * (weights @ (shape - target))[moving], axis=1)
+        hessian = weights[np.ix_(moving, moving)] * (along @ along.T)
         moves = -np.linalg.lstsq(hessian, gradient, rcond=1e-10)[0]  # semilandmarks may coincide
         half_gaps = np.diff(places) / 2
         cost = np.vdot(shape - target, weights @ (shape - target))

@@ -298,21 +298,21 @@ def block_means(
     return Means(np.concatenate([part.light for part in parts]), finite, grey)
 
 
-def _in_all_channels(holds: np.ndarray) -> np.ndarray:
+def in_all_channels(holds: np.ndarray) -> np.ndarray:
     """Return where a mask (h, w, 3) holds in all channels; ``all(axis=-1)`` takes ten times as long."""
     return holds[..., 0] & holds[..., 1] & holds[..., 2]
 
 
 def light_of_floats(image: np.ndarray, encoding: Encoding, response: Response) -> Means:
     """Return the linear light of each pixel of an image of floats (h, w, 3)."""
-    finite = _in_all_channels(np.isfinite(image))
+    finite = in_all_channels(np.isfinite(image))
     stored = np.clip(image, 0.0, BRIGHTEST)
     if not finite.all():
         stored = np.where(finite[..., None], stored, np.float32(0.0))
     usable = finite
     if encoding in LOGARITHMIC:
         low, high = usable_range(response)
-        usable = finite & _in_all_channels((stored >= low) & (stored <= high))
+        usable = finite & in_all_channels((stored >= low) & (stored <= high))
     # A curve may map highlights of float images beyond the range of single precision.
     linear = np.minimum(to_linear(stored, response), BRIGHTEST).astype(np.float32, copy=False)
     light = np.concatenate([linear, usable[..., None]], axis=2, dtype=np.float32)
