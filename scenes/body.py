@@ -8,7 +8,7 @@ from scipy.interpolate import PchipInterpolator
 
 from scenes.chart import Face
 from scenes.head import Expression, Pose
-from scenes.surface import head_points
+from scenes.surface import head_points, thinned
 
 HEAD, SKIN, CLOTH, HAIR = 1, 2, 3, 4
 NECK = np.array([0.0, -0.75, -0.22])  # centre of the head's rotation
@@ -41,17 +41,23 @@ class _Patch:
     chart: np.ndarray
     part: int
 
+    def thinned(self, step: int) -> "_Patch":
+        return _Patch(thinned(self.points, step), thinned(self.chart, step), self.part)
 
-def build_body(face: Face, pose: Pose, expression: Expression) -> Body:
-    """Pose the figure; the shoulders follow the head by a fraction."""
-    points, skull = head_points(face, expression)
-    chart = np.concatenate([np.stack([face.u, face.v], -1), skull], axis=-1)
-    moving = [_Patch(points, chart, HEAD)]
-    still = list(_torso())
+
+def build_body(face: Face, pose: Pose, expression: Expression, step: int = 1) -> Body:
+    """Pose the figure; the shoulders follow the head by a fraction.
+
+    Small pictures need every ``step``-th row and column of the mesh only.
+    """
+    points, chart, skull = head_points(face, expression, step)
+    moving = [_Patch(points, np.concatenate([chart, skull], axis=-1), HEAD)]
+    still = [patch.thinned(step) for patch in _torso()]
     if face.traits.hair_style == "long":
-        moving.append(_long_hair())
+        moving.append(_long_hair().thinned(step))
     else:
-        moving += _ears(face.profile.at(np.zeros(1))[0][0])
+        half_width = face.profile.at(np.zeros(1))[0][0]
+        moving += [ear.thinned(step) for ear in _ears(half_width)]
     placed = [(patch, pose.rotation()) for patch in moving] + [(patch, pose.rotation(BODY_FOLLOWS)) for patch in still]
     return _join(placed)
 
@@ -88,7 +94,7 @@ def _normals(points: np.ndarray) -> np.ndarray:
 def _grid_triangles(rows: int, columns: int, step: int = 1) -> np.ndarray:
     """Triangles (m, 3) of a grid, or of every ``step``-th row and column and the last ones."""
     index = np.arange(rows * columns, dtype=np.int32).reshape(rows, columns)
-    index = index[np.unique(np.r_[0:rows:step, rows - 1])][:, np.unique(np.r_[0:columns:step, columns - 1])]
+    index = thinned(index, step)
     a, b, c, d = (s.ravel() for s in (index[:-1, :-1], index[:-1, 1:], index[1:, :-1], index[1:, 1:]))
     return np.concatenate([np.stack([a, b, c], -1), np.stack([b, d, c], -1)])
 

@@ -21,6 +21,7 @@ from scenes.surface import face_of, landmark_points
 
 Mixing = Literal["additive", "planckian"]
 VIEWING_DISTANCE = 14.0  # head units: a camera at 1.4 m
+FINE_MESH = 85.0  # pixels of a head unit: from there on, every second row of the mesh is not enough (of 320 x 240: 100)
 BRIGHTEST = 0.8  # linear value given to the 98th percentile of the face
 
 
@@ -189,10 +190,16 @@ def landmarks_of(head: Head, pose: Pose, expression: Expression, size: tuple[int
     return _project(figure.turn(landmark_points(face_of(head), expression), pose.rotation()), size, pose)
 
 
+def _head_unit(size: tuple[int, int]) -> float:
+    """Pixels of a head unit in an image of a size (height, width), for a pose of scale 1."""
+    height, width = size
+    return min(height / 3.2, width / 2.4)
+
+
 def _project(points: np.ndarray, size: tuple[int, int], pose: Pose) -> np.ndarray:
     """Pixels (x, y) of points (..., 3) in the viewer's axes, in perspective."""
     height, width = size
-    unit = min(height / 3.2, width / 2.4) * pose.scale
+    unit = _head_unit(size) * pose.scale
     scale = unit * VIEWING_DISTANCE / (VIEWING_DISTANCE - points[..., 2])
     x, y = (width - 1) / 2 + pose.x, 0.47 * (height - 1) + pose.y
     return np.stack([x + scale * points[..., 0], y - scale * points[..., 1]], -1)
@@ -205,7 +212,8 @@ _CHART, _NORMAL, _POINT, _SKY, _PART = slice(0, 4), slice(4, 7), slice(7, 10), 1
 @lru_cache(maxsize=8)  # a set under several lights shows the same figures; 8 MB each
 def _figure(head: Head, pose: Pose, expression: Expression, size: tuple[int, int], s: int) -> tuple[Body, np.ndarray]:
     """The posed figure, and the irradiance (n,) of its vertices under an open sky; 0 of those that are not seen."""
-    body = build_body(face_of(head), pose, expression)
+    step = 1 if _head_unit(size) >= FINE_MESH else 2
+    body = build_body(face_of(head), pose, expression, step)
     shown = shown_triangles(_on_screen(body, size, pose, s), body.triangles, s * size[0], s * size[1])
     seen = np.zeros(len(body.points), bool)
     seen[body.triangles[shown]] = True

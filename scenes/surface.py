@@ -74,10 +74,27 @@ def expression_vector(expression: Expression) -> np.ndarray:
     return np.array([e.mouth_open - CHART_OPENING, e.smile, e.brow_raise, e.eye_close, e.pucker])
 
 
-def head_points(face: Face, expression: Expression) -> tuple[np.ndarray, np.ndarray]:
-    """Vertices (N_UP, N_AROUND, 3) in head axes, and the chart positions (..., 2) of the skull below them."""
-    shift = np.einsum("...ek,e->...k", face.fields, expression_vector(expression))
-    return surface_points(face, face.u, face.v, shift, expression)
+def every(step: int, count: int) -> np.ndarray:
+    """Every ``step``-th of so many rows or columns of a grid, and the last one."""
+    return np.unique(np.r_[0:count:step, count - 1])
+
+
+def thinned(grid: np.ndarray, step: int) -> np.ndarray:
+    """Every ``step``-th row and column of a grid (rows, columns, ...), and the last ones."""
+    rows, columns = grid.shape[:2]
+    return grid[every(step, rows)][:, every(step, columns)]
+
+
+def head_points(face: Face, expression: Expression, step: int = 1) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Vertices (rows, columns, 3) in head axes, their chart positions (..., 2), and those of the skull below them.
+
+    Of the mesh's ``N_UP`` rows and ``N_AROUND`` columns, every ``step``-th is taken.
+    """
+    u = thinned(face.u, step)
+    v = thinned(face.v, step)
+    shift = np.einsum("...ek,e->...k", thinned(face.fields, step), expression_vector(expression))
+    points, skull = surface_points(face, u, v, shift, expression)
+    return points, np.stack([u, v], -1), skull
 
 
 def landmark_points(face: Face, expression: Expression) -> np.ndarray:
