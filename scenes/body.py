@@ -31,6 +31,8 @@ class Body:
     """(n, 4) chart coordinates of skin and skull on the head; texture coordinates elsewhere."""
     part: np.ndarray
     """(n,) HEAD, SKIN, CLOTH or HAIR."""
+    step: int
+    """1 for the whole mesh; 2 for every second row and column of it, and so on."""
 
 
 @dataclass(frozen=True)
@@ -59,7 +61,7 @@ def build_body(face: Face, pose: Pose, expression: Expression, step: int = 1) ->
         half_width = face.profile.at(np.zeros(1))[0][0]
         moving += [ear.thinned(step) for ear in _ears(half_width)]
     placed = [(patch, pose.rotation()) for patch in moving] + [(patch, pose.rotation(BODY_FOLLOWS)) for patch in still]
-    return _join(placed)
+    return _join(placed, step)
 
 
 def turn(points: np.ndarray, rotation: np.ndarray) -> np.ndarray:
@@ -67,7 +69,7 @@ def turn(points: np.ndarray, rotation: np.ndarray) -> np.ndarray:
     return (points - NECK) @ rotation.T + NECK
 
 
-def _join(placed: list[tuple[_Patch, np.ndarray]]) -> Body:
+def _join(placed: list[tuple[_Patch, np.ndarray]], step: int) -> Body:
     points, normals, charts, parts, triangles, coarse, count = [], [], [], [], [], [], 0
     for patch, rotation in placed:
         rows, columns = patch.points.shape[:2]
@@ -80,7 +82,7 @@ def _join(placed: list[tuple[_Patch, np.ndarray]]) -> Body:
         count += rows * columns
     join = np.concatenate
     meshes = (join(triangles).astype(np.int32), join(coarse).astype(np.int32))
-    return Body(join(points), join(normals), *meshes, join(charts), join(parts))
+    return Body(join(points), join(normals), *meshes, join(charts), join(parts), step)
 
 
 def _normals(points: np.ndarray) -> np.ndarray:

@@ -21,7 +21,8 @@ COLDEST_K, HOTTEST_K = 1500.0, 20000.0
 SHADOW_MAP = 420
 SHADOW_REACH = 1.55  # half width of the shadow map, head units
 PENUMBRA_SAMPLES, WIDE_SAMPLES = 5, 10
-WIDE = 0.1  # softness above which shadows are so blurred that the coarse mesh suffices
+# Softness above which shadows are so blurred that the coarse mesh suffices, and a smaller map in small pictures.
+WIDE = 0.1
 CENTRE = np.array([0.0, -0.15, 0.0])  # middle of the shadow map
 DOME_MAP = 110
 DOME_SAMPLES = 28
@@ -153,10 +154,14 @@ def direct_visibility(body: Body, at: np.ndarray, normals: np.ndarray, light: Po
     # Offset the points by about a texel, so that the surface does not shadow itself.
     lifted = np.ascontiguousarray((at + normals * 0.022).T)
     samples = _lamp_samples(light)
-    triangles = body.coarse if light.softness > WIDE else body.triangles
+    triangles = body.triangles
+    size = SHADOW_MAP
+    if light.softness > WIDE:
+        triangles = body.coarse
+        size = SHADOW_MAP // body.step
     for direction in samples:
-        frame = _light_frame(direction, SHADOW_MAP, SHADOW_REACH)
-        depth = depth_map(transform(body.points, frame), triangles, SHADOW_MAP)
+        frame = _light_frame(direction, size, SHADOW_REACH)
+        depth = depth_map(transform(body.points, frame), triangles, size)
         seen += visibility(coordinates(lifted, frame), depth, 0.010)
     return seen / len(samples)
 
