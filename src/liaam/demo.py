@@ -36,7 +36,8 @@ def run_demo(folder: Path, progress: Progress | None = None) -> tuple[list[DemoR
     tell(0, total, "training")
     training, test = load_heads()
     model = train(training, lamps=None, methods=METHODS, leave_out=False, progress=False)
-    images, truths = [sample.read_image() for sample in test], [sample.landmarks.points for sample in test]
+    images = [sample.read_image() for sample in test]
+    truths = [sample.landmarks.points for sample in test]
     starts = [disturbed(truth, model.shape_model.mean) for truth in truths]
     rows = []
     for i, method in enumerate(METHODS):

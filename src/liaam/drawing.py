@@ -11,7 +11,8 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-LANDMARK, ELLIPSE = "#40ff8c", "#ffdc40"  # Colours of landmarks and of their ellipses
+LANDMARK = "#40ff8c"  # Colour of landmarks
+ELLIPSE = "#ffdc40"  # Colour of their ellipses
 
 
 def as_picture(image: np.ndarray) -> np.ndarray:
@@ -74,10 +75,12 @@ def zoom_to(ax: "Axes", landmarks: np.ndarray, size: tuple[int, int]) -> None:
     finite = landmarks[np.isfinite(landmarks).all(axis=1)]
     if not len(finite):
         return
-    low, high = finite.min(axis=0), finite.max(axis=0)
+    low = finite.min(axis=0)
+    high = finite.max(axis=0)
     pad = 0.3 * float((high - low).max())
     limits = np.array(size) - 1.0
-    low, high = np.clip(low - pad, 0.0, limits), np.clip(high + pad, 0.0, limits)
+    low = np.clip(low - pad, 0.0, limits)
+    high = np.clip(high + pad, 0.0, limits)
     if (high - low >= 2.0).all():  # some of the object lies inside the image
         ax.set_xlim(low[0], high[0])
         ax.set_ylim(high[1], low[1])

@@ -10,7 +10,9 @@ ALL = 0.999  # Fraction of a block's pixels above which the whole block counts a
 UNUSABLE = 1e-3  # Weight of an unusable pixel in a blur; usable pixels have about 1
 # Light added before the logarithm of brightness, and softness of the gradients (see soft_directions) of the encodings
 # soft and orientation. liaam.photometry.encoding has the reasons.
-LOG_FLOOR, SOFTNESS, FLAT = 0.004, 0.1, 1e-4
+LOG_FLOOR = 0.004
+SOFTNESS = 0.1
+FLAT = 1e-4
 BRIGHTNESS = np.full(3, 1.0 / 3.0)  # Weights of R, G and B in the brightness of soft
 LUMINANCE = np.array([0.2126, 0.7152, 0.0722])  # Weights of R, G and B in luminance
 REACH = 3.0  # Standard deviations at which a Gaussian is truncated
@@ -84,7 +86,8 @@ def soft_directions(plane: np.ndarray, turn, softness: float) -> np.ndarray:
     ``softness`` is the gradient per pixel for which the squared length is normalised to one half, and ``turn`` (4,) the
     rotation from the image's to the object's axes.
     """
-    by_x, by_y = _slope(plane, axis=1), _slope(plane, axis=0)
+    by_x = _slope(plane, axis=1)
+    by_y = _slope(plane, axis=0)
     gradient = np.stack([by_x, by_y], axis=2) @ np.reshape(turn, (2, 2)).T
     length = np.sqrt(np.square(gradient).sum(axis=2) + softness**2)
     return (gradient / length[..., None]).astype(np.float32)

@@ -35,7 +35,8 @@ def progress_bar(
     if show is False or (show is None and not sys.stderr.isatty()):
         yield lambda *_: None
         return
-    begin, bars = perf_counter(), []
+    begin = perf_counter()
+    bars = []
 
     def tell(done: int, total: int | None = total, what: str = what) -> None:
         if not bars and (show or perf_counter() - begin > PATIENCE):
@@ -54,7 +55,8 @@ def _bar(what: str, total: int | None, counted: bool) -> Any:
     from rich import progress as parts  # slow to import
     from rich.console import Console
 
-    console, text = Console(stderr=True), parts.TextColumn
+    console = Console(stderr=True)
+    text = parts.TextColumn
     done = parts.MofNCompleteColumn() if counted else parts.TaskProgressColumn()
     times = parts.TimeElapsedColumn(), text("left:"), parts.TimeRemainingColumn()
     columns = parts.BarColumn(), done, text("{task.description}", markup=False), *times

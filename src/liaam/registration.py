@@ -216,7 +216,8 @@ def register(
     levels, to_a = _levels(a, method, group, response, theta, mask)
     size = a.shape[:2]
     if not levels:
-        nan, status = float("nan"), FitStatus.TOO_DARK if method.encoding == "log" else FitStatus.NO_TEXTURE
+        nan = float("nan")
+        status = FitStatus.TOO_DARK if method.encoding == "log" else FitStatus.NO_TEXTURE
         return Registration(np.eye(3), status, 0.0, nan, nan, 0, np.full(4, np.inf), size, method.name)
     if init is None:  # scale the first image to the size of the second
         scale = np.array(b.shape[1::-1], dtype=np.float64) / size[::-1]
@@ -274,7 +275,8 @@ def _seen_box(homography: np.ndarray, size: tuple[int, ...], limits: tuple[int, 
     depth = corners[:, 2:]
     if not ((depth > 0).all() or (depth < 0).all()):
         return None
-    points, most = corners[:, :2] / depth, np.array(limits[::-1])
+    points = corners[:, :2] / depth
+    most = np.array(limits[::-1])
     left, top = np.clip(np.floor(points.min(axis=0)) - 1, 0, most).astype(int).tolist()
     right, bottom = np.clip(np.ceil(points.max(axis=0)) + 2, 0, most).astype(int).tolist()
     return slice(top, bottom), slice(left, right)
@@ -293,7 +295,8 @@ def _levels(
         for blur, _ in LEVELS
     ]
     # All levels have the same pixels; they differ in blur only.
-    from_a, size = patches[0].from_image, patches[0].channels.shape[:2]
+    from_a = patches[0].from_image
+    size = patches[0].channels.shape[:2]
     wanted = np.ones(size, dtype=bool)
     if mask is not None:
         wanted = cv2.resize(mask.astype(np.float32), size[::-1], interpolation=cv2.INTER_AREA) > 0.999
@@ -328,15 +331,19 @@ def _judged(
 ) -> Registration:
     """Return the result in image pixels, with its status."""
     stage = stages[-1]
-    objective, solution = stage.objective, stage.solution
-    has_angle, warp = objective.method.has_angles, objective.warp
+    objective = stage.objective
+    solution = stage.solution
+    has_angle = objective.method.has_angles
+    warp = objective.warp
     assert isinstance(warp, HomographyWarp)
     matrix = _matrix(stage.pose) @ warp.matrix(solution.p) @ np.linalg.inv(_matrix(to_a))
     points = warp.points(solution.p, stage.pose)
     inside = np.asarray(((points >= 0) & (points <= np.array(other[::-1]) - 1)).all(axis=1))
-    correlation, variances = _correlation(stage), np.full(4, np.inf)
+    correlation = _correlation(stage)
+    variances = np.full(4, np.inf)
     if solution.usable.any():
-        n, step = warp.n_parameters, 1e-4
+        n = warp.n_parameters
+        step = 1e-4
         moves = [(warp.shape(solution.p + step * e) - warp.shape(solution.p - step * e)) for e in np.eye(n)]
         slopes = np.stack(moves, axis=-1) / (2 * step)
         variances = np.einsum("cai,ij,caj->c", slopes, covariance(stage)[:n, :n], slopes)
@@ -378,12 +385,14 @@ def _correlation(stage: FittedLevel) -> float:
         return 0.0
     theirs = solution.samples[seen]
     ours = stage.objective.mean_at(solution.angles[0]).reshape(len(seen), -1)[seen].astype(np.float64)
-    ours, theirs = ours - ours.mean(axis=0), theirs - theirs.mean(axis=0)
+    ours = ours - ours.mean(axis=0)
+    theirs = theirs - theirs.mean(axis=0)
     scale = np.sqrt(np.square(ours).sum() * np.square(theirs).sum())
     return float((ours * theirs).sum() / scale) if scale > 0 else 0.0
 
 
 def _matrix(similarity: Similarity) -> np.ndarray:
     matrix = np.eye(3)
-    matrix[:2, :2], matrix[:2, 2] = similarity.matrix, similarity.offset
+    matrix[:2, :2] = similarity.matrix
+    matrix[:2, 2] = similarity.offset
     return matrix

@@ -98,7 +98,8 @@ def joined(results: Sequence[Any], names: Sequence[str] | None = None) -> Column
     filled = [table for table in tables if "landmark" in table]
     if not filled:
         return {}
-    first, unknown = filled[0], np.full((len(filled[0]["landmark"]), 2), np.nan)
+    first = filled[0]
+    unknown = np.full((len(filled[0]["landmark"]), 2), np.nan)
     more = {"names": first["name"], "quality": math.nan, "status": "error"}
     tables = [table if "landmark" in table else landmark_columns(table, unknown, **more) for table in tables]
     other = next((table for table in tables if table.keys() != first.keys()), None)

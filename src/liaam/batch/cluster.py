@@ -24,7 +24,8 @@ class _Ready(WorkerPlugin):
     """The job on each worker of the cluster, sent once to all workers, including those that join later."""
 
     def __init__(self, job: FitJob) -> None:
-        self.job, self.version = job, __version__
+        self.job = job
+        self.version = __version__
 
     def setup(self, worker: Worker) -> None:
         if self.version != __version__:
@@ -45,7 +46,8 @@ def _fit(name: str, path: str) -> JournalRow:
 def on_cluster(job: FitJob, address: str) -> Iterator[Pool]:
     """Yield a pool of the workers of a scheduler. Another worker takes over the images of a lost one."""
     with _connected(address) as client, _prepared(client, job) as name:
-        threads, pending = cast(Any, client.nthreads), WeakSet()
+        threads = cast(Any, client.nthreads)
+        pending = WeakSet()
 
         def submit(path: str) -> Future[JournalRow]:
             row: Future[JournalRow] = Future()

@@ -203,7 +203,8 @@ class _Batch:
         summary = self._fit(journal)
         self.progress(summary.total, summary.total, f"writing {self.output.name}")
         model = self.job.model
-        contours, names = Contour.all_of(model.contours), model.landmark_names
+        contours = Contour.all_of(model.contours)
+        names = model.landmark_names
         table = BatchTable(
             self._rows(journal), model.n_points, self.job.settings.covariance, self.facts, contours, names
         )
@@ -266,7 +267,9 @@ class _Batch:
 
     def _fit(self, journal: Journal) -> Summary:
         """Fit the images that have no row in the journal."""
-        total, statuses, begin = journal.total, Counter(journal.statuses), perf_counter()
+        total = journal.total
+        statuses = Counter(journal.statuses)
+        begin = perf_counter()
         before = statuses.total()
         self.progress(before, total, "starting" if not before else "resuming")
         try:

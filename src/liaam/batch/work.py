@@ -171,7 +171,8 @@ class FitJob:
 
     def _fit(self, path: str) -> list[FitRow]:
         picture = Path(self.folder, path)
-        pixels, start = read_image(picture), self._start(path)
+        pixels = read_image(picture)
+        start = self._start(path)
         if start is not None:
             start = read_start(start, picture, pixels.shape[1::-1])
         fitter = self.fitter(is_raw(picture))

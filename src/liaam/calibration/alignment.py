@@ -64,10 +64,14 @@ def align_pictures(
     CameraError
         If an image cannot be aligned; the message names it.
     """
-    first, camera = pictures[0], camera or CameraModel()
+    first = pictures[0]
+    camera = camera or CameraModel()
     names = names or [f"image {i + 1}" for i in range(len(pictures))]
     corners = picture_corners(*first.shape[:2])
-    aligned, masks, moved, maps = [first], [np.ones(first.shape[:2], dtype=bool)], [0.0], [np.eye(3)]
+    aligned = [first]
+    masks = [np.ones(first.shape[:2], dtype=bool)]
+    moved = [0.0]
+    maps = [np.eye(3)]
     for i, (picture, name) in enumerate(zip(pictures[1:], names[1:], strict=True)):
         if progress:
             progress(i, len(pictures) - 1, name)

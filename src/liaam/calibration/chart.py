@@ -39,7 +39,8 @@ def theta_from_chart(
     CameraError
         If a patch lies outside its image, the numbers of patches differ, or too few are well exposed in two images.
     """
-    pictures, camera = as_pictures(images), camera or CameraModel()
+    pictures = as_pictures(images)
+    camera = camera or CameraModel()
     if len(patches) != len(pictures) or len({len(p) for p in patches}) != 1:
         raise CameraError(f"{len(pictures)} images need as many lists of patches, with the same patches in each")
     regions = [

@@ -33,7 +33,8 @@ def read_columns(
         ]
     except (UnicodeDecodeError, csv.Error, IndexError) as error:
         raise CameraError(f"{path}: this is not a table; give a CSV file of {','.join(columns)}") from error
-    order, width = list(range(len(columns))), len(rows[0][1])
+    order = list(range(len(columns)))
+    width = len(rows[0][1])
     if not is_number(rows[0][1][0]):
         header = [cell.lower() for cell in rows.pop(0)[1]]
         canonical = {name.lower(): name for name in columns} | dict(aliases or {})

@@ -78,7 +78,8 @@ def huber_location(values: np.ndarray, cutoff: float = 1.5) -> tuple[float, floa
     """Huber's estimate of location and its standard error; the cutoff is in standard deviations."""
     from scipy.optimize import least_squares  # heavy: imported when first needed
 
-    deviations, n = values - np.median(values), len(values)
+    deviations = values - np.median(values)
+    n = len(values)
     # The median deviation may be 0, since half of a few values can be equal. The mean deviation bounds it from
     # below; the standard deviation would let a single outlier widen the scale.
     scale = max(robust_deviation(deviations), 0.25 * float(np.abs(deviations).mean()), 1e-9)

@@ -32,7 +32,8 @@ def theta_from_fits(results: Iterable[FitResult]) -> AngleEstimate:
     CameraError
         If the fits do not estimate a free angle.
     """
-    results, nan = list(results), float("nan")
+    results = list(results)
+    nan = float("nan")
     if any(result.method.free_angles not in ("both", "shared") for result in results):
         raise CameraError(
             "to pool a camera's angle, fit with method li-pcs (one camera) or li-pc (another one trained)"
@@ -47,7 +48,8 @@ def theta_from_fits(results: Iterable[FitResult]) -> AngleEstimate:
     angles = np.array([r.theta for r in used])
     centre = float(np.angle(np.exp(2j * angles).mean()) / 2 % np.pi)  # angles have a period of pi
     offset, error = huber_location(np.array([axis_difference(angle, centre) for angle in angles]))
-    theta, spread = (centre + offset) % np.pi, np.rad2deg(error * np.sqrt(len(used)))
+    theta = (centre + offset) % np.pi
+    spread = np.rad2deg(error * np.sqrt(len(used)))
     error = in_normal_units(error, len(used) - 1)
     message = f"the angles of {len(used)} fits have a standard deviation of {spread:.2f}°; {unused}"
     if error > WIDEST_ERROR:

@@ -144,7 +144,8 @@ def noise_from_pair(first: np.ndarray, second: np.ndarray, response: Response = 
     ImageError
         If an array is not an image.
     """
-    first, second = as_colour(first, "first image"), as_colour(second, "second image")
+    first = as_colour(first, "first image")
+    second = as_colour(second, "second image")
     if first.shape != second.shape or first.dtype != second.dtype:
         raise CameraError(
             f"the pair's images are {_size(first)} and {_size(second)}: give two of the same size and depth, taken "

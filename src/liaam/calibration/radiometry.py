@@ -46,14 +46,18 @@ from liaam.errors import CameraError
 from liaam.photometry.camera import least_share
 from liaam.photometry.response import Response, ResponseCurve
 
-FEWEST, LEAST_RADII = 20, 0.05  # Least number of blocks of an image, and difference of r^2, for an estimate
+FEWEST = 20  # Least number of blocks of an image for an estimate
+LEAST_RADII = 0.05  # Least difference of r^2 among them
 POINTS = 33  # Number of points of the resulting curve
 # Largest standard errors of an estimate: of log light over the observed stored values, of the relative light in the
 # corners, and of log exposures
-WIDEST_RESPONSE, WIDEST_CORNER, LOOSEST = 0.1, 0.05, 0.5
+WIDEST_RESPONSE = 0.1
+WIDEST_CORNER = 0.05
+LOOSEST = 0.5
 # Root mean square residual in log light, not explained by noise, above which an image is not a flat field
 UNEVEN = 0.05
-_NO_WALL, WHITE_WALL = "Vignetting cannot be estimated:", "use an image of an evenly lit white wall, out of focus."
+_NO_WALL = "Vignetting cannot be estimated:"
+WHITE_WALL = "use an image of an evenly lit white wall, out of focus."
 
 
 @dataclass(frozen=True)
@@ -167,7 +171,8 @@ def calibrate_response(
     >>> calibrate_response([dark, bright], exposures=(1, 2)).observable  # two stored values do not define a curve
     False
     """
-    pictures, logs = checked_pictures(images), None
+    pictures = checked_pictures(images)
+    logs = None
     if exposures is not None:  # logarithms relative to the first
         values = np.asarray(exposures, dtype=np.float64)
         if values.shape != (len(pictures),) or not np.isfinite(values).all() or (values <= 0).any():
@@ -205,7 +210,8 @@ def vignetting_from_flat_field(image: np.ndarray, response: Response = "srgb") -
     measured = observe(checked_pictures([image], fewest=1), [np.eye(3)], least=1)
     if measured.n < FEWEST:
         return VignettingEstimate(message=f"{_NO_WALL} too few blocks are uniform and well exposed; {WHITE_WALL}")
-    curve, radius2 = ResponseTable.of(response), measured.radius2[0]
+    curve = ResponseTable.of(response)
+    radius2 = measured.radius2[0]
     log_light = curve.log_light(measured.stored[0])
     deviation = measured.deviation[0] * curve.slope(measured.stored[0])
     constants = np.equal.outer(measured.channel, np.unique(measured.channel)).astype(np.float64)
@@ -315,7 +321,8 @@ def _held(measured: MeasuredBlocks) -> tuple[float, float]:
 
 
 def _report(fit: ResponseFit, fault: str, lens_fault: str) -> RadiometricEstimate:
-    problem, measured = fit.problem, fit.problem.measured
+    problem = fit.problem
+    measured = fit.problem.measured
     curve = problem.curve(fit.z)
     logs = problem.logs(fit.z)
     falloff = problem.split(fit.z).vignetting
@@ -324,7 +331,8 @@ def _report(fit: ResponseFit, fault: str, lens_fault: str) -> RadiometricEstimat
         covariance = fit.covariance[-problem.terms :, -problem.terms :]
         message = f"The distances of surfaces from the centre differ by up to {_radii(measured):.2f} in r^2."
         lens = _vignetting_estimate(falloff, covariance, message)
-    response, response_errors = problem.response, ()
+    response = problem.response
+    response_errors = ()
     if response is None:
         stored = evenly_along(POINTS)
         light = np.exp(curve.log_light(stored) - curve.light[-1])
@@ -363,6 +371,7 @@ def _vignetting_estimate(falloff: np.ndarray, covariance: np.ndarray, message: s
     if least_share(falloff) <= LEAST_SHARE:
         fault = "less than a tenth of the light would remain in the corners"
         return VignettingEstimate(message=f"{_NO_WALL} {fault}; {WHITE_WALL}")
-    corner, corner_error = 1.0 + float(falloff.sum()), float(np.sqrt(covariance.sum()))
+    corner = 1.0 + float(falloff.sum())
+    corner_error = float(np.sqrt(covariance.sum()))
     message = f"the corners receive {corner:.1%} ± {corner_error:.1%} of the light. {message}"
     return VignettingEstimate(tuple(falloff.tolist()), corner, corner_error, message)

@@ -141,7 +141,8 @@ def _block_side(height: int, width: int) -> int:
 def _observe_one(picture: np.ndarray, to_first: np.ndarray, size: tuple[int, int], edge: int) -> _OneImage:
     """Average blocks of a side of ``edge`` pixels of the first image, which has a (height, width), in one image."""
     height, width = size
-    rows, columns = height // edge, width // edge
+    rows = height // edge
+    columns = width // edge
     is_moved = not np.allclose(to_first, np.eye(3)) or picture.shape[:2] != size
 
     def block_mean(values: np.ndarray) -> np.ndarray:

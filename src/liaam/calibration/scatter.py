@@ -106,7 +106,8 @@ def block_labels(height: int, width: int, block: int) -> tuple[np.ndarray, tuple
     most = min(height, width) // 3
     if not 1 <= block <= most:
         raise CameraError(f"blocks of {block} pixels: give 1 to {most} for images of {width}×{height}")
-    rows, columns = np.arange(height) // block, np.arange(width) // block
+    rows = np.arange(height) // block
+    columns = np.arange(width) // block
     across = int(columns[-1]) + 1
     return rows[:, None] * across + columns, (int(rows[-1]) + 1, across)
 
@@ -127,17 +128,20 @@ def observe(
     """
     seen = []
     for picture, region in zip(pictures, regions, strict=True):
-        deviation, labels = _deviation_of(picture, camera), region.ravel()
+        deviation = _deviation_of(picture, camera)
+        labels = region.ravel()
         least, most = usable_range(camera.response, picture.dtype.str)
         least = least if dark is None else dark
         used = labels >= 0
         if picture.dtype.kind == "f":
             used &= in_all_channels(np.isfinite(picture)).ravel()
-        labels, stored = labels[used], stored_values(picture.reshape(-1, 3)[used], np.float64)
+        labels = labels[used]
+        stored = stored_values(picture.reshape(-1, 3)[used], np.float64)
         light, noise = _light_and_variance(stored, camera, deviation)
         if camera.vignetting:
             share = camera.falloff(*picture.shape[:2]).reshape(-1)[used][:, None]
-            light, noise = light / share, noise / np.square(share)
+            light = light / share
+            noise = noise / np.square(share)
         count = np.bincount(labels, minlength=n).astype(np.float64)
         level, light, noise = (
             np.stack([np.bincount(labels, weights=each, minlength=n) for each in values.T], axis=1)
@@ -213,13 +217,16 @@ def theta_of_least_scatter(surfaces: Surfaces, *, free_balance: bool = False) ->
             "neither dark nor overexposed (stored values of 8 to 250 of 255 in every channel)"
         )
     scatter = _Scatter(surfaces.only(enough), free_balance)
-    theta, before = scatter.best_angle(), np.inf
+    theta = scatter.best_angle()
+    before = np.inf
     for _ in range(5):  # alternate between the angle and the model error
         if abs(theta - before) < CONVERGED:
             break
-        before, scatter = theta, scatter.with_model_error(theta)
+        before = theta
+        scatter = scatter.with_model_error(theta)
         theta = scatter.best_angle()
-    error, (change, signal) = _error(scatter, theta), _light_change(scatter, theta)
+    error = _error(scatter, theta)
+    change, signal = _light_change(scatter, theta)
     times = f"log R/B by {change:.3f}, {np.sqrt(signal):.1f} times the errors"
     if free_balance and signal < WEAKEST_VARIATION:
         reason = (
@@ -291,13 +298,15 @@ class _Scatter:
         from scipy.optimize import brentq  # heavy: imported when first needed
         from scipy.stats import chi2
 
-        row, wanted = _unit_rows(np.array([theta])), chi2.ppf(0.5, self.degrees)
+        row = _unit_rows(np.array([theta]))
+        wanted = chi2.ppf(0.5, self.degrees)
 
         def excess(log_model: float) -> float:
             squares = replace(self, model=float(np.exp(log_model))).squares(row)[0]
             return float(np.median(squares / wanted)) - 1.0
 
-        low, high = float(np.log(1e-10)), 0.0
+        low = float(np.log(1e-10))
+        high = 0.0
         if excess(low) <= 0:
             return replace(self, model=0.0)
         root = high if excess(high) > 0 else brentq(excess, low, high, xtol=0.01, full_output=False)
@@ -350,9 +359,11 @@ def _jackknife(scatter: _Scatter, theta: float, clusters: np.ndarray) -> tuple[f
     """Jackknife standard error of the angle over clusters, radians, and its degrees of freedom."""
     step = np.deg2rad(0.1)
     low, middle, high = scatter.costs(theta + step * np.array([-1.0, 0.0, 1.0]))
-    slopes, bends = (high - low) / (2 * step), (high - 2 * middle + low) / step**2
+    slopes = (high - low) / (2 * step)
+    bends = (high - 2 * middle + low) / step**2
     _, cluster = np.unique(clusters, return_inverse=True)
-    slope, bend = np.bincount(cluster, slopes), np.bincount(cluster, bends)
+    slope = np.bincount(cluster, slopes)
+    bend = np.bincount(cluster, bends)
     rest = bend.sum() - bend
     if len(slope) < 3 or not (rest > 0).all():
         return float("inf"), 1.0
@@ -365,7 +376,8 @@ def _jackknife(scatter: _Scatter, theta: float, clusters: np.ndarray) -> tuple[f
 
 def _light_change(scatter: _Scatter, theta: float) -> tuple[float, float]:
     """Root mean square difference of the lights along d(theta), as log R/B, and its ratio to the error variance."""
-    direction, s = temperature_direction(theta), scatter.surfaces
+    direction = temperature_direction(theta)
+    s = scatter.surfaces
     along = s.log_rgb @ direction
     weights = s.exposed.astype(np.float64)
     centred = _centred(along, weights, scatter.free_balance)

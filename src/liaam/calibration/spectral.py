@@ -108,13 +108,15 @@ def theta_from_sensitivities(
     CameraError
         If the curves are invalid, or the three channels respond alike, so that lights do not change the colour.
     """
-    nm, curves = np.asarray(wavelengths_nm, dtype=np.float64), np.asarray(sensitivities, dtype=np.float64)
+    nm = np.asarray(wavelengths_nm, dtype=np.float64)
+    curves = np.asarray(sensitivities, dtype=np.float64)
     _check_curves(nm, curves)
     nm, curves = _resampled(nm, curves)
     # A neutral surface, then eight hues of moderate saturation and one low frequency: frequency-limited reflectances
     # after Stiles, Wyszecki and Ohta (JOSA 1977).
     hues = 0.5 + 0.25 * np.cos(2 * np.pi * (nm / 250.0 - np.arange(8)[:, None] / 8))
-    surfaces, weighted = np.vstack([np.ones_like(nm), hues]), curves * _trapezoid_weights(nm)[:, None]
+    surfaces = np.vstack([np.ones_like(nm), hues])
+    weighted = curves * _trapezoid_weights(nm)[:, None]
     responses = {
         name: np.einsum("kn,mn,nc->kmc", surfaces, power, weighted, optimize=True)
         for name, power in _series(nm, lights, kelvin).items()
@@ -168,7 +170,8 @@ def read_sensitivities(path: str | os.PathLike) -> tuple[np.ndarray, np.ndarray]
     if len(table) < FEWEST:
         raise CameraError(f"{path}: {len(table)} wavelengths are too few; give {FEWEST} or more, in nm")
     table = table[np.argsort(table[:, 0])]
-    nm, curves = table[:, 0], table[:, 1:]
+    nm = table[:, 0]
+    curves = table[:, 1:]
     try:
         _check_curves(nm, curves)
     except CameraError as error:
@@ -184,7 +187,8 @@ def read_sensitivities(path: str | os.PathLike) -> tuple[np.ndarray, np.ndarray]
 
 def planckian(wavelengths_nm: np.ndarray, kelvin: np.ndarray | float, *, wien: bool = False) -> np.ndarray:
     """Compute the spectral power (m, n) of Planckian radiators, 1 at 560 nm; ``wien``: by Wien's approximation."""
-    nm, reach = np.asarray(wavelengths_nm, dtype=np.float64), K2_NM / np.atleast_1d(kelvin)[:, None]
+    nm = np.asarray(wavelengths_nm, dtype=np.float64)
+    reach = K2_NM / np.atleast_1d(kelvin)[:, None]
     ratio = np.exp(reach / 560.0 - reach / nm) if wien else np.expm1(reach / 560.0) / np.expm1(reach / nm)
     return ratio * (560.0 / nm) ** 5
 
@@ -264,6 +268,7 @@ def _resampled(nm: np.ndarray, curves: np.ndarray) -> tuple[np.ndarray, np.ndarr
             f"a channel has more than 2 % of its sensitivity outside {VISIBLE[0]:g} to {VISIBLE[1]:g} nm, where "
             "daylight is unknown; measure the camera with its infrared filter"
         )
-    low, high = max(nm[0], VISIBLE[0]), min(nm[-1], VISIBLE[1])
+    low = max(nm[0], VISIBLE[0])
+    high = min(nm[-1], VISIBLE[1])
     fine = np.union1d(nm[(nm >= low) & (nm <= high)], np.arange(np.ceil(low), np.floor(high) + 1))
     return fine, np.stack([np.interp(fine, nm, curve) for curve in curves.T], axis=1)

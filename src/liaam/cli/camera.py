@@ -61,10 +61,12 @@ def spectral(
 
     check_camera_output(output)
     if inputs.names_file(sensors, (".csv",)):
-        estimate, source = theta_from_sensitivities(*read_sensitivities(Path(sensors))), f"sensitivities of {sensors}"
+        estimate = theta_from_sensitivities(*read_sensitivities(Path(sensors)))
+        source = f"sensitivities of {sensors}"
     else:
         red, green, blue = inputs.numbers_in(sensors, 3, "peak wavelengths").tolist()
-        estimate, source = theta_from_peaks((red, green, blue)), f"peaks at {sensors} nm"
+        estimate = theta_from_peaks((red, green, blue))
+        source = f"peaks at {sensors} nm"
     finish_angle(estimate, camera_in_file([], output), f"spectral, {source}", output)
 
 
@@ -80,7 +82,8 @@ def scene(
     camera, pictures = read_pictures(images, output, at_least=2)
     with progress_bar() as progress:
         aligned = align_pictures(pictures, camera, names=[p.name for p in images], progress=progress)
-    pictures, moved = list(aligned.pictures), max(aligned.moved)
+    pictures = list(aligned.pictures)
+    moved = max(aligned.moved)
     say(f"aligned: the corners moved by up to {moved:.1f} pixels" if moved > STILL else "the images are aligned")
     if moved > FAR * max(pictures[0].shape[:2]):
         complain("large movement: a homography fits only flat or distant scenes; check the written image")
@@ -156,7 +159,8 @@ def faces(
     model = load_model(model_file)
     # With li-pc, the vignetting and noise of the model's camera do not apply.
     camera = camera_in_file(images, output, model.camera if method.startswith("li-pcs") else None)
-    fitter, results = Fitter(model, method, camera=camera), []
+    fitter = Fitter(model, method, camera=camera)
+    results = []
     with progress_bar() as progress:
         for i, path in enumerate(images):
             progress(i, len(images), path.name)

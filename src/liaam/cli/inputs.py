@@ -135,7 +135,8 @@ def folder_of(source: Path) -> tuple[Path, bool, str | None]:
     if source.exists() or not has_magic(str(source)):
         return source, False, None
     first = next(i for i, part in enumerate(source.parts) if has_magic(part))
-    folder, (*between, name) = Path(*source.parts[:first]), source.parts[first:]
+    folder = Path(*source.parts[:first])
+    *between, name = source.parts[first:]
     if set(between) - {"**"}:
         raise LiaamError(
             f"{source}: a pattern is for images' names, in a folder ('faces/07-*') or also below it ('faces/**/07-*')"

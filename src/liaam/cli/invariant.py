@@ -42,7 +42,8 @@ def invariant(
     from liaam.plotting import save_figure
     from liaam.plotting.photometry import figure_of_agreement, figure_of_sweep, invariant_picture
 
-    camera, pictures = camera_for(images, given_camera), [read_image(path) for path in images]
+    camera = camera_for(images, given_camera)
+    pictures = [read_image(path) for path in images]
     # Fail before writing anything if the images cannot be compared.
     averages = None
     if compare:
@@ -63,7 +64,8 @@ def invariant(
             if sweep:
                 save_figure(figure_of_sweep(pixels, camera), output / f"{stem}_sweep.png")
     if averages is not None:
-        pairs, names = agreement(averages), [path.name for path in images]
+        pairs = agreement(averages)
+        names = [path.name for path in images]
         lines = ["first,second,invariant,log_grey,share"]
         table = table_of("first", "second", "invariant", "log grey", "fraction of pixels")
         for pair in pairs:
@@ -96,7 +98,9 @@ def register(
     check_output(output)
     board, facts_file = (output.with_name(f"{output.stem}_{name}") for name in ("check.png", "homography.json"))
     refuse_inputs([output, board], [first, second])
-    camera, a, b = camera_for([first, second], given_camera), read_image(first), read_image(second)
+    camera = camera_for([first, second], given_camera)
+    a = read_image(first)
+    b = read_image(second)
     with progress_bar() as progress:
         progress(0, 2, f"registering {second.name}")
         registration = align(a, b, group=warp, response=camera.response, theta=camera.theta)

@@ -120,7 +120,8 @@ def _show(error: dict[str, list]) -> None:
 
 def _complain_of_gaps(columns: dict[str, list]) -> None:
     """Name specimens without a scale among others, and those without a shape."""
-    names, sizes = columns["specimen"], columns["centroid_size"]
+    names = columns["specimen"]
+    sizes = columns["centroid_size"]
     unused = [name for name, size in zip(names, sizes, strict=True) if size != size]
     scales = zip(names, columns.get("scale", sizes), sizes, strict=True)
     pixels = [name for name, scale, size in scales if scale != scale and size == size]

@@ -62,7 +62,8 @@ def show(
     from liaam.plotting import figure_of_lamps, figure_of_model, save_figure
 
     if lit:
-        lamps, sample = read_lamps(file), None if image is None else read_sample(image)
+        lamps = read_lamps(file)
+        sample = None if image is None else read_sample(image)
         print_rows({"lamps": ", ".join(lamps.names), "landmarks": f"{len(lamps.mean)}"})
         on = () if sample is None else (sample.read_image(), sample.landmarks.points)
         draw = partial(figure_of_lamps, lamps, *on)
@@ -91,7 +92,8 @@ def count_modes(model: "AAM") -> str:
     from liaam.model import MESH, SURROUNDINGS
 
     counts = {name: len(view.shape_model.modes) for name, view in model.views.items()}
-    count, others = counts.get(SURROUNDINGS, counts[MESH]), counts[MESH]
+    count = counts.get(SURROUNDINGS, counts[MESH])
+    others = counts[MESH]
     return f"{count}" if count == others else f"{count} for soft-li, {others} for the other methods"
 
 
@@ -103,7 +105,9 @@ def describe(model: "AAM", path: Path) -> dict[str, str]:
     appearances = {k: v for view in model.views.values() for k, v in view.levels[-1].appearances.items()}
     spread = np.sqrt((model.shape_model.eigenvalues.sum()) / model.n_points)
     width, height = model.frame.size
-    camera, theta, more = model.camera, np.rad2deg(model.theta), {}
+    camera = model.camera
+    theta = np.rad2deg(model.theta)
+    more = {}
     error = "assumed" if camera.theta_deviation is None else f"± {np.rad2deg(camera.theta_deviation):.2f}°"
     response = camera.response if isinstance(camera.response, (str, float)) else "measured"
     calibrated = "".join(f", {name}" for name in ("vignetting", "noise") if getattr(camera, name))

@@ -140,7 +140,8 @@ def compact(
     from liaam.training import compact as compact_model
 
     check_model_name(output, model_file.with_suffix(""))
-    before, model = model_file.stat().st_size, compact_model(load_model(model_file), parse_methods(methods))
+    before = model_file.stat().st_size
+    model = compact_model(load_model(model_file), parse_methods(methods))
     model.save(output)
     sizes = f"{output.stat().st_size / 1e6:.1f} MB instead of {before / 1e6:.1f} MB"
     say(f"{output}: {sizes}; fits with {', '.join(methods_of(model))}")
@@ -159,7 +160,8 @@ def parse_contour(text: str) -> list[int]:
         ends = part.strip().split("-")
         if len(ends) > 2 or not all(end.strip().isdecimal() and int(end) > 0 for end in ends):
             raise LiaamError(f"--contour {text}: give numbers of landmarks from 1, such as 1-17 or 37-42,37")
-        first, last = int(ends[0]), int(ends[-1])
+        first = int(ends[0])
+        last = int(ends[-1])
         numbers += range(first, last + 1) if first <= last else range(first, last - 1, -1)
     return [number - 1 for number in numbers]
 

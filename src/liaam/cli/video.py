@@ -78,7 +78,8 @@ def track(
     model_file, videos = model_and_inputs(sources, "track", "VIDEO")
     if len(videos) != 1:
         raise VideoError(f"{len(videos)} videos are given; give one, after the model, as in 'liaam track MODEL VIDEO'")
-    source, (start, stop) = source_of(videos[0]), frames_in(frames)
+    source = source_of(videos[0])
+    start, stop = frames_in(frames)
     output = output or default_output(source)
     check_outputs(output, annotated, shading_free, source)
     model = load_model(model_file)
@@ -152,7 +153,8 @@ def frames_in(text: str) -> tuple[int, int | None]:
     first, colon, end = (part.strip() for part in text.partition(":"))
     if not colon or any(part and not part.isdecimal() for part in (first, end)):
         raise VideoError(f"--frames {text}: give the first frame and the one to stop before, such as 100:200 or :50")
-    start, stop = int(first or 0), int(end) if end else None
+    start = int(first or 0)
+    stop = int(end) if end else None
     if stop is not None and stop <= start:
         raise VideoError(f"--frames {text}: {stop} is not after {start}; frames count from 0")
     return start, stop

@@ -156,7 +156,8 @@ class Dataset:
             lines.append(f"{count}; {formats}" if formats else count)
         counts = Counter(sample.image for sample in self.samples if isinstance(sample.image, Path))
         if shared := [image for image, count in counts.items() if count > 1]:
-            n_objects, names = sum(counts[image] for image in shared), some_names([image.name for image in shared])
+            n_objects = sum(counts[image] for image in shared)
+            names = some_names([image.name for image in shared])
             holds = "image holds" if len(shared) == 1 else "images hold"
             of_one = f"each a sample, such as {shared[0].stem}#2 ({names})"
             lines.append(f"{len(shared)} {holds} {n_objects} objects, {of_one}")

@@ -306,7 +306,8 @@ class _Pairing:
         """Add candidate landmarks of an image, in pixels."""
         if image not in self.options:
             return
-        size, orientation = None, 1
+        size = None
+        orientation = 1
         try:
             size, orientation = size_and_orientation(image)
         except ImageError as fault:

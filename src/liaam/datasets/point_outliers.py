@@ -152,7 +152,8 @@ def _discovered(normal: _Normal, deviations: np.ndarray, least: np.ndarray) -> l
     """
     m, n = deviations.shape[:2]
     outliers: list[Outliers] = []
-    n_found, n_before = 1, 0
+    n_found = 1
+    n_before = 0
     while n_found > n_before:
         outliers = _unusual(normal, deviations, RISK * n_found / (m * n), least)
         n_before = n_found
@@ -215,7 +216,8 @@ def _learn_normal(deviations: np.ndarray, rigid: np.ndarray) -> _Normal:
 
     ``rigid`` (4, 2 n) are the modes of similarities, which are taken out of the deviations (m, 2 n).
     """
-    m, n = len(deviations), deviations.shape[1] // 2
+    m = len(deviations)
+    n = deviations.shape[1] // 2
     deviations = deviations - deviations @ rigid.T @ rigid
     centred = deviations - deviations.mean(axis=0)
     spread = centred.T @ centred / (m - 1)

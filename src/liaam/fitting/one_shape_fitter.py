@@ -142,8 +142,10 @@ class OneShapeFitter:
 
     def result_of(self, target: Target, stages: Sequence[FittedLevel]) -> FitResult:
         """Make the result of a fit from its levels: compute status, quality and covariances."""
-        last, history = stages[-1], trace(stages)
-        solution, method = last.solution, last.objective.method
+        last = stages[-1]
+        history = trace(stages)
+        solution = last.solution
+        method = last.objective.method
         reliability = self.reliability
 
         p = np.zeros(len(self.shapes.basis))  # the last level may have fewer modes

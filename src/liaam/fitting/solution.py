@@ -36,8 +36,10 @@ def residual_at(fitter: Fitter, image, result: FitResult) -> tuple[np.ndarray, n
     """
     if fitter.model.others:
         return residual_at(fitter.part_for(result), image, result)
-    pixels, k = fitter.view.warp.every(0.0), fitter.objectives[0].method.n_rows
-    residual, usable = np.zeros((len(pixels), k), np.float32), np.zeros(len(pixels), np.float32)
+    pixels = fitter.view.warp.every(0.0)
+    k = fitter.objectives[0].method.n_rows
+    residual = np.zeros((len(pixels), k), np.float32)
+    usable = np.zeros(len(pixels), np.float32)
     if np.isfinite(result.landmarks).all():
         objective, encoded, state = _end_of(fitter, result, image)
         if len(result.lam) == objective.n_lambda:  # else the fit did not reach the sharpest level
@@ -50,7 +52,8 @@ def residual_at(fitter: Fitter, image, result: FitResult) -> tuple[np.ndarray, n
 
 def _end_of(fitter: Fitter, result: FitResult, image) -> tuple[Objective, EncodedImage, State]:
     """Return the objective over all pixels of the sharpest level, its image, and a result's state (lambda 0)."""
-    linear, objective = fitter.linear(load_picture(image, "image")[0]), fitter.dense
+    linear = fitter.linear(load_picture(image, "image")[0])
+    objective = fitter.dense
     encoded = EncodedImage.at(
         linear.image,
         result.landmarks,

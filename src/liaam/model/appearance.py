@@ -70,7 +70,8 @@ class AppearanceModel:
 
     def at(self, indices: np.ndarray) -> "AppearanceModel":
         """Return the appearances at the pixels with the given indices; the modes lose their unit length."""
-        modes, unexplained = np.ascontiguousarray(self.modes[:, indices]), self.unexplained
+        modes = np.ascontiguousarray(self.modes[:, indices])
+        unexplained = self.unexplained
         unexplained = None if unexplained is None else unexplained[indices]
         return AppearanceModel(self.mean[indices], modes, self.eigenvalues, self.usable[indices], unexplained)
 
@@ -100,7 +101,8 @@ SEARCHED_MODES = 15  # Number of modes of search; with more, the reduced model o
 
 def strongest_modes(orientations: AppearanceModel) -> AppearanceModel:
     """Return the appearance ``search`` of the appearance ``orientation``."""
-    modes, eigenvalues = orientations.modes[:SEARCHED_MODES], orientations.eigenvalues[:SEARCHED_MODES]
+    modes = orientations.modes[:SEARCHED_MODES]
+    eigenvalues = orientations.eigenvalues[:SEARCHED_MODES]
     return replace(orientations, modes=modes, eigenvalues=eigenvalues, unexplained=None)
 
 
@@ -159,7 +161,8 @@ class Textures:
         speckle or a border in one image would become a mode.
         """
         rows = np.arange(len(self.values)) if chosen is None else chosen
-        vectors, (partial, observed) = self.vectors, (part[rows] for part in self._partial)
+        vectors = self.vectors
+        partial, observed = (part[rows] for part in self._partial)
         products = self._products[np.ix_(rows, rows)]
         if observed.all():
             return vectors[rows] if chosen is not None else vectors, centred(products + gram_about(partial))
@@ -191,7 +194,8 @@ def train_appearance_model(
     usable = textures.usable if rows is None else textures.usable[rows]
     vectors, products = textures.filled(variance, rows)
     components = components_by(vectors, vectors.mean(axis=0, dtype=np.float64), products, variance)
-    (n, n_pixels), c = usable.shape, textures.values.shape[2]
+    n, n_pixels = usable.shape
+    c = textures.values.shape[2]
     if left_out is None:
         return _appearance(components, c, usable)
     # Row i of ``explained`` holds the combination of the other vectors that reconstructs vector i.

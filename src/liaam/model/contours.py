@@ -26,10 +26,12 @@ def contour_directions(shapes: np.ndarray, contours: Contours) -> np.ndarray:
 @lru_cache(maxsize=64)
 def _neighbours(contours: tuple[tuple[tuple[int, ...], bool], ...], n: int) -> tuple[np.ndarray, np.ndarray]:
     """Landmarks before and after each of n on its contour, (n,) int64 each; itself where it is on none or several."""
-    before, after = np.arange(n), np.arange(n)
+    before = np.arange(n)
+    after = np.arange(n)
     for indices, closed in _curves(contours):
         whole = indices[[-1, *range(len(indices)), 0]] if closed else indices[[0, *range(len(indices)), -1]]
-        before[indices], after[indices] = whole[:-2], whole[2:]
+        before[indices] = whole[:-2]
+        after[indices] = whole[2:]
     on = np.concatenate([np.zeros(0, int), *(np.unique(np.array(indices, int)) for indices, _ in contours)])
     several = np.flatnonzero(np.bincount(on, minlength=n) > 1)
     before[several] = after[several] = several
@@ -53,7 +55,8 @@ def contour_turns(shape: np.ndarray, to: np.ndarray, contours: Contours) -> np.n
     with np.errstate(invalid="ignore"):
         turns = after * before.conj()  # of complex unit vectors
     turns[np.isnan(turns)] = 1.0
-    cos, sin = np.real(turns), np.imag(turns)
+    cos = np.real(turns)
+    sin = np.imag(turns)
     return np.stack([cos, -sin, sin, cos], axis=-1).reshape(*turns.shape, 2, 2)
 
 
@@ -82,13 +85,16 @@ def outline_errors(shape: np.ndarray, truth: np.ndarray, contours: Contours) -> 
     Landmarks along a contour are often labelled a little before or after where they belong, and fits slide along it:
     the distance to the contour is what can be seen in the image.
     """
-    errors, on_contour = landmark_errors(shape, truth), ~np.isnan(contour_directions(truth, contours)[:, 0])
+    errors = landmark_errors(shape, truth)
+    on_contour = ~np.isnan(contour_directions(truth, contours)[:, 0])
     for indices, closed in _curves(contours):
         line = truth[[*indices, indices[0]] if closed else indices]
         sliding = indices[on_contour[indices] & np.isfinite(errors[indices])]
-        starts, steps = line[:-1], np.diff(line, axis=0)
+        starts = line[:-1]
+        steps = np.diff(line, axis=0)
         finite = np.isfinite(steps).all(axis=1)
-        apart, steps = shape[sliding][:, None] - starts[finite], steps[finite]
+        apart = shape[sliding][:, None] - starts[finite]
+        steps = steps[finite]
         lengths = np.maximum(np.square(steps).sum(axis=1), 1e-12)
         at = np.clip(np.sum(apart * steps, axis=2) / lengths, 0.0, 1.0)
         distances = np.linalg.norm(apart - at[..., None] * steps, axis=2)

@@ -45,7 +45,8 @@ MAX_VALUE = LARGEST
 MAX_LOG_LIGHT = 20.0  # Largest logarithm of a ratio of lights; those of faces are below 1.2
 MAX_VARIANCE = MAX_DIAGONAL**2  # Largest variance of a landmark, square pixels of the frame; of faces 31
 MAX_FACTOR = 1e6  # Largest factor on the variances of a fit (faces: 2.2), odds (9), and magnitude of their weights (34)
-LEAST_UNIT, LARGEST_UNIT = 1e-12, 1e12  # Least and largest variance of a residual at weight 1; of faces 0.35
+LEAST_UNIT = 1e-12  # Least variance of a residual at weight 1; of faces 0.35
+LARGEST_UNIT = 1e12  # Largest one
 LEAST_FREEDOM = 1.0  # Least degrees of freedom: with fewer, shapes have no mean
 LARGEST_FILTER = 100  # Largest height and width of the search's filter, pixels
 # Smallest fraction of the pixels that a file stores. The others take memory that its size does not suggest.

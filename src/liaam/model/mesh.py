@@ -61,7 +61,8 @@ def triangles_from_edges(points: np.ndarray, edges: np.ndarray) -> np.ndarray | 
 def signed_areas(points: np.ndarray, triangles: np.ndarray) -> np.ndarray:
     """Signed areas of triangles, (t,) float64; negative for flipped triangles."""
     a, b, c = (points[triangles[:, i]] for i in range(3))
-    u, v = b - a, c - a
+    u = b - a
+    v = c - a
     return 0.5 * (u[:, 0] * v[:, 1] - u[:, 1] * v[:, 0])
 
 
@@ -101,12 +102,14 @@ def surroundings(points: np.ndarray, triangles: np.ndarray, width: float = SURRO
 
     # Counter-clockwise: the ring's triangles have positive areas.
     hull = cv2.convexHull(points.astype(np.float32), clockwise=False, returnPoints=False).ravel().astype(int)
-    n, r = len(points), len(hull)
+    n = len(points)
+    r = len(hull)
     if r < 3:
         raise TrainingError(_NO_MESH)
     beyond = np.full((r, n), -width / n)
     beyond[np.arange(r), hull] += 1.0 + width
-    corner, nxt = np.arange(r), np.roll(np.arange(r), -1)
+    corner = np.arange(r)
+    nxt = np.roll(np.arange(r), -1)
     strip = np.concatenate([np.stack([hull, n + corner, hull[nxt]], 1), np.stack([hull[nxt], n + corner, n + nxt], 1)])
     extension = np.concatenate([np.eye(n), beyond])
     areas = signed_areas(extension @ points, strip)
@@ -152,7 +155,8 @@ class ReferenceFrame:
     @cached_property
     def _raster(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Pixel indices (row, column), triangle and weights of every pixel inside the mesh."""
-        points, nothing = self.points - self.origin, np.zeros((len(self.points), 0))
+        points = self.points - self.origin
+        nothing = np.zeros((len(self.points), 0))
         flat = np.pad(points, ((0, 0), (0, 1)))
         owner, _ = _core.draw_triangles(flat, np.ascontiguousarray(self.triangles, np.int32), nothing, *self.size[::-1])
         rows, columns = np.nonzero(owner >= 0)
@@ -160,7 +164,8 @@ class ReferenceFrame:
         a, b, c = points[self.triangles[owners]].transpose(1, 2, 0)
         (x0, y0), (x1, y1), (dx, dy) = b - a, c - a, np.stack([columns, rows]) - a
         determinant = x0 * y1 - x1 * y0
-        v, w = (y1 * dx - x1 * dy) / determinant, (x0 * dy - y0 * dx) / determinant
+        v = (y1 * dx - x1 * dy) / determinant
+        w = (x0 * dy - y0 * dx) / determinant
         return np.column_stack([rows, columns]), owners, np.column_stack([1.0 - v - w, v, w])
 
     @property

@@ -59,13 +59,16 @@ class _MirroredViews(Mapping[str, View]):
 
 
 def _view(name: str, view: View, triangles: np.ndarray, order: np.ndarray) -> View:
-    model, mirrored = view.shape_model, np.array([-1.0, 1.0])
+    model = view.shape_model
+    mirrored = np.array([-1.0, 1.0])
     modes = (model.modes.reshape(len(model.modes), -1, 2) * mirrored)[:, order].reshape(model.modes.shape)
     unexplained = None if model.unexplained is None else _covariances(model.unexplained)[order]
     shapes = replace(model, mean=(model.mean * mirrored)[order], modes=modes, unexplained=unexplained)
     warp = VIEWS[name](shapes, triangles)
-    frame, other = warp.frame, view.warp.frame
-    (width, height), (x, y) = other.size, other.origin
+    frame = warp.frame
+    other = view.warp.frame
+    width, height = other.size
+    x, y = other.origin
     number = np.zeros((height, width), int)
     number[other.pixels[:, 0], other.pixels[:, 1]] = np.arange(other.n_pixels)
     at = frame.pixels[:, ::-1] + frame.origin

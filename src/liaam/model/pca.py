@@ -74,7 +74,8 @@ def strongest(products: np.ndarray, variance: float | int) -> tuple[np.ndarray, 
     by the roots of these combine the centred vectors to the components.
     """
     squares, combinations = np.linalg.eigh(products)
-    squares, combinations = squares[::-1], combinations[:, ::-1]
+    squares = squares[::-1]
+    combinations = combinations[:, ::-1]
     count = count_modes(squares, variance)
     return squares[:count], combinations[:, :count]
 
@@ -82,13 +83,16 @@ def strongest(products: np.ndarray, variance: float | int) -> tuple[np.ndarray, 
 def components_by(vectors: np.ndarray, mean: np.ndarray, products: np.ndarray, variance: float | int) -> Components:
     """Principal components of vectors (n, d) from their mean (d,) and their Gram matrix (n, n) about it."""
     squares, combinations = strongest(products, variance)
-    weights, n = (combinations / np.sqrt(squares)).T, len(squares)
-    modes, products = np.empty((n, vectors.shape[1])), np.zeros((n, n))
+    weights = (combinations / np.sqrt(squares)).T
+    n = len(squares)
+    modes = np.empty((n, vectors.shape[1]))
+    products = np.zeros((n, n))
     for part in chunks(vectors.shape[1]):
         modes[:, part] = weights @ (vectors[:, part] - mean[part])
         products += modes[:, part] @ modes[:, part].T
     # The Gram matrix squares the condition number, so orthonormalise once more (Cholesky QR).
-    back, largest = np.linalg.inv(np.linalg.cholesky(products)), np.zeros(n)
+    back = np.linalg.inv(np.linalg.cholesky(products))
+    largest = np.zeros(n)
     for part in chunks(vectors.shape[1]):
         modes[:, part] = back @ modes[:, part]
         candidates = np.take_along_axis(modes[:, part], np.abs(modes[:, part]).argmax(axis=1)[:, None], axis=1)[:, 0]
@@ -149,7 +153,8 @@ def _components_of(
     """
     within = products[np.ix_(others, others)]
     squares, axes = np.linalg.eigh(centred(within))
-    squares, axes = squares[::-1], axes[:, ::-1]
+    squares = squares[::-1]
+    axes = axes[:, ::-1]
     rank = count_modes(squares, 1.0)
     axes = (axes - axes.mean(axis=0))[:, :rank] / np.sqrt(squares[:rank])
     return squares[:rank], axes, products[np.ix_(fold, others)] - within.mean(axis=0)
@@ -184,7 +189,8 @@ def leave_out(vectors: np.ndarray, folds: Sequence[np.ndarray]) -> Iterator[Left
 
 def log_evidence(left_out: LeftOutCoordinates, dimension: int) -> np.ndarray:
     """Log-likelihood of the left-out vectors under probabilistic PCA with 0 ... r - 1 modes, (r,)."""
-    values, counts = left_out.eigenvalues, np.arange(len(left_out.eigenvalues))
+    values = left_out.eigenvalues
+    counts = np.arange(len(left_out.eigenvalues))
     # The noise is the mean of the eigenvalues not kept (Tipping and Bishop, J. R. Stat. Soc. B 61, 1999, eq 8).
     explained = np.concatenate([[0.0], np.cumsum(values)[:-1]])
     noise = np.maximum(values.sum() - explained, 0.0) / np.maximum(dimension - counts, 1)

@@ -77,7 +77,8 @@ def learn_point_map(theirs: np.ndarray, shapes: np.ndarray, mean: np.ndarray, fo
     """
     left_out = [_left_out(theirs, shapes, mean, folds, ridge) for ridge in RIDGES]
     best = int(np.argmin([np.square(errors).sum() for errors in left_out]))
-    errors, n = left_out[best], len(shapes)
+    errors = left_out[best]
+    n = len(shapes)
     variance = float(np.square(errors).mean())
     share = n / (n + SHRINK)
     noise = max((1.0 - share) * variance, LEAST_NOISE)
@@ -103,6 +104,7 @@ def _weights(theirs: np.ndarray, shapes: np.ndarray, ridge: float) -> np.ndarray
     centres = theirs.mean(axis=1, keepdims=True)
     sizes = np.sqrt(np.square(theirs - centres).sum(axis=(1, 2), keepdims=True))
     given, wanted = (((points - centres) / sizes).transpose(0, 2, 1) for points in (theirs, shapes))
-    given, wanted = given.reshape(-1, theirs.shape[1]), wanted.reshape(-1, shapes.shape[1])
+    given = given.reshape(-1, theirs.shape[1])
+    wanted = wanted.reshape(-1, shapes.shape[1])
     gram = given @ given.T + ridge * np.eye(len(given))
     return np.linalg.solve(gram, wanted).T @ given

@@ -43,7 +43,8 @@ class _BlockMeans(NamedTuple):
         """Average an image between two corners (x, y) int, the second excluded."""
         first = _first_block(low, size)
         begin = np.floor(first * size).astype(int)
-        crop, start = image[begin[1] : high[1], begin[0] : high[0]], first * size - begin
+        crop = image[begin[1] : high[1], begin[0] : high[0]]
+        start = first * size - begin
         return cls(block_means(crop, encoding, response, size, (start[0], start[1])), first, size)
 
     def coarser(self, low: np.ndarray, high: np.ndarray, size: float) -> "_BlockMeans | None":
@@ -53,7 +54,8 @@ class _BlockMeans(NamedTuple):
         if abs(joined / size - 1.0) > SIZE_TOLERANCE:
             return None
         first = _first_block(low, joined)
-        start, count = first * times - self.first, (high / joined + 1e-9).astype(int) - first
+        start = first * times - self.first
+        count = (high / joined + 1e-9).astype(int) - first
         if (start < 0).any() or (start + times * count > self.means.light.shape[1::-1]).any() or count.min() < 2:
             return None
         means = self.means.averaged((start[0], start[1]), times, (count[1], count[0]))
@@ -128,7 +130,8 @@ def make_patch(
     if isinstance(image, AveragedImage) and (encoding, response) == (image.encoding, image.response):
         blocks = image.blocks.coarser(low, high, size)
     means, first, size = blocks or _BlockMeans.of(pixels, low, high, size, encoding, response)
-    turn, pixel = pose.matrix.T / pose.scale, size / pose.scale
+    turn = pose.matrix.T / pose.scale
+    pixel = size / pose.scale
     if encoding == "soft":
         # Averaging over pixels blurs by 1/12 of their squared size, and interpolation between them by 2/12.
         blur = float(np.sqrt(max(blur**2 - pixel**2 / 4.0, 0.0)))

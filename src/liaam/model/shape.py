@@ -27,7 +27,8 @@ def diagonal_of(shape: np.ndarray) -> float:
 
 def rotation(angle: float) -> np.ndarray:
     """Matrix that rotates (x, y) by an angle in radians, from x towards y, (2, 2) float64."""
-    c, s = np.cos(angle), np.sin(angle)
+    c = np.cos(angle)
+    s = np.sin(angle)
     return np.array([[c, -s], [s, c]])
 
 
@@ -61,12 +62,16 @@ def align(shape: np.ndarray, target: np.ndarray) -> Similarity:
     Points that are NaN in either are ignored.
     """
     # A similarity without reflection is a complex factor: z_b = factor * z_a.
-    za, zb = _as_complex(shape), _as_complex(target)
-    a_mean, b_mean = _mean(za), _mean(zb)
+    za = _as_complex(shape)
+    zb = _as_complex(target)
+    a_mean = _mean(za)
+    b_mean = _mean(zb)
     if not isfinite(a_mean + b_mean):
         finite = np.isfinite(za) & np.isfinite(zb)
-        za, zb = za[finite], zb[finite]
-        a_mean, b_mean = _mean(za), _mean(zb)
+        za = za[finite]
+        zb = zb[finite]
+        a_mean = _mean(za)
+        b_mean = _mean(zb)
     za = za - a_mean
     power = float(np.vdot(za, za).real)
     factor = complex(np.vdot(za, zb - b_mean)) / power if power > 0 else 1.0 + 0j
@@ -194,7 +199,9 @@ class ShapeModel:
 
     def project(self, shape: np.ndarray) -> np.ndarray:
         """Find the nearest shape of the model under any similarity: the result of a perfect fit, (n, 2) float64."""
-        pose, local, moved = align(self.mean, shape), self.mean, np.inf
+        pose = align(self.mean, shape)
+        local = self.mean
+        moved = np.inf
         for _ in range(21):  # alternate pose and modes: the modes move with the pose
             p = self.parameters(pose.inverse()(shape))
             p[-4:] = 0.0
@@ -210,7 +217,8 @@ class ShapeModel:
         upright = align(shape, self.mean)(shape)
         p = self.parameters(upright)[:-4]
         noise = max(0.5 * np.nan_to_num(self.left_out_bound) ** 2, LEAST_NOISE)  # variance of a coordinate
-        variances, n_beyond = self.eigenvalues + noise, 2 * self.n_points - 4 - len(p)
+        variances = self.eigenvalues + noise
+        n_beyond = 2 * self.n_points - 4 - len(p)
         beyond = np.square(upright - self.mean).sum() - np.square(p).sum()
         inside = (np.square(p) / variances + np.log(variances)).sum()
         return float(-0.5 * (inside + beyond / noise + n_beyond * np.log(noise)))
@@ -298,7 +306,8 @@ def shape_model_on(
 
 def deviations_from(mean: np.ndarray, shapes: np.ndarray, order: np.ndarray | None = None) -> Deviations:
     """Deviations of shapes from a mean; also those of the mirrored shapes if an order is given."""
-    rigid, n = similarity_modes(mean), len(shapes)
+    rigid = similarity_modes(mean)
+    n = len(shapes)
     if order is not None:
         shapes = np.concatenate([shapes, (shapes * [-1.0, 1.0])[:, order]])
     aligned = np.array([align(shape, mean)(shape) for shape in shapes])
@@ -347,7 +356,8 @@ def _moments(left: np.ndarray) -> np.ndarray:
 # Mirrored shapes are used only if they raise the likelihood of left-out shapes.
 MIRRORED = 0.02
 # Largest number of shapes, and of their points in total, to test for symmetry if the mean is not symmetric
-MIRRORED_TRIES, MIRRORED_POINTS = 20, 2000
+MIRRORED_TRIES = 20
+MIRRORED_POINTS = 2000
 
 
 def mirror_order(shape: np.ndarray, limit: float = MIRRORED, tilt: float = 90.0) -> np.ndarray | None:
@@ -358,7 +368,10 @@ def mirror_order(shape: np.ndarray, limit: float = MIRRORED, tilt: float = 90.0)
     from scipy.optimize import linear_sum_assignment
 
     shape = shape - shape.mean(axis=0)
-    mirrored, best, order, limit = shape * [-1.0, 1.0], np.inf, None, limit * diagonal_of(shape)
+    mirrored = shape * [-1.0, 1.0]
+    best = np.inf
+    order = None
+    limit = limit * diagonal_of(shape)
     turns = np.arange(12)
     for angle in turns[30 * np.minimum(turns, 12 - turns) <= 2 * tilt] * np.pi / 6:
         moved, matches = _closest(shape, mirrored, mirrored @ rotation(angle).T, lambda apart: apart.argmin(axis=1))
@@ -368,7 +381,8 @@ def mirror_order(shape: np.ndarray, limit: float = MIRRORED, tilt: float = 90.0)
         moved, matches = _closest(shape, mirrored, moved, lambda apart: linear_sum_assignment(apart)[1])
         error = float(np.square(shape - moved[matches]).sum(axis=1).mean())
         if error < best and np.array_equal(matches[matches], np.arange(len(shape))):
-            best, order = error, matches
+            best = error
+            order = matches
     return order if np.sqrt(best) < limit else None
 
 
@@ -378,7 +392,8 @@ def _closest(
     """Alternate pose and correspondences from a first pose; return the moved other shape and the correspondences."""
     matches = np.empty(0, int)
     for _ in range(5):
-        last, matches = matches, pair(np.square(shape[:, None] - moved[None]).sum(axis=2))
+        last = matches
+        matches = pair(np.square(shape[:, None] - moved[None]).sum(axis=2))
         if np.array_equal(matches, last):
             break
         moved = align(other[matches], shape)(other)

@@ -117,7 +117,8 @@ def modes_of(spread: np.ndarray, rigid: np.ndarray) -> tuple[np.ndarray, np.ndar
     # Give the similarities, whose variance is 0, a negative variance, so that they come last.
     total = max(float(np.trace(spread)), 1e-12)
     values, vectors = np.linalg.eigh(spread - total * rigid.T @ rigid)
-    values, modes = values[::-1][: -len(rigid)], vectors.T[::-1][: -len(rigid)]
+    values = values[::-1][: -len(rigid)]
+    modes = vectors.T[::-1][: -len(rigid)]
     largest = np.take_along_axis(modes, np.abs(modes).argmax(axis=1)[:, None], axis=1)
     return np.ascontiguousarray(modes * np.where(largest < 0, -1.0, 1.0)), np.where(values > 1e-12 * total, values, 0.0)
 
@@ -180,7 +181,8 @@ def fit_freedom(left_out: Sequence[LeftOutCoordinates], kept: int) -> float:
     squares = [(part.squares[:, :kept] / part.eigenvalues[:kept]).sum(axis=1) for part in left_out]
     if not squares or not kept:
         return np.inf
-    together, half = np.concatenate(squares), 0.5 * kept
+    together = np.concatenate(squares)
+    half = 0.5 * kept
     densities = [(-0.5 * together).sum()]  # up to a constant, of the normal distribution
     for freedom in FREEDOMS[:-1]:
         constant = lgamma(0.5 * freedom + half) - lgamma(0.5 * freedom) - half * np.log(0.5 * freedom)

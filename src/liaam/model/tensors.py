@@ -16,7 +16,8 @@ Shapes = dict[str, tuple[int, ...]]
 MOST_BYTES = 2_000_000_000  # Largest size of a file. 10,000 lamps take half of it; a model of a class of objects, 10 MB
 # Largest size of a header, and largest number of its objects: every tensor is described by one. A model of four shapes
 # with all appearances at ten levels has 4,500 tensors.
-MOST_HEADER_BYTES, MOST_ENTRIES = 10_000_000, 10_000
+MOST_HEADER_BYTES = 10_000_000
+MOST_ENTRIES = 10_000
 
 
 def read_tensors(

@@ -10,7 +10,8 @@ from liaam.model.appearance import AppearanceModel
 from liaam.model.shape import ShapeModel
 from liaam.model.warp import PiecewiseAffineWarp, mesh_warp, surrounded_warp
 
-MESH, SURROUNDINGS = "mesh", "surroundings"
+MESH = "mesh"
+SURROUNDINGS = "surroundings"
 
 VIEWS: dict[str, Callable[[ShapeModel, np.ndarray], PiecewiseAffineWarp]] = {
     MESH: mesh_warp,

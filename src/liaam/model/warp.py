@@ -110,7 +110,8 @@ class PiecewiseAffineWarp:
 
     def mesh(self) -> Mesh:
         """Return the warp's arrays for the core; its pixels must be sorted by triangle."""
-        triangles, modes = self.frame.triangles.astype(np.int64), self._vertex_modes.reshape(self.n_parameters, -1)
+        triangles = self.frame.triangles.astype(np.int64)
+        modes = self._vertex_modes.reshape(self.n_parameters, -1)
         assert not (np.diff(self._owners) < 0).any()
         return Mesh(
             self._corners[1].astype(np.float32),
@@ -154,7 +155,8 @@ class PiecewiseAffineWarp:
 
         If V(W(x; p)) = values(x), then grad V = (dW/dx)^-T grad values. Nearly flat triangles give 0.
         """
-        vertices, triangles = self._vertices(self.shape_model.shape(p)), self.frame.triangles
+        vertices = self._vertices(self.shape_model.shape(p))
+        triangles = self.frame.triangles
         at_rest, now = (  # two edges of each triangle as columns
             (points[triangles[:, 1:]] - points[triangles[:, :1]]).transpose(0, 2, 1)
             for points in (self.frame.points, vertices)
@@ -312,7 +314,8 @@ class HomographyWarp:
 
     def pulled(self, slopes: np.ndarray, p: np.ndarray) -> np.ndarray:
         """Map gradients (n_pixels, 2, k) at x to gradients at W(x; p), (n_pixels, k, 2) float32."""
-        matrix, x = self.matrix(p), _homogeneous(self.pixels)
+        matrix = self.matrix(p)
+        x = _homogeneous(self.pixels)
         depth = np.maximum(x @ matrix[2], NEAREST)
         moved = apply_homography(matrix, self.pixels)
         slope = (matrix[None, :2, :2] - moved[:, :, None] * matrix[2, :2]) / depth[:, None, None]  # dW/dx

@@ -64,7 +64,8 @@ def measurement_error(specimens: Sequence[Specimen], columns: Columns, by: str, 
     for name in (name for name in columns if name not in others and not re.fullmatch(r"[XY]\d+", name)):
         values = np.array(columns[name])
         rows.append({"measure": name} | anova(values[:, None], groups, values))
-    names, usable = next((specimen.names for specimen in specimens if specimen.names), ()), {"", *USABLE}
+    names = next((specimen.names for specimen in specimens if specimen.names), ())
+    usable = {"", *USABLE}
     for number, shape in zip(numbers, shapes, strict=True):
         points = shape * pixels[:, None]
         if by == "image" and not slid:
@@ -86,18 +87,23 @@ def anova(values: np.ndarray, groups: Sequence[str], sizes: np.ndarray, freedom:
     complete = np.isfinite(values).all(axis=1)
     values = values[complete]
     _, codes, counts = np.unique(np.asarray(groups)[complete], return_inverse=True, return_counts=True)
-    n, total = np.float64(len(counts)), np.float64(len(values))
+    n = np.float64(len(counts))
+    total = np.float64(len(values))
     means = np.zeros((len(counts), values.shape[1]))
     np.add.at(means, codes, values / counts[codes, None])
     with np.errstate(divide="ignore", invalid="ignore"):
         centre = values.sum(axis=0) / total
-        df_among, df_within = (n - 1) * freedom, (total - n) * freedom
+        df_among = (n - 1) * freedom
+        df_within = (total - n) * freedom
         within = np.square(values - means[codes]).sum()
-        ms_among, ms_within = np.square(means[codes] - centre).sum() / df_among, within / df_within
+        ms_among = np.square(means[codes] - centre).sum() / df_among
+        ms_within = within / df_within
         each = (total - np.square(counts).sum() / total) / (n - 1)  # replicates of a specimen
-        ratio, repeatability = ms_among / ms_within, (ms_among - ms_within) / (ms_among + (each - 1) * ms_within)
+        ratio = ms_among / ms_within
+        repeatability = (ms_among - ms_within) / (ms_among + (each - 1) * ms_within)
         chance = f_distribution.sf(ratio, df_among, df_within)
         squares = (df_among, df_within, ms_among, ms_within, ratio, chance, repeatability)
-        sd, mean = np.sqrt(within / (total - n)), np.abs(np.nansum(sizes)) / np.isfinite(sizes).sum()
+        sd = np.sqrt(within / (total - n))
+        mean = np.abs(np.nansum(sizes)) / np.isfinite(sizes).sum()
         names = ("specimens", "replicates", *_SQUARES, "sd", "sd_percent")
         return dict(zip(names, map(float, (n, total, *squares, sd, 100 * sd / mean)), strict=True))

@@ -11,7 +11,8 @@ _JAW = "jaw_{0}_1 jaw_{0}_2 jaw_{0}_3 jaw_{0}_4 jaw_{0}_5 jaw_{0}_6 jaw_{0}_7 ch
 _BROW = "{0}_brow_outer {0}_brow_top_1 {0}_brow_top_2 {0}_brow_top_3 {0}_brow_top_4 {0}_brow_inner"
 _NOSTRIL = "nose_wing_{0}_3 nostril_{0}_outer nostril_{0}_inner nose_base"
 _LID = "{0}_eye_outer {0}_eye_{1}_1 {0}_eye_{1}_2 {0}_eye_{1}_3 {0}_eye_inner"
-_UPPER, _LOWER = "mouth_{0} upper_lip_{0}_1 upper_lip_{0}_2 upper_lip_top", "mouth_{0} lower_lip_{0}_1 lower_lip_{0}_2 "
+_UPPER = "mouth_{0} upper_lip_{0}_1 upper_lip_{0}_2 upper_lip_top"
+_LOWER = "mouth_{0} lower_lip_{0}_1 lower_lip_{0}_2 "
 _INNER = "mouth_{0} {1}_lip_inner_{0}_1 {1}_lip_inner_{0}_2 {1}_lip_{2}"
 
 

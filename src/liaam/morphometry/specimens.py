@@ -83,7 +83,8 @@ class Specimen:
 
     def to_columns(self, name: str | None = None) -> Columns:
         """Return the landmarks as a table of lists, one row per landmark; see :func:`liaam.to_dataframe`."""
-        labels, more = {"specimen": name or self.name}, {"names": self.names, "status": self.status}
+        labels = {"specimen": name or self.name}
+        more = {"names": self.names, "status": self.status}
         return landmark_columns(labels, self.points, self.covariances, **more)
 
 
@@ -119,7 +120,8 @@ def read_specimens(
     LiaamError
         If the path does not exist, a file cannot be read, or a folder holds none that can.
     """
-    path, complain = Path(path), on_fault or partial(warnings.warn, stacklevel=2)
+    path = Path(path)
+    complain = on_fault or partial(warnings.warn, stacklevel=2)
     if not path.is_dir():
         return tuple(_of_file(existing_file(path, LiaamError, "file of results"), complain, reading))
     by_name: dict[str, Specimen] = {}

@@ -143,9 +143,11 @@ def alike(specimens: Iterable[Specimen]) -> tuple[tuple[Specimen, ...], tuple[st
     sets = Counter(frozenset(specimen.names) for specimen in fitted if len(specimen.names) == usual)
     shared = sets.most_common(1)[0][0] if sets else frozenset()
     names = next((specimen.names for specimen in fitted if frozenset(specimen.names) == shared), ()) if shared else ()
-    used, left_out = [], []
+    used = []
+    left_out = []
     for specimen in specimens:
-        absent, n = [name for name in names if name not in specimen.names], len(specimen.points)
+        absent = [name for name in names if name not in specimen.names]
+        n = len(specimen.points)
         if specimen.names and absent:
             reason = f"it has no landmark {', '.join(absent[:5])}{' …' if len(absent) > 5 else ''}; it is left out"
         else:
@@ -195,7 +197,8 @@ def _row(
     has_scale = length > 0 if isinstance(rule, ScaleBar) else rule is not None or specimen.scale is not None
     row["scale"] = length if has_scale else math.nan
     if not has_scale:
-        length, slope = 1.0, np.zeros_like(specimen.points)
+        length = 1.0
+        slope = np.zeros_like(specimen.points)
     for item in items:
         value, change = item.function(specimen.points[item.indices])
         gradient = item.power * length ** (item.power - 1) * value * slope if item.power else np.zeros_like(slope)

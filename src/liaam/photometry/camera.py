@@ -18,7 +18,8 @@ from liaam.photometry.response import Response, describe_response, from_linear, 
 FORMAT = "liaam-camera"
 VERSION = 1
 
-DIMMEST, BRIGHTEST = 0.02, 50.0  # Least and largest relative light that vignetting may leave
+DIMMEST = 0.02  # Least relative light that vignetting may leave
+BRIGHTEST = 50.0  # Largest one
 MOST_COEFFICIENTS = 16  # Largest number of vignetting coefficients; each costs a pass over the image
 # Largest slope and offset of noise, on the curve's scale of light; the squares of larger values might overflow
 NOISIEST = 1e8

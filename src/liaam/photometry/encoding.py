@@ -48,7 +48,8 @@ FLAT = 1e-4
 
 # Light that sRGB stores as these values, both between two 8-bit values: below the first a logarithm is unusable because
 # of noise and JPEG rounding, and above the second a channel counts as clipped. See `usable_range`.
-DARK, SATURATED = 7.5 / 255, 250.5 / 255
+DARK = 7.5 / 255
+SATURATED = 250.5 / 255
 # Largest change of the logarithm of light by one step of an integer type at which it can be measured: that of 8-bit
 # sRGB at DARK. Linear light in 8 bits reaches it at the same stored value, which is much brighter.
 COARSEST = 1 / 7.5
@@ -171,7 +172,8 @@ def usable_range(response: Response, dtype: str | None = None) -> tuple[float, f
     response and its number of bits. Measurements of single images name their integer type too: the lowest value is then
     higher where a step of that type changes the light by more than :data:`COARSEST`.
     """
-    low, high = DARK, SATURATED
+    low = DARK
+    high = SATURATED
     if response != "srgb":
         white = to_linear(np.array(1.0), response)
         low, high = from_linear(white * srgb_to_linear(np.array([DARK, SATURATED])), response).tolist()
@@ -258,10 +260,12 @@ class Means(NamedTuple):
     def averaged(self, start: tuple[float, float], size: float, shape: tuple[int, int]) -> "Means":
         """Average blocks of ``size`` by ``size`` blocks; the first starts at ``start`` (x, y)."""
         if size == 1 and start[0] == int(start[0]) and start[1] == int(start[1]):
-            x, y = int(start[0]), int(start[1])
+            x = int(start[0])
+            y = int(start[1])
             part = np.s_[y : y + shape[0], x : x + shape[1]]
             return self._replace(light=self.light[part], finite=None if self.finite is None else self.finite[part])
-        light, finite = _core.value_means(self.light, *start, size, *shape), self.finite
+        light = _core.value_means(self.light, *start, size, *shape)
+        finite = self.finite
         if finite is not None:
             finite = _core.value_means(np.ascontiguousarray(finite[..., None]), *start, size, *shape)[..., 0]
         return self._replace(light=light, finite=finite)
@@ -285,8 +289,10 @@ def block_means(
     at_once = max(1, int(FLOATS_AT_ONCE / (image.shape[1] * size)))  # rows of blocks
     parts = []
     for first in range(0, max(rows, 1), at_once):
-        n_rows, y = min(at_once, rows - first), start[1] + first * size
-        top, bottom = int(y), int(np.ceil(y + n_rows * size + 1e-6))
+        n_rows = min(at_once, rows - first)
+        y = start[1] + first * size
+        top = int(y)
+        bottom = int(np.ceil(y + n_rows * size + 1e-6))
         pixels = light_of_floats(image[top:bottom], encoding, response)
         parts.append(pixels.averaged((start[0], y - top), size, (n_rows, columns)))
     if len(parts) == 1:
@@ -336,7 +342,8 @@ def encode_means(
         usable = (means.light[..., 3] > ALL).astype(np.float32)
         values = encoding(np.ascontiguousarray(linear_to_srgb(means.light[..., :3]), np.float32))
         channels = np.zeros((*usable.shape, 8), np.float32)
-        channels[..., : values.shape[2]], channels[..., -1] = values, usable
+        channels[..., : values.shape[2]] = values
+        channels[..., -1] = usable
         if blur > 0.0:
             weight = usable + np.float32(UNUSABLE)
             planes = np.moveaxis(channels, -1, 0) * weight
@@ -344,7 +351,8 @@ def encode_means(
             blurred = _core.blur_planes(np.ascontiguousarray(planes), blur)
             channels[..., :-1] = np.moveaxis(blurred[:-1] / blurred[-1], 0, -1)
         return channels
-    light, finite = np.ascontiguousarray(means.light), means.finite
+    light = np.ascontiguousarray(means.light)
+    finite = means.finite
     finite = None if finite is None else np.ascontiguousarray(finite)
     axes = (1.0, 0.0, 0.0, 1.0) if turn is None else tuple(np.ravel(turn).tolist())
     number = ENCODINGS.index(encoding)
@@ -371,7 +379,8 @@ def light_table(dtype: str, encoding: Encoding, response: Response) -> np.ndarra
     values, else 0.
     """
     top = np.iinfo(dtype).max
-    values, table = np.arange(top + 1), np.ones((3, top + 1, 4), np.float32)
+    values = np.arange(top + 1)
+    table = np.ones((3, top + 1, 4), np.float32)
     low, high = usable_range(response) if encoding in LOGARITHMIC else (0.0, 1.0)
     table[..., 3] = (low * top <= values) & (values <= high * top)
     table[range(3), :, range(3)] = _table(dtype, "linear", response)

@@ -51,7 +51,8 @@ class Encoder:
 
     def __call__(self, image: np.ndarray) -> np.ndarray:
         """Encode an image (h, w, 3) float32 to (h, w, c) float32."""
-        channels, features = channels_of(self.function, image), self.features
+        channels = channels_of(self.function, image)
+        features = self.features
         if channels.shape[2] != len(features.mean):
             raise MethodError(
                 f"the function {features.name} returns {channels.shape[2]} channels, but returned "

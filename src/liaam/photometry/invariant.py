@@ -31,13 +31,15 @@ def invariant_row(theta: float) -> np.ndarray:
     >>> float(abs(invariant_row(2.0).sum())) < 1e-15  # blind to intensity: L . 1 = 0
     True
     """
-    c, s = np.cos(theta), np.sin(theta)
+    c = np.cos(theta)
+    s = np.sin(theta)
     return np.array([[c, s, -c - s]])
 
 
 def invariant_row_derivative(theta: float) -> np.ndarray:
     """Derivative dL/dtheta = (-sin, cos, sin - cos), shape (1, 3) float64."""
-    c, s = np.cos(theta), np.sin(theta)
+    c = np.cos(theta)
+    s = np.sin(theta)
     return np.array([[-s, c, s - c]])
 
 

@@ -111,7 +111,8 @@ def from_linear(linear: np.ndarray, response: Response = "srgb") -> np.ndarray:
         return np.asarray(linear)
     if not isinstance(response, ResponseCurve):
         return np.maximum(linear, 0.0) ** (1.0 / float(response))
-    spline, wanted = _spline(response), np.log(np.maximum(linear, SMALLEST))
+    spline = _spline(response)
+    wanted = np.log(np.maximum(linear, SMALLEST))
     grid = np.linspace(spline.x[0], spline.x[-1], 2048)
     logs = np.interp(wanted, spline(grid), grid)
     for _ in range(2):  # beyond the points, the first Newton step leaves them and the second follows the straight end
@@ -167,7 +168,8 @@ def _check_range(curve: ResponseCurve, logs: np.ndarray) -> None:
 SMALLEST = 1e-12  # Stored value or light below which a curve gives 0
 # Least slope of a curve in logarithms, and the largest outside its points. The spline of increasing points can have
 # flat ends, and just above a black level it is very steep.
-FLATTEST, STEEPEST_END = 1e-3, 5.0
+FLATTEST = 1e-3
+STEEPEST_END = 5.0
 
 
 @lru_cache(maxsize=8)

@@ -154,12 +154,14 @@ def figure_of_agreement(
         axes[0, 0].set_ylabel("")
         figure.colorbar(shown, ax=axes[0], label="correlation", shrink=0.8, extend="min")
         return figure
-    limits, height = common_limits(list(seen.invariant)), pictures[0].shape[0] / pictures[0].shape[1]
+    limits = common_limits(list(seen.invariant))
+    height = pictures[0].shape[0] / pictures[0].shape[1]
     figure, axes, bars = _two_rows_above_a_panel(n, (3.0 * n, 6.0 * height + 2.4), height, 0.7)
     for i in range(n):
         show_picture(axes[0, i], brightened(pictures[i]), f"{i + 1}  {shortened(names[i], 30)}")
         show_picture(axes[1, i], invariant_picture(seen.invariant[i], limits), "invariant image")
-    places, heights = np.arange(len(pairs)), {"invariant": [pair.invariant for pair in pairs]}
+    places = np.arange(len(pairs))
+    heights = {"invariant": [pair.invariant for pair in pairs]}
     heights["log grey"] = [pair.log_grey for pair in pairs]
     for shift, colour, (key, values) in zip((-0.18, 0.18), ("#19a979", "#9a9a9a"), heights.items(), strict=True):
         bars.bar_label(

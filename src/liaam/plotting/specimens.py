@@ -26,7 +26,8 @@ def figure_of_specimens(columns: Mapping[str, list]) -> "Figure":
     whole = np.isfinite(table).all(axis=-1)
     if not places or not whole.any():
         raise LiaamError("no specimen has a shape to draw: landmarks are missing in all")
-    names, table = np.array(columns["specimen"])[whole], table[whole]
+    names = np.array(columns["specimen"])[whole]
+    table = table[whole]
     mean = table.mean(axis=0)
     figure, axes = subplots(1, 2, (11, 5))
     axis = axes[0, 0]

@@ -7,7 +7,8 @@ import numpy as np
 from liaam.model import AAM
 from liaam.plotting.overlays import enlarged, overlay
 
-GOOD, BAD = (64, 255, 140), (255, 96, 80)  # Colours of the dot before the caption, for tracked and lost frames
+GOOD = (64, 255, 140)  # Colour of the dot before the caption of a tracked frame
+BAD = (255, 96, 80)  # That of a lost one
 
 
 def annotated(
@@ -44,13 +45,15 @@ def annotated(
         picture = overlay(image, landmarks, model, covariances=covariances)
     # The caption, after a coloured dot, on a dark band at the bottom left.
     size = max(11, round(picture.shape[0] / 32))
-    font, pad = _font(size), size // 2
+    font = _font(size)
+    pad = size // 2
     height = min(round(font.getbbox("Ag")[3]) + pad, picture.shape[0])
     width = min(round(font.getlength(caption)) + 2 * pad + size, picture.shape[1])
     corner = picture[picture.shape[0] - height :, :width]
     patch = Image.fromarray((0.4 * corner).astype(np.uint8))
     draw = ImageDraw.Draw(patch)
-    middle, radius = height // 2, max(2, round(0.28 * size))
+    middle = height // 2
+    radius = max(2, round(0.28 * size))
     draw.ellipse((pad, middle - radius, pad + 2 * radius, middle + radius), fill=BAD if landmarks is None else GOOD)
     draw.text((pad + size, middle), caption, font=font, fill=(255, 255, 255), anchor="lm")
     corner[:] = np.asarray(patch)

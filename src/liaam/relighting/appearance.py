@@ -82,9 +82,12 @@ def shadow_free(fitter: Fitter, image, result: FitResult, prior: float = 1.0) ->
     if fitter.objectives[-1].method.appearance == "soft":  # use the invariant alone, as 'li' does
         image, name = load_picture(image, "image")
         refuse_grey(image, name, "the appearance without shadows is computed from colours", MethodError)
-        fitter, result = by_invariant(fitter), replace(result, theta=np.nan)
-    seen, learnt = solution_at(fitter, image, result), fitter.view.levels[-1].appearances["log"]
-    n, eigenvalues = learnt.n_modes, learnt.eigenvalues
+        fitter = by_invariant(fitter)
+        result = replace(result, theta=np.nan)
+    seen = solution_at(fitter, image, result)
+    learnt = fitter.view.levels[-1].appearances["log"]
+    n = learnt.n_modes
+    eigenvalues = learnt.eigenvalues
     if not seen["weight"] > 0:  # no pixel is usable
         return ShadowFree.unseen(learnt)
     # In units of squared residuals, like the shape prior.

@@ -13,7 +13,8 @@ from liaam import _core
 from liaam.relighting.painting import averages, distance, mean_of, smoothstep
 
 # Distances are in reaches (of `Region`) unless said.
-FARTHEST, LEAST_SHARE = 4.0, 1e-3  # Distance beyond the mesh to which values extend; share below which it is 0
+FARTHEST = 4.0  # Distance beyond the mesh to which values extend
+LEAST_SHARE = 1e-3  # Share below which it is 0
 NEARBY = 0.8  # Scale of averages of values
 COLOUR = 4.9  # Radius of averages of the light's colour: lamps mix slowly, and at the border other colours are brows'
 
@@ -28,10 +29,14 @@ BACKGROUND = 8.0  # Distance beyond the mesh from which an image is background
 BORDER = 1.0  # Down to this depth inside the mesh, another colour is background, because the fit is not exact
 # Without the differences of colour, light of the object shines on walls.
 ANOTHER_COLOUR = 0.5  # Difference of log-chromaticity from the object's mean from which a pixel is rather background
-PALE, VIVID = 0.5, 0.8  # Saturation relative to that mean, below which what is brighter is a wall or gloss
+# What is brighter than the object is a wall or gloss where its saturation, relative to that mean, is at most PALE, and
+# not where it is at least VIVID; in between it is so by degrees.
+PALE = 0.5
+VIVID = 0.8
 NEUTRAL = 0.02  # Square of a difference from grey at which an object has a colour
 COLOUR_BLUR = 0.1  # Gaussian before that is measured
-BRIGHTER, A_LITTLE = 0.3, 0.1  # Log light above its brightest from which a pixel is so too, and a share of that
+BRIGHTER = 0.3  # Log light above the object's brightest from which a pixel is brighter to the full degree of 1
+A_LITTLE = 0.1  # Degree from which it can be enclosed by the object
 BRIGHTEST = 0.95  # Quantile that is the brightest
 
 
@@ -76,8 +81,11 @@ class Surroundings:
     def spread(self, values: np.ndarray, lit: np.ndarray) -> np.ndarray:
         """Return the light (h, w, 3) that is ``values`` inside the mesh, and ``lit`` plus the nearby rest around it."""
         at = _extent(self.share[..., 0] > 0)
-        light, rest, inside = self.belongs * lit, values[at] - lit[at], self.inside[at]
-        grey, in_object = mean_of(rest)[..., None], inside[..., None]
+        light = self.belongs * lit
+        rest = values[at] - lit[at]
+        inside = self.inside[at]
+        grey = mean_of(rest)[..., None]
+        in_object = inside[..., None]
         colour = averages(rest - grey, in_object, COLOUR * self.reach)
         light[at] += self.share[at] * np.where(
             in_object, rest, carried(grey + colour, inside, self.seen[at], self.reach)

@@ -48,7 +48,8 @@ SQUARE = HALF * np.array([(-1, -1), (1, -1), (1, 1), (-1, 1)], np.float64)
 LEAST_UNEXPLAINED = 0.05  # Least standard deviation of what the modes of lamps do not explain, as lamps may be few
 UNEXPLAINED = 0.06  # The same without lamps
 COLOURED = 0.37  # Standard deviation of the colour of either, relative to its brightness
-DEGREE, OF_COLOUR = 6, 3  # Without lamps: degrees of the polynomials of brightness and of colour temperature
+DEGREE = 6  # Without lamps: degree of the polynomials of brightness
+OF_COLOUR = 3  # That of the polynomials of colour temperature
 AMOUNT = 0.8  # Standard deviation of their coefficients, divided by one plus their degree
 
 # Modes learnt from lamps leave smooth errors; counted pixel by pixel, they would outweigh the priors.
@@ -59,7 +60,8 @@ NOISE_FACTOR = 3.0  # Factor on the noise's variance, to which rounding and JPEG
 UNKNOWN = 0.05  # Standard deviation of the model's errors, if training has not measured it
 AT_THE_BORDER = 0.5  # The same at the mesh's border, where a landmark one pixel off samples the background
 SOFT_EDGE = 0.05  # Depth at which that has fallen to 0
-LEVEL, TINT = 0.3, 0.1  # Standard deviations of an image's level: of its brightness, and of each of two colours
+LEVEL = 0.3  # Standard deviation of the brightness of an image's level
+TINT = 0.1  # That of each of its two colours
 FREEDOM = 2.0  # Degrees of freedom of Student's t distribution of the errors
 PASSES = 3  # More make no visible difference
 
@@ -313,7 +315,8 @@ def without_pairs(model: AAM, left: np.ndarray, bright: np.ndarray) -> np.ndarra
 @lru_cache(maxsize=4)
 def mirrored_places(model: AAM) -> np.ndarray | None:
     """Return where the pixels of the frame have their mirror images, (n_pixels, 2); None without symmetry."""
-    order, frame = mirror_order(model.shape_model.mean), model.frame
+    order = mirror_order(model.shape_model.mean)
+    frame = model.frame
     if order is None:
         return None
     corners = frame.points[order[frame.vertices]] - frame.origin

@@ -69,7 +69,8 @@ def is_track(path: Path) -> bool:
 
 def arrays_of(frames: Sequence[TrackedFrame], n_points: int) -> dict[str, np.ndarray]:
     """Return the arrays of a .npz track, with one row per frame."""
-    points, squares = (n_points, 2), (n_points, 2, 2)
+    points = (n_points, 2)
+    squares = (n_points, 2, 2)
     shapes = dict.fromkeys(("time", "quality", "theta", "roll", "size"), ()) | {"landmarks": points, "raw": points}
     shapes |= {"covariances": squares, "raw_covariances": squares}
     numbers = {
@@ -113,7 +114,8 @@ class TrackRows:
 @contextmanager
 def _table(path: Path, temporary: Path, n_points: int) -> Iterator[TrackWriter]:
     """Write the rows of a .csv at once."""
-    rows, written = TrackRows(n_points), False
+    rows = TrackRows(n_points)
+    written = False
 
     def write(frame: TrackedFrame) -> None:
         nonlocal written

@@ -48,7 +48,8 @@ class Motion:
     def measured(self, result: FitResult) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Return the coordinates of a fit, (m + 4,), their covariance by the fit, and their directions (m + 4, 2 n)."""
         y = self.coordinates(result.landmarks)
-        basis, n_p = self.basis(y), len(result.p)
+        basis = self.basis(y)
+        n_p = len(result.p)
         moved = (self.shape_model.basis.reshape(n_p, -1, 2) @ result.pose.matrix.T).reshape(n_p, -1)
         transformed = basis @ moved.T
         covariance = transformed @ _bounded(result.covariance[:n_p, :n_p]) @ transformed.T

@@ -17,7 +17,8 @@ from liaam.relighting.shading import Shading
 
 # Weights of a frame's light in the running average, at first and later: the light follows within about five and about
 # twenty frames
-FIRST_SHARE, SHARE = 0.2, 0.05
+FIRST_SHARE = 0.2
+SHARE = 0.05
 
 
 @dataclass(eq=False)
@@ -41,7 +42,8 @@ class ShadingRemover:
 
     def reset(self) -> None:
         """Reset the average, after the object was lost."""
-        self._before, self._frames = None, 0
+        self._before = None
+        self._frames = 0
 
     def remove(self, image: np.ndarray, result: FitResult, landmarks: np.ndarray) -> np.ndarray:
         """Return the image with the object under the training light.
@@ -75,7 +77,8 @@ class ShadingRemover:
 
     def _steadied(self, now: Shading) -> Shading:
         """Return the running average of the light."""
-        before, self._frames = self._before or now, self._frames + 1
+        before = self._before or now
+        self._frames = self._frames + 1
         share = max(SHARE, min(FIRST_SHARE, 1.0 / self._frames))
         names = ("coordinates", "log", "deviation")
         averages = (getattr(before, n) + share * (getattr(now, n) - getattr(before, n)) for n in names)

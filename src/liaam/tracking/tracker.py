@@ -29,7 +29,9 @@ from liaam.tracking.motion import Motion, landmark_covariances, rescaled
 
 # Maximum mean distance between prediction and fit of the same object, as a fraction of the object's diagonal
 JUMP = 0.25
-LEVELS, ITERATIONS = 1, 20  # Of a fit from a prediction: number of finest levels, and most iterations at each
+# Of a fit from a prediction: number of finest levels, and most iterations at each
+LEVELS = 1
+ITERATIONS = 20
 SLOWING = 0.7  # Factor of the velocity per frame in which the object is lost
 FIRST_SPEED = 0.01  # Prior standard deviation of the speed, as a fraction of the object's diagonal per frame
 # Step size, in standard deviations, at which a fit from a prediction has converged. Measured on a talking face: 20 %
@@ -184,7 +186,8 @@ class Tracker:
         """
         index = self.state.count if index is None else index
         name = f"{self.name}, frame {index}" if self.name else f"frame {index}"
-        status, tried = TrackStatus.LOST, None
+        status = TrackStatus.LOST
+        tried = None
         try:
             pixels, _ = load_picture(image, name)
         except ImageError:
@@ -194,10 +197,12 @@ class Tracker:
                 self._predicted()  # it keeps moving
             self._lose(searched=False)
         else:
-            before, self.state.size = self.state.size, pixels.shape[:2]
+            before = self.state.size
+            self.state.size = pixels.shape[:2]
             if before not in (None, self.state.size) and self.state.last is not None:
                 # Speed and scatter change with the size: restart from the last position.
-                self.state.last, self.state.track = rescaled(self.state.last, before, self.state.size), None
+                self.state.last = rescaled(self.state.last, before, self.state.size)
+                self.state.track = None
             status, tried = self._locate(pixels, index, name)
         self.state.count += 1
         self.result = None if status is TrackStatus.LOST else tried
@@ -222,7 +227,8 @@ class Tracker:
 
     def _locate(self, pixels: np.ndarray, index: int, name: str) -> tuple[TrackStatus, FitResult | None]:
         """Return the status, and its fit or the last failed one."""
-        first, tried = self.state.count == 0, None
+        first = self.state.count == 0
+        tried = None
         if first and self.init is not None:
             tried = self.fitter.fit(pixels, self.init, name)
             if _usable(tried):
@@ -249,7 +255,8 @@ class Tracker:
 
     def _follow(self, pixels: np.ndarray, name: str) -> tuple[bool, FitResult | None]:
         """Fit from the predicted position; return whether the last fit is of the object, and that fit."""
-        start, tried = self._predicted(), None
+        start = self._predicted()
+        tried = None
         for fitter in (self._near, self._far) if self.state.lost == 0 else (self._far,):
             result = _fit(fitter, pixels, start, name)
             if result is None:
@@ -271,7 +278,8 @@ class Tracker:
         anew = _fit(self.fitter, pixels, align(mean, followed.landmarks)(mean), name)
         if anew is None:
             return None
-        apart, size = np.linalg.norm(anew.landmarks - followed.landmarks, axis=1), diagonal_of(followed.landmarks)
+        apart = np.linalg.norm(anew.landmarks - followed.landmarks, axis=1)
+        size = diagonal_of(followed.landmarks)
         better = _usable(anew) and 1.0 - anew.quality < BETTER * (1.0 - followed.quality)
         # If near, the track has not drifted; if far, this is another object.
         elsewhere = apart.max() > APART * size and apart.mean() < JUMP * size
@@ -292,19 +300,23 @@ class Tracker:
 
     def _seen(self, result: FitResult, status: TrackStatus, index: int, time: float) -> TrackedFrame:
         """Update the track with a fit."""
-        motion, track = self._motion, self.state.track
+        motion = self._motion
+        track = self.state.track
         y, covariance, basis = motion.measured(result)
         variances = covariance.diagonal()
         if track is None:
             noise = kalman.FIRST_SHARE * covariance
             speed = np.full(len(y), FIRST_SPEED * diagonal_of(result.landmarks) * np.sqrt(len(result.landmarks)))
-            moments, belief = kalman.first_moments(variances), kalman.first_belief(y, noise, speed)
+            moments = kalman.first_moments(variances)
+            belief = kalman.first_belief(y, noise, speed)
         else:
             noise = track.share * covariance
-            moments, belief = track.moments, kalman.update(kalman.widened(track.belief, y, noise), y, noise)
+            moments = track.moments
+            belief = kalman.update(kalman.widened(track.belief, y, noise), y, noise)
         moments = kalman.observed(moments, y)
         self.state.track = _CoordinateTrack(belief, moments, *kalman.noise_and_drive(moments, variances))
-        landmarks, covariances = result.landmarks, result.landmark_covariances
+        landmarks = result.landmarks
+        covariances = result.landmark_covariances
         if self.options.smooth:
             # The part of the shape outside the coordinates stays as fitted.
             landmarks = landmarks + motion.shape(belief.position) - motion.shape(y)

@@ -99,7 +99,8 @@ def keep_only(model: AAM, methods: Sequence[Method]) -> AAM:
 
 def _reduced_level(view: View, view_name: str, i: int, methods: Sequence[Method]) -> Level:
     """Return level ``i`` of a view with only the appearances, pixels and bits that the methods need."""
-    level, n_levels = view.levels[i], len(view.levels)
+    level = view.levels[i]
+    n_levels = len(view.levels)
     # Features are learnt only if training was given a function, so they are always asked for.
     names = {*wanted(methods, view_name, i, n_levels), "features"}
     in_16_bits = _fitted_on_mesh(methods)

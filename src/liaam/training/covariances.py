@@ -13,7 +13,8 @@ SHRINK = 15.0
 # Covariances estimated from m left-out images are multiplied by 1 + TAIL / (m + STEADY), because few errors
 # underestimate the tails. On generated scenes with 20 images left out, the 95 % ellipses hold 93 %, and 91 % with half
 # of TAIL.
-TAIL, STEADY = 12.0, 10.0
+TAIL = 12.0
+STEADY = 10.0
 # Largest factor on a fit's own variances. Images without noise may suggest any factor, too large for noisy ones.
 LARGEST_FACTOR = 10.0
 # Range of the factors by which the variances along and across a contour are corrected in the end. They change no
@@ -51,7 +52,8 @@ class Alike(NamedTuple):
     @classmethod
     def of(cls, shape: np.ndarray, contours: Contours) -> "Alike":
         """Group the landmarks of a mean shape (n, 2)."""
-        groups, along = np.zeros(shape.shape, int), contour_directions(shape, contours)
+        groups = np.zeros(shape.shape, int)
+        along = contour_directions(shape, contours)
         for i, (indices, _) in enumerate(contours):
             groups[list(indices)] = 2 * i + 1, 2 * i + 2
         return cls(np.where(np.isfinite(along), groups, 0), contour_axes(shape, contours))
@@ -99,7 +101,8 @@ def learn_covariances(
     dict
         Fields of :class:`liaam.model.Reliability`.
     """
-    unit, fitted = float(units.mean()), factor * spreads
+    unit = float(units.mean())
+    fitted = factor * spreads
     bias = beyond(errors, fitted, landmarks, alike)
     stated = fitted + landmarks + (units / unit)[:, None, None, None] * bias
     squares = np.square(np.einsum("nia,mna->mni", alike.axes, errors)) / alike.variances(stated)

@@ -179,9 +179,11 @@ def _complete(entries: list[Entry], strict: bool) -> list[Entry]:
             "--strict (strict=False)"
         )
     if len(incomplete) == 1:
-        images_have, are = "1 image has", "is"
+        images_have = "1 image has"
+        are = "is"
     else:
-        images_have, are = f"{len(incomplete)} images have", "are"
+        images_have = f"{len(incomplete)} images have"
+        are = "are"
     if len(complete) >= FEWEST:
         warnings.warn(f"{images_have} missing landmarks and {are} left out: {names}", stacklevel=5)
         return complete
@@ -218,7 +220,9 @@ def _read_sample(item: Any, i: int, order: tuple[str, ...]) -> _Sample:
     ``order`` are the names of the landmarks in the order of earlier samples; empty if none had names.
     """
     if hasattr(item, "landmarks"):
-        name, read, landmarks = item.name, item.read_image, item.landmarks
+        name = item.name
+        read = item.read_image
+        landmarks = item.landmarks
     else:
         image, landmarks = _pair_of(item, i)
         name, read = _image_of_pair(image, i)

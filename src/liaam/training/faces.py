@@ -20,13 +20,15 @@ from liaam.training.lamps.learning import unit_shape
 from liaam.training.reliability import OPTIONS
 
 FOLDER = Path(__file__).with_name("faces")
-MODEL, LAMPS = FOLDER / "heads.liaam", FOLDER / "lamps.safetensors"
+MODEL = FOLDER / "heads.liaam"
+LAMPS = FOLDER / "lamps.safetensors"
 
 N_LAMPS = 10  # Number of lamps of each head, in this order in the file
 MOST = 16  # Number of images that are fitted
 # Largest distance of fits from their median, as a fraction of the object's diagonal, and smallest quality, medians over
 # the images. Faces of five sets have 0.007 to 0.025, and 0.35 to 0.6; fly wings have 0.068 and 0.02.
-AGREEMENT, LEAST_QUALITY = 0.04, 0.1
+AGREEMENT = 0.04
+LEAST_QUALITY = 0.1
 
 
 def face_lamps(entries: Sequence[Entry], mean: np.ndarray, camera: CameraModel) -> LearntLamps | None:
@@ -34,7 +36,9 @@ def face_lamps(entries: Sequence[Entry], mean: np.ndarray, camera: CameraModel) 
     from safetensors.numpy import load_file
 
     fitter = Fitter(load_model(MODEL), options=OPTIONS, camera=camera, restarts=False)
-    mean, shapes, qualities = unit_shape(mean), [], []
+    mean = unit_shape(mean)
+    shapes = []
+    qualities = []
     for i in np.unique(np.linspace(0, len(entries) - 1, MOST).astype(int)):
         points = entries[i].points
         box = np.concatenate([points.min(axis=0), points.max(axis=0)])

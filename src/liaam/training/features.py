@@ -20,9 +20,13 @@ def encoder_of(function: FeatureFunction, entries: Sequence[Entry], mean: np.nda
 
     It is that on the principal components of the channels, or keeps all of them if there are few.
     """
-    name, count, total, products = name_of(function), 0, np.zeros(1), np.zeros((1, 1))
+    name = name_of(function)
+    count = 0
+    total = np.zeros(1)
+    products = np.zeros((1, 1))
     for entry in entries[:: -(-len(entries) // MOST_IMAGES)]:
-        image, pose = camera.flatten(as_colour(entry.read_image(), entry.name)), align(mean, entry.points)
+        image = camera.flatten(as_colour(entry.read_image(), entry.name))
+        pose = align(mean, entry.points)
         patch = make_patch(image, entry.points, pose, encoding="value", response=camera.response, blur=0.0, margin=0.1)
         channels = channels_of(function, np.ascontiguousarray(patch.channels[..., :3]))
         rows = channels.reshape(-1, channels.shape[2])
@@ -31,7 +35,9 @@ def encoder_of(function: FeatureFunction, entries: Sequence[Entry], mean: np.nda
                 f"{entry.name}: the function {name} returns {rows.shape[1]} channels, but {len(total)} for the first "
                 "image; it must return the same channels for all images"
             )
-        count, total, products = count + len(rows), total + rows.sum(axis=0), products + rows.T @ rows
+        count = count + len(rows)
+        total = total + rows.sum(axis=0)
+        products = products + rows.T @ rows
     mean = total / count
     if len(mean) <= WIDEST:
         return Encoder(function, Features(name, np.zeros(len(mean)), np.eye(len(mean))))

@@ -143,7 +143,8 @@ def describe_outside(landmarks: np.ndarray, shape: tuple[int, ...], points: np.n
         points = landmarks
     height, width = shape[:2]
     # The borders of the first and of the last pixel, whose centres are 0 and the number of pixels less 1.
-    first, last = -0.5, np.array([width, height]) - 0.5
+    first = -0.5
+    last = np.array([width, height]) - 0.5
     distances = np.maximum(first - landmarks, landmarks - last).max(axis=1)
     inside = float(((points > first) & (points < last)).all(axis=1).mean())
     if inside >= LEAST_INSIDE and distances.max() <= FAR * diagonal_of(landmarks):

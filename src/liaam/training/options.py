@@ -21,9 +21,12 @@ Blurs = tuple[float, ...]
 BLURS = {MESH: (3.0, 0.5), SURROUNDINGS: (4.0, 2.0, 1.0)}
 # Diagonal at which the blurs of the surroundings were measured, pixels, and the smallest blur of smaller frames. At a
 # diagonal of 90 pixels faces are fitted to 1.8 % with a last blur of 0.6, and to 2.0 % with 1.
-FULL_SIZE, LEAST_BLUR = 150.0, 0.5
+FULL_SIZE = 150.0
+LEAST_BLUR = 0.5
 AUTO = "auto"  # Value of options that training chooses itself: shapes, and lamps of train
-COPIES, MOST_COPIES = 3, 20  # Default and largest number of relit copies of each image
+# Default and largest number of relit copies of each image
+COPIES = 3
+MOST_COPIES = 20
 # Default fraction of the variance kept by appearances of the surroundings. Their coordinates have a prior, and the
 # variance that is left out counts as error: 0.85 is as accurate as 0.98 on IMM and under hard flashes, and faster.
 KEPT = 0.85

@@ -27,7 +27,8 @@ from liaam.training.covariances import Alike, learn_covariances, surprise, varia
 
 # Mean distance from the landmarks as a fraction of the shape's diagonal, of landmarks on contours from the contours: a
 # fit is right up to the first and wrong beyond the second. Fits in between are not used.
-RIGHT, WRONG = 0.03, 0.06
+RIGHT = 0.03
+WRONG = 0.06
 OPTIONS = SolverOptions(max_iterations=20)  # Right fits converge sooner; wrong ones need not converge
 PLACES = 3  # Places of the search that are fitted in an image, besides those that fill the frame
 RARE = 0.05  # Fraction of right fits whose quality is below typical
@@ -101,14 +102,17 @@ def calibrate(model: AAM, pictures: Iterable[LeftOutImage], methods: Sequence[Me
     dict of Reliability
         By the names of the methods, without those that have too few right fits to learn from.
     """
-    finder, fitters = Finder(model), []
+    finder = Finder(model)
+    fitters = []
     fits: dict[str, list[LeftOutFit]] = {method.name: [] for method in methods}
     for i, picture in enumerate(pictures):
         if not fitters or fitters[0].model is not picture.model:
             fitters = [Fitter(picture.model, method, OPTIONS, restarts=False) for method in methods]
         rng = np.random.default_rng([7, i])
-        near, far = _near(picture, rng), _moved(_near(picture, rng), rng, turn=30.0, shift=0.4)
-        starts, places = (near, shifted_into(far, (picture.image.shape[1], picture.image.shape[0]))), []
+        near = _near(picture, rng)
+        far = _moved(_near(picture, rng), rng, turn=30.0, shift=0.4)
+        starts = (near, shifted_into(far, (picture.image.shape[1], picture.image.shape[0])))
+        places = []
         if not picture.relit and is_searchable(model):
             places = finder.others_in(LinearImage(picture.image, model.response), PLACES)
         for fitter, method in zip(fitters, methods, strict=True):
@@ -123,13 +127,16 @@ def calibrate(model: AAM, pictures: Iterable[LeftOutImage], methods: Sequence[Me
 
 def _fit(picture: LeftOutImage, fitter: Fitter, start: np.ndarray | Detection, near: bool = False) -> LeftOutFit | None:
     """Fit a left-out image; None if the fit is lost by its status."""
-    result, model = fitter.fit(picture.image, start), picture.model
+    result = fitter.fit(picture.image, start)
+    model = picture.model
     if result.status.lost or not (np.isfinite(result.landmarks).all() and np.isfinite(result.evidence).all()):
         return None
     error = outline_errors(result.landmarks, picture.points, model.contours).mean() / diagonal_of(picture.points)
-    unposed, shapes = result.pose.inverse(), fitter.shapes
+    unposed = result.pose.inverse()
+    shapes = fitter.shapes
     truth = unposed(picture.points)
-    turns, off = contour_turns(truth, shapes.mean, model.contours), shapes.parameters(truth) - result.p
+    turns = contour_turns(truth, shapes.mean, model.contours)
+    off = shapes.parameters(truth) - result.p
     return LeftOutFit(
         near,
         float(error),
@@ -145,7 +152,8 @@ def learnt_from(model: AAM, fits: Sequence[LeftOutFit], view: str) -> Reliabilit
     """Learn the quality and the errors of a method's fits from those to left-out images; None if too few are right."""
     judged = [fit for fit in fits if fit.right or fit.wrong]
     near_fits = [fit for fit in fits if fit.near and not fit.wrong]
-    evidence, right = np.array([fit.evidence for fit in judged]), np.array([fit.right for fit in judged], bool)
+    evidence = np.array([fit.evidence for fit in judged])
+    right = np.array([fit.right for fit in judged], bool)
     if right.sum() < 3 or not near_fits:
         return None
     weights = _weights(evidence, right)
@@ -153,7 +161,8 @@ def learnt_from(model: AAM, fits: Sequence[LeftOutFit], view: str) -> Reliabilit
         return None
     alike = Alike.of(model.shape_model.mean, model.contours)
     # The covariance of left-out shapes: a lower bound, because lost fits are not among the errors.
-    unexplained, nothing = model.views[view].shape_model.unexplained, np.zeros((model.n_points, 2, 2))
+    unexplained = model.views[view].shape_model.unexplained
+    nothing = np.zeros((model.n_points, 2, 2))
     covariances = learn_covariances(
         np.array([fit.errors for fit in near_fits]),
         np.array([fit.spreads for fit in near_fits]),
@@ -175,7 +184,8 @@ def _near(picture: LeftOutImage, rng: np.random.Generator) -> np.ndarray:
 
 
 def _moved(shape: np.ndarray, rng: np.random.Generator, turn: float, shift: float) -> np.ndarray:
-    centre, towards = shape.mean(axis=0), rng.uniform(0.0, 2.0 * np.pi)
+    centre = shape.mean(axis=0)
+    towards = rng.uniform(0.0, 2.0 * np.pi)
     angle = np.deg2rad(rng.choice([-1, 1]) * turn * rng.uniform(0.5, 1.0))
     step = shift * diagonal_of(shape) * np.array([np.cos(towards), np.sin(towards)])
     return (shape - centre) @ rotation(angle).T + centre + step
@@ -192,7 +202,8 @@ def _weights(evidence: np.ndarray, right: np.ndarray) -> np.ndarray:
 
 def _logistic(features: np.ndarray, right: np.ndarray, ridge: float = RIDGE, steps: int = 50) -> np.ndarray:
     """Return weights (1 + k,) of a ridge logistic regression on features (m, k), with both classes balanced."""
-    middle, scale = features.mean(axis=0), features.std(axis=0) + 1e-6
+    middle = features.mean(axis=0)
+    scale = features.std(axis=0) + 1e-6
     x = np.column_stack([np.ones(len(right)), (features - middle) / scale])
     balance = np.where(right, 0.5 / max(right.sum(), 1), 0.5 / max((~right).sum(), 1)) * len(right)
     w = np.zeros(x.shape[1])

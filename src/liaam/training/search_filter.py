@@ -20,10 +20,15 @@ from liaam.photometry import Response
 
 # Largest differences in pose that are averaged: degrees, logarithm of size, and pixels of the filter. Rotations of the
 # search are 10 degrees apart, and sizes a factor of 1.2.
-TURN, GROWTH, SHIFT = 7.0, 0.1, 1.0
+TURN = 7.0
+GROWTH = 0.1
+SHIFT = 1.0
 RIDGE = 0.1  # Variance added to that of random images, as a fraction of it
 # Number of random images, their sides, the number of leaves in each, and the smallest radius of one, pixels
-LEAVES, SIDE, N_LEAVES, SMALLEST = 60, 160, 600, 3.0
+LEAVES = 60
+SIDE = 160
+N_LEAVES = 600
+SMALLEST = 3.0
 BORDER = 4  # Margin around the filter's window in which gradients are computed, pixels
 
 
@@ -40,14 +45,16 @@ class FilterLearner:
 
     def __init__(self, model: AAM, blur: float) -> None:
         factor = min(1.0, TEMPLATE / model.diagonal)
-        self.mean, self.blur = model.shape_model.mean * factor, blur * factor
+        self.mean = model.shape_model.mean * factor
+        self.blur = blur * factor
         self.response: Response = model.response
         frame = ReferenceFrame(self.mean, model.triangles)
         at = np.rint(frame.pixels[:, ::-1] + frame.origin).astype(int)
         self.half = np.abs(at).max(axis=0)
         self.inside = np.zeros(2 * self.half[::-1] + 1, bool)
         self.inside[at[:, 1] + self.half[1], at[:, 0] + self.half[0]] = True
-        self.total, self.count = np.zeros((*self.inside.shape, 2)), 0
+        self.total = np.zeros((*self.inside.shape, 2))
+        self.count = 0
 
     def add(self, image: np.ndarray, points: np.ndarray) -> None:
         """Add a training image or a copy of one, in a pose near that of its landmarks."""
@@ -55,11 +62,13 @@ class FilterLearner:
 
         rng = np.random.default_rng([40, self.count])
         pose = align(self.mean, points)
-        turn, growth = np.deg2rad(rng.uniform(-TURN, TURN)), np.exp(rng.uniform(-GROWTH, GROWTH))
+        turn = np.deg2rad(rng.uniform(-TURN, TURN))
+        growth = np.exp(rng.uniform(-GROWTH, GROWTH))
         matrix = pose.matrix @ rotation(turn) * growth
         offset = pose.offset + pose.scale * rng.uniform(-SHIFT, SHIFT, 2)
         grey = Grey.of(image, self.response, float(np.sqrt(np.linalg.det(matrix))))
-        matrix, offset = matrix / grey.reduce, (offset + 0.5) / grey.reduce - 0.5
+        matrix = matrix / grey.reduce
+        offset = (offset + 0.5) / grey.reduce - 0.5
         left = max(np.linalg.det(matrix) - 1.0, 0.0)  # what is left to average over, as a variance
         values = cv2.GaussianBlur(grey.values, (0, 0), 0.5 * np.sqrt(left)) if left > 0.01 else grey.values
         affine = np.column_stack([matrix, offset - matrix @ (self.half + BORDER)])
@@ -70,7 +79,8 @@ class FilterLearner:
         left, top = np.clip(np.floor(ends.min(axis=0)) - 2, 0, most - 1).astype(int)
         right, bottom = np.clip(np.ceil(ends.max(axis=0)) + 3, 1, most).astype(int)
         if most.max() >= 32_767:
-            values, affine = values[top:bottom, left:right], affine - np.array([[0, 0, left], [0, 0, top]])
+            values = values[top:bottom, left:right]
+            affine = affine - np.array([[0, 0, left], [0, 0, top]])
         flags = cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP
         seen = cv2.warpAffine(values, affine, (width, height), flags=flags, borderMode=cv2.BORDER_REPLICATE)
         field = soft_directions(seen, self.blur)[BORDER:-BORDER, BORDER:-BORDER]
@@ -117,7 +127,10 @@ def _random_images() -> np.ndarray:
     """
     import cv2  # heavy: imported when first needed
 
-    rng, images, (few, many) = np.random.default_rng(41), [], ((0.5 * SIDE) ** -2, SMALLEST**-2)
+    rng = np.random.default_rng(41)
+    images = []
+    few = (0.5 * SIDE) ** -2
+    many = SMALLEST**-2
     for _ in range(LEAVES):
         image = np.full((SIDE, SIDE), rng.uniform(), np.float32)
         for radius in (many + rng.uniform(size=N_LEAVES) * (few - many)) ** -0.5:

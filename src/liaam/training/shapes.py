@@ -61,12 +61,14 @@ def shape_groups(shapes: np.ndarray, names: Sequence[str], wanted: int | str = A
     owners = (apart < SAME).argmax(axis=1)  # the object of each image; copies of an image are of one object
     for members in objects_of(names).values():
         owners[members] = members[0]
-    best, evidence = everything, _evidence(shapes, owners, everything)
+    best = everything
+    evidence = _evidence(shapes, owners, everything)
     for groups in _groupings(apart) if np.isfinite(evidence) else ():
         found = _evidence(shapes, owners, groups)
         if not found - evidence >= GAIN:
             break
-        best, evidence = groups, found
+        best = groups
+        evidence = found
     return best
 
 

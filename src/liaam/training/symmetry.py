@@ -13,8 +13,12 @@ from liaam.training.lamps.copies import mirrored
 from liaam.training.textures import sample_appearance
 from liaam.workers import in_threads
 
-FEWEST, MOST = 5, 120  # Smallest and largest number of images to compare with their mirror images
-LEAST, LEAST_ERRORS = 0.2, 4.0  # Smallest offset that counts, in image pixels and in standard errors
+# Smallest and largest number of images to compare with their mirror images
+FEWEST = 5
+MOST = 120
+# Smallest offset that counts, in image pixels and in standard errors
+LEAST = 0.2
+LEAST_ERRORS = 4.0
 # Least share of the mean difference between images and their mirror images that an offset must explain. Light from one
 # side and marks on one side also give an offset, but it explains at most 0.02 for faces under flashes and lamps. The
 # offsets of the landmarks of three sets of photographs explain 0.08 to 0.6.

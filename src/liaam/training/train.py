@@ -165,7 +165,8 @@ class _Shapes:
 
 def _train_one(data: TrainingData, points: Points | None, task: _Task) -> AAM:
     """Train a model of one kind of shape; ``points`` are those of another landmarker, as of :func:`train`."""
-    options, camera = task.options, task.camera
+    options = task.options
+    camera = task.camera
     shapes = _learn_shapes(data, options)
     model = _without_appearances(data, shapes, task)
     entries, grey = check_images(data.entries, model.warp, camera.response)
@@ -356,7 +357,9 @@ def _steps(model: AAM, options: TrainingOptions, folds: list[np.ndarray], progre
 
 def _lamps(task: _Task, entries: list[Entry], mean: np.ndarray) -> LearntLamps | None:
     """Return the lamps for copies of the images: given, learnt, or those of faces; None for none."""
-    lamps, training_lamp, camera = task.lamps, task.training_lamp, task.camera
+    lamps = task.lamps
+    training_lamp = task.training_lamp
+    camera = task.camera
     if training_lamp is not None and (lamps is None or isinstance(lamps, str | LearntLamps)):
         raise TrainingError(
             f"training_lamp {training_lamp!r} names the training light in lamp images; give these images as lamps=, or "

@@ -112,7 +112,8 @@ class Target(NamedTuple):
 
         That shape is for several levels, of which the coarse ones cannot show all; one level starts from it anyway.
         """
-        target, warp = self.measured(objectives[-1].method), objectives[-1].warp
+        target = self.measured(objectives[-1].method)
+        warp = objectives[-1].warp
         if len(objectives) == 1:
             return target
         pose = align(warp.rest, self.start)
@@ -132,7 +133,8 @@ class CoarseToFine:
     """
 
     def __init__(self, objectives: Sequence[Objective], keeps_samples: bool = False) -> None:
-        self.objectives, self.keeps_samples = tuple(objectives), keeps_samples
+        self.objectives = tuple(objectives)
+        self.keeps_samples = keeps_samples
         self._compiled: dict[tuple[int, int | None], Any] = {}
 
     def __getstate__(self) -> dict:
@@ -148,7 +150,8 @@ class CoarseToFine:
 
     def fit(self, target: Target, options: SolverOptions, first: int = 0, last: int | None = None) -> list[FittedLevel]:
         """Fit an image at the levels from one on, up to another; fewer levels if the fit diverges."""
-        objectives, levels = self.objectives[first:last], []
+        objectives = self.objectives[first:last]
+        levels = []
         if not self.can_take(target, options):
             return solve_levels(objectives, target, options)
         if (first, last) not in self._compiled:
@@ -171,7 +174,8 @@ class CoarseToFine:
 
     def _prepare(self, objectives: Sequence[Objective]) -> Any:
         warps: list[Any] = [objective.warp for objective in objectives]  # of a mesh: that is what the core can fit
-        method, theta = objectives[0].method, objectives[0].theta_model
+        method = objectives[0].method
+        theta = objectives[0].theta_model
         levels = [
             {
                 "objective": each.compiled,
@@ -186,8 +190,12 @@ class CoarseToFine:
         return _core.prepare(fields)
 
     def _call(self, compiled: Any, target: Target, options: SolverOptions) -> list:
-        objective, linear, noise = self.objectives[0], target.linear, target.noise
-        image, encoding, response = linear.image, objective.method.encoding, linear.response
+        objective = self.objectives[0]
+        linear = target.linear
+        noise = target.noise
+        image = linear.image
+        encoding = objective.method.encoding
+        response = linear.response
         start_fields = {
             "start": _flat(target.start),
             "points": _flat(np.zeros(0) if target.mapped is None else target.mapped),
@@ -211,7 +219,8 @@ def _flat(points: np.ndarray) -> np.ndarray:
 
 def solve_levels(objectives: Sequence[Objective], target: Target, options: SolverOptions) -> list[FittedLevel]:
     """Solve the levels from coarse to fine, each from the solution of the one before; fewer if the fit diverges."""
-    finest, stages = objectives[-1], []
+    finest = objectives[-1]
+    stages = []
     target = target.prepared(objectives)
     averaged = averaged_image(objectives, target)
     shape = target.start
@@ -260,7 +269,8 @@ def prepare_level(
     current shape. ``averaged`` is the image averaged for all levels; by default it is averaged here.
     """
     shape, margin = (stages[-1].reached, NEAR) if stages else (target.start, target.margin)
-    warp, method = objective.warp, objective.method
+    warp = objective.warp
+    method = objective.method
     pose = align(warp.rest, shape)
     image = EncodedImage.at(
         target.image if averaged is None else averaged,

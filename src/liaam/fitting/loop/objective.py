@@ -81,10 +81,14 @@ class Objective:
         ``rows`` (1 + m, n k) are P(theta_1) A_0 and P(theta_1) A_i, and ``row_parts`` their constant, cos and sin parts
         where theta_1 is free.
         """
-        n, k, method = len(self.appearance.mean), self.method.n_rows, self.method
+        n = len(self.appearance.mean)
+        k = self.method.n_rows
+        method = self.method
         parts = self._rows_of(self.appearance, self.illumination)
-        rows, slope_parts = at_angle(parts, self.theta_model).reshape(-1, n * k), self._slope_parts
-        m, none = len(rows) - 1, np.zeros((0, 0, 0), np.float32)
+        rows = at_angle(parts, self.theta_model).reshape(-1, n * k)
+        slope_parts = self._slope_parts
+        m = len(rows) - 1
+        none = np.zeros((0, 0, 0), np.float32)
         lines = np.zeros((n * k, padded(m)), np.float32)
         lines[:, :m] = rows[1:].T
         root_weights = np.repeat(np.sqrt(self.appearance.usable), k).astype(np.float32)
@@ -129,7 +133,9 @@ class Objective:
 
     def _rows_of(self, appearance: AppearanceModel, illumination: AppearanceModel | None) -> np.ndarray:
         """Return mean and modes projected by the parts of P (constant, cos, sin), (3, 1 + m, n, k) float32."""
-        n, k, textures = len(appearance.mean), self.method.n_rows, self._textures(appearance, illumination)
+        n = len(appearance.mean)
+        k = self.method.n_rows
+        textures = self._textures(appearance, illumination)
         bias = {"none": np.zeros((0, 1, k)), "common": np.ones((1, 1, k)), "rows": np.eye(k)[:, None]}[self.method.bias]
         constant = np.broadcast_to(bias.astype(np.float32), (len(bias), n, k))
         parts = [
@@ -140,7 +146,8 @@ class Objective:
 
     def _ridge(self) -> np.ndarray:
         """Return the ridge on the diagonal of A'A, (m,) float64, from the norms of the modes before projection."""
-        appearance, k = self.appearance, self.method.n_rows
+        appearance = self.appearance
+        k = self.method.n_rows
         textures = self._textures(appearance, self.illumination)[1:]
         sizes = [np.square(texture, dtype=np.float64).sum(axis=(1, 2)) for texture in textures]
         biases = {"none": [], "common": [k * len(appearance.mean)], "rows": [len(appearance.mean)] * k}
@@ -154,7 +161,8 @@ class Objective:
         It converts the prior of lambda, N(0, eigenvalues), to units of squared residuals. If an image leaves more
         unexplained than training images do, its appearance may deviate as much more: the common scale cancels.
         """
-        unexplained, usable = self.appearance.unexplained, self.appearance.usable
+        unexplained = self.appearance.unexplained
+        usable = self.appearance.usable
         if self.method.weights != "rows" or unexplained is None or not usable.any():
             return 0.0
         variances = np.average(np.einsum("ncc->nc", unexplained), axis=0, weights=usable)
@@ -220,7 +228,9 @@ class Objective:
 
         A fit that fails is returned, not raised. The solution is a ``Solution`` of the core or of the reference.
         """
-        p, angles, lam = state.p, tuple(state.angles.tolist()), state.lam
+        p = state.p
+        angles = tuple(state.angles.tolist())
+        lam = state.lam
         if self.is_compiled and options.elimination == "varpro":
             controls = options.as_dict, image.blur, evaluate_last
             return _core.solve_level(self.compiled, image.compiled, p, angles, lam, *controls)
@@ -266,14 +276,16 @@ def make_objectives(model: AAM, method: Method, thinning: float | None = None) -
     check_holds(model, method)
     if thinning is None:
         thinning = 0.0 if method.encoding == "orientation" else THINNING
-    warp, levels = model.views[method.view].warp, model.views[method.view].levels
+    warp = model.views[method.view].warp
+    levels = model.views[method.view].levels
     seen = [replace(warp, shape_model=warp.shape_model.seen_at(level.blur)) for level in levels[:-1]]
     return tuple(_objective(model, method, *each, thinning) for each in zip([*seen, warp], levels, strict=True))
 
 
 def _objective(model: AAM, method: Method, warp: PiecewiseAffineWarp, level: Level, thinning: float) -> Objective:
     """Make the objective of one level, on a thinned set of pixels."""
-    appearance, illumination = level.appearances[method.appearance], level.appearances.get("illumination")
+    appearance = level.appearances[method.appearance]
+    illumination = level.appearances.get("illumination")
     # Estimating the prior's scale needs weights that account for correlation.
     dof = warp.shape_model.freedom if method.weights == "rows" else np.inf
     # N(0, eigenvalue) for the shape modes; the four similarity vectors have no prior.
@@ -299,7 +311,8 @@ def _encoded(model: AAM, method: Method) -> Method:
     if not callable(method.encoding) or isinstance(method.encoding, Encoder):
         return method
     function: Any = method.encoding
-    features, name = model.features, name_of(function)
+    features = model.features
+    name = name_of(function)
     if features is None or features.name != name:
         given = "was trained without features" if features is None else f"was trained with the features {features.name}"
         raise MethodError(

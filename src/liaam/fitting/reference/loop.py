@@ -240,7 +240,8 @@ class Loop:
         """Return whether image and model both have texture, and all sums are finite."""
         problem = self.problem
         n_p = len(problem.p)
-        of_image, of_model = problem.hessian, problem.expected_hessian
+        of_image = problem.hessian
+        of_model = problem.expected_hessian
         if not (np.isfinite(of_image).all() and np.isfinite(of_model).all() and np.isfinite(problem.squares)):
             return False
         image_curvature = np.abs(of_image.diagonal()[:n_p]).max(initial=0.0)
@@ -249,7 +250,8 @@ class Loop:
 
     def add_priors(self, strength: float, variance: float) -> None:
         """Add the priors on p to the normal equations, where a residual of weight 1 has the given variance."""
-        problem, image = self.problem, self.problem.image
+        problem = self.problem
+        image = self.problem.image
         n_p = len(problem.p)
         self.point_variance = variance
         self.damping_matrix = problem.expected_hessian.copy()
@@ -276,7 +278,8 @@ class Loop:
 
     def penalised_cost(self) -> float:
         """Return the cost that an accepted step must not raise: mean squared residual plus the priors."""
-        problem, image = self.problem, self.problem.image
+        problem = self.problem
+        image = self.problem.image
         squares = problem.squares + float(self.precision @ np.square(problem.p))
         if len(image.points):
             off = problem.p - image.points
@@ -479,12 +482,15 @@ def scoring_steps(options: Any, method: Any) -> int:
 def early_of(options: Any, method: Any, is_finest: bool, is_scored: bool) -> tuple[float, float]:
     """Return the tolerance of the first steps of a level, as a fraction of the blur, and their number."""
     if method.step == "expected":
-        fraction, steps = T["EARLY_EXPECTED"], T["EARLY_EXPECTED_STEPS"]
+        fraction = T["EARLY_EXPECTED"]
+        steps = T["EARLY_EXPECTED_STEPS"]
     elif is_finest and is_scored and not method.reweighs:
         # Weights that the steps update are those of the solution only at the end.
-        fraction, steps = T["EARLY_SCORED"], options.max_iterations
+        fraction = T["EARLY_SCORED"]
+        steps = options.max_iterations
     elif not is_finest or is_scored:
-        fraction, steps = T["EARLY_OWN"], T["EARLY_OWN_STEPS"]
+        fraction = T["EARLY_OWN"]
+        steps = T["EARLY_OWN_STEPS"]
     else:  # these steps are the last: they converge slowly, and need the full tolerance
         return 0.0, 0
     return fraction if options.early_tolerance is None else options.early_tolerance, steps

@@ -59,7 +59,8 @@ class Problem:
 
     def begin(self, p: np.ndarray, angles, lam: np.ndarray) -> None:
         """Set a state, and the model's weights."""
-        n, k = self.n, self.k
+        n = self.n
+        k = self.k
         self.set_state(p, angles, lam)
         self.model_sqrt_weights = self.fields["sqrt_weights"].reshape(n, k).astype(np.float64)
         self.base_sqrt_weights = self.model_sqrt_weights.copy()
@@ -108,7 +109,8 @@ class Problem:
     def _set_metric(self) -> None:
         """P(theta_2), whose invariant row is L(theta_2) (eq 7 and 8), and its derivative."""
         constant, by_cos, by_sin = self.fields["metric"].reshape(3, self.k, CHANNELS).astype(np.float64)
-        c, s = np.cos(self.angles[1]), np.sin(self.angles[1])
+        c = np.cos(self.angles[1])
+        s = np.sin(self.angles[1])
         self.metric = constant + c * by_cos + s * by_sin
         self.metric_slope = c * by_sin - s * by_cos
 
@@ -204,7 +206,8 @@ class Problem:
             column = d_theta_2 * of_image.ravel()
             if self.fields["row_parts"].size:
                 _, by_cos, by_sin = self.fields["row_parts"].astype(np.float64)
-                c, s = np.cos(self.angles[0]), np.sin(self.angles[0])
+                c = np.cos(self.angles[0])
+                s = np.sin(self.angles[0])
                 column = column - d_theta_1 * self._combined(c * by_sin - s * by_cos)
             columns.append(column)
         return np.array(columns).reshape(-1, self.n * self.k)

@@ -36,7 +36,8 @@ from liaam.workers import in_threads
 
 # What was measured for these is in experiments/notes/engine.md.
 
-SMALLEST, LARGEST = 0.15, 1.25  # diagonals searched, as fractions of the image's shorter side
+SMALLEST = 0.15  # smallest diagonal searched, as a fraction of the image's shorter side
+LARGEST = 1.25  # largest one
 LEAST_PIXELS = 20.0  # smallest diagonal, pixels of the image
 STEP = 1.2  # ratio of consecutive sizes
 PADDING = 0.25  # largest distance that an object may extend beyond the image, as a fraction of its diagonal
@@ -49,7 +50,8 @@ GROWTH = (0.5, 2.0)  # limits on the change of size in the fit of a place; beyon
 SHAPE_PENALTY = 0.05  # on the score, per unit of the mean squared shape mode in standard deviations
 MOST = 20  # objects in an image
 # Largest number of places that are fitted: so many, and so many more for each object that is wanted.
-PLACES, PLACES_PER_OBJECT = 6, 4
+PLACES = 6
+PLACES_PER_OBJECT = 4
 # Distance, in diagonals, and fraction of its size, within which a place is the same as a stronger one.
 APART = 0.2
 
@@ -60,7 +62,8 @@ SURE = 1.25
 WORTH = 0.75
 # Diagonal of large objects as a fraction of the image's shorter side, and number of their places that are fitted. Small
 # objects are searched for only if none of these is sure: they take three quarters of the time.
-LARGE, LARGE_PLACES = 0.3, 2
+LARGE = 0.3
+LARGE_PLACES = 2
 
 # Further objects, where one is wanted: the least sum of score and response. Of 12 pairs of faces 10 have more; places
 # without a face have at most 1.12.
@@ -71,7 +74,8 @@ LEAST_BESIDE = 0.5  # least diagonal of these places, relative to the best detec
 
 # Other places to fit if the first is not the object: their number, and that of places scored for each. With twice as
 # many, the search takes 1.6 times as long and sees no more faces.
-OTHERS, LOOKED = 12, 2
+OTHERS = 12
+LOOKED = 2
 # Bonus on their score per unit of the learnt filter's response, which is 1 at the mean. Without it, one face in forty
 # falls behind the first six places.
 RESPONSE_WORTH = 0.5
@@ -321,7 +325,8 @@ class _Search:
         centres = self.peaks.centres[self.strongest]
         diagonals = self.peaks.scales[self.strongest] * self.finder.small.diagonal
         responses = self.peaks.responses[self.strongest]
-        low, high = best.landmarks.min(axis=0), best.landmarks.max(axis=0)
+        low = best.landmarks.min(axis=0)
+        high = best.landmarks.max(axis=0)
         is_outside = ((centres < low) | (centres > high)).any(axis=1)
         is_large = diagonals >= LEAST_BESIDE * diagonal_of(best.landmarks)
         places = self.strongest[is_outside & is_large & (responses >= CLEAR)][:MOST_BESIDE]

@@ -21,14 +21,17 @@ SHIFT = 0.06  # of the mean shape to the right, left, bottom and top, as a fract
 
 # Further deformation of the best of these, in standard deviations, number of modes it is applied to, and of shapes.
 # Strongly turned heads deviate along several modes: of 34 fits that restarts can save, 4 are lost with it, 9 without.
-BENT_ON, MODES, BEST = 2.0, 3, 3
+BENT_ON = 2.0
+MODES = 3
+BEST = 3
 KEPT = 2  # starts returned; a third saves no more fits
 APART = 0.02  # root mean square distance, as a fraction of the diagonal, below which two shapes count as the same
 
 
 def fit_again(fitter: OneShapeFitter, target: Target, first: FitResult) -> FitResult:
     """Return the better fit by quality, of the first and the best from other starts."""
-    starts, options = other_starts(fitter.objectives[0], target, fitter.options), fitter.options
+    starts = other_starts(fitter.objectives[0], target, fitter.options)
+    options = fitter.options
     if not starts:
         return first
     fits = [fitter.fit_blurred(target._replace(start=start), options) for start in starts]
@@ -45,7 +48,8 @@ def other_starts(objective: Objective, target: Target, options: SolverOptions, c
     """
     options = spare(options)
     image, state, pose = prepare_level(objective, target.measured(objective.method), (), options)
-    warp, n_modes = objective.warp, objective.warp.n_parameters - 4  # the similarity vectors come last
+    n_modes = objective.warp.n_parameters - 4  # the similarity vectors come last
+    warp = objective.warp
     deviations = objective.prior[:n_modes] ** -0.5
 
     def bent(p: np.ndarray, mode: int, by: float) -> np.ndarray:

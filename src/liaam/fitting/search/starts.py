@@ -20,7 +20,8 @@ BOX_SUFFIX = ".box"  # of a text file that holds a detector's box, x0,y0,x1,y1 o
 WIDEST = 10.0  # largest size of a start, relative to the larger side of the image
 # Margin searched around a box given as a start, as a fraction of its sides, and the smallest width in pixels. A box, as
 # of a detector, is approximate; a shape given as a start is not searched for.
-AROUND_BOX, LEAST_REGION = 0.3, 16
+AROUND_BOX = 0.3
+LEAST_REGION = 16
 
 
 def read_start(text: str, image: Path, size: tuple[int, int]) -> Landmarks | list[float]:
@@ -46,7 +47,8 @@ def read_start(text: str, image: Path, size: tuple[int, int]) -> Landmarks | lis
 
 def start_file(text: str, image: Path) -> Path | None:
     """Return the file that holds the start of an image, or None if there is no such file."""
-    path, kind = Path(text), _kind(text)
+    path = Path(text)
+    kind = _kind(text)
     if kind == "folder":
         candidates = (path / f"{image.stem}{suffix}" for suffix in (*LANDMARK_SUFFIXES, BOX_SUFFIX))
         return next((candidate for candidate in candidates if _kind(str(candidate)) == "file"), None)
@@ -190,11 +192,13 @@ def _shape(model: AAM, given: np.ndarray, name: str) -> np.ndarray:
         if not np.isfinite(given).all() or x1 <= x0 or y1 <= y0:
             box = ", ".join(f"{v:g}" for v in given)
             raise StartError(f"{name}: the box {box} is empty; give left, top, right, bottom in pixels")
-        centre, diagonal = np.array([x0 + x1, y0 + y1]) / 2, float(np.hypot(x1 - x0, y1 - y0))
+        centre = np.array([x0 + x1, y0 + y1]) / 2
+        diagonal = float(np.hypot(x1 - x0, y1 - y0))
     elif given.shape == (3,):
         if not np.isfinite(given).all() or given[2] <= 0:
             raise StartError(f"{name}: give the start as x, y and a positive size (the object's diagonal in pixels)")
-        centre, diagonal = given[:2], float(given[2])
+        centre = given[:2]
+        diagonal = float(given[2])
     elif given.ndim == 2 and given.shape[1] == 2:
         theirs = f" or {model.points.n_theirs} points of the other landmarker" if model.points is not None else ""
         raise StartError(

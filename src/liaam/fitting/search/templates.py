@@ -33,7 +33,8 @@ BENT_TURNS: dict[str, tuple[float, ...]] = {
     "upright": (-10.0, 0.0, 10.0),
     "all": tuple(np.arange(-180.0, 180.0, 30.0).tolist()),
 }
-BEND, BEND_WORTH = 1.5, 0.4
+BEND = 1.5
+BEND_WORTH = 0.4
 
 # Luminance gradient per pixel of the reduced model, as a fraction of the image's contrast, at which orientations get
 # 0.7 of their full length. It suppresses noise in flat regions and smooth shading.
@@ -73,7 +74,8 @@ class Field:
         """Return the weight of the orientation at image points (k, 2), (k,) float32; 0 outside."""
         import cv2  # heavy: imported when first needed
 
-        at, size = ((points + 0.5) / self.length - 0.5).astype(np.float32), np.array(self.values.shape[::-1])
+        at = ((points + 0.5) / self.length - 0.5).astype(np.float32)
+        size = np.array(self.values.shape[::-1])
         # OpenCV samples no picture with a side of 32767 pixels or more, so what lies around the points is cut out.
         left, top = np.clip(np.floor(at.min(axis=0)), 0, size - 1).astype(int)
         right, bottom = np.clip(np.floor(at.max(axis=0)) + 2, 1, size).astype(int)
@@ -98,7 +100,8 @@ class Grey:
         sparse = image[stride // 2 :: stride, stride // 2 :: stride]
         grey = value_luminance(sparse, response)
         if reduce > 1:
-            rows, columns = grey.shape[0] // reduce, grey.shape[1] // reduce
+            rows = grey.shape[0] // reduce
+            columns = grey.shape[1] // reduce
             grey = _core.area_means(np.ascontiguousarray(grey[: rows * reduce, : columns * reduce]), rows, columns)
         every = max(1, min(int(np.sqrt(grey.size / SAMPLES)), min(grey.shape) // 4))
         low, high = np.percentile(grey[::every, ::every], [1, 99]).astype(np.float32)
@@ -140,7 +143,8 @@ def spectra(fields: np.ndarray, first: tuple[int, int], size: tuple[int, int]) -
     """
     import cv2  # heavy: imported when first needed
 
-    (height, width), (top, left) = fields.shape[1:], first
+    height, width = fields.shape[1:]
+    top, left = first
     padded = np.zeros((len(fields), *size), np.complex64)
     padded[:, top : top + height, left : left + width] = fields
     parts = padded.view(np.float32).reshape(*padded.shape, 2)
@@ -164,7 +168,8 @@ def shrink(model: AAM) -> AAM:
         raise MethodError(
             "the model has no gradient orientations, which the search needs; train it again, or give a start (--init)"
         )
-    learnt, shapes = level.appearances["search"], model.shape_model
+    learnt = level.appearances["search"]
+    shapes = model.shape_model
     factor = min(1.0, TEMPLATE / model.diagonal)
     frame = ReferenceFrame(shapes.mean * factor, model.triangles)
     at = (frame.pixels[:, ::-1] + frame.origin) / factor
@@ -226,8 +231,11 @@ def rotated_filters(values: np.ndarray, rotations: str, small: AAM) -> tuple[Ori
     import cv2  # heavy: imported when first needed
 
     height, width = values.shape[:2]
-    centre, size = 0.5 * np.array([width - 1, height - 1]), max(height, width)
-    middle, straight, filters = 0.5 * np.array([size - 1, size - 1]), np.zeros(len(small.shape_model.basis)), []
+    centre = 0.5 * np.array([width - 1, height - 1])
+    size = max(height, width)
+    middle = 0.5 * np.array([size - 1, size - 1])
+    straight = np.zeros(len(small.shape_model.basis))
+    filters = []
     for turn in np.deg2rad(TURNS[rotations]):
         back = rotation(-turn)
         affine = np.column_stack([back, centre - back @ middle])

@@ -53,7 +53,8 @@ class Copies:
 
     def which(self, i: int) -> np.ndarray:
         """Lamp of each copy of image i, int."""
-        count, n_lamps = int(self.counts[i]), 1 if self.lamps is None else len(self.lamps)
+        count = int(self.counts[i])
+        n_lamps = 1 if self.lamps is None else len(self.lamps)
         return np.random.default_rng([30, i]).choice(n_lamps, count, replace=count > n_lamps)
 
     def of_picture(
@@ -100,7 +101,8 @@ def mirrored(
 def close_up(image: np.ndarray, points: np.ndarray, diagonal: float) -> tuple[np.ndarray, np.ndarray]:
     """Crop an object, average it down to about twice a diagonal in pixels, and map its landmarks."""
     low, high = corners_around(image, points, AROUND, 0.0)
-    part, points = image[low[1] : high[1], low[0] : high[0]], points - low
+    part = image[low[1] : high[1], low[0] : high[0]]
+    points = points - low
     factor = int(diagonal_of(points) / (FINER * diagonal))
     if factor < 2 or min(part.shape[:2]) < 8 * factor:
         return np.ascontiguousarray(part), points

@@ -80,7 +80,8 @@ def learn_lamps(
 
 def unit_shape(mean: np.ndarray) -> np.ndarray:
     """Normalise a shape: centre of the bounding box at the origin, diagonal 1."""
-    low, high = mean.min(axis=0), mean.max(axis=0)
+    low = mean.min(axis=0)
+    high = mean.max(axis=0)
     return (mean - 0.5 * (low + high)) / diagonal_of(mean)
 
 
