@@ -21,7 +21,7 @@ from scenes.surface import face_of, landmark_points
 
 Mixing = Literal["additive", "planckian"]
 VIEWING_DISTANCE = 14.0  # head units: a camera at 1.4 m
-FINE_MESH = 85.0  # pixels of a head unit: from there on, every second row of the mesh is not enough (of 320 x 240: 100)
+FINE_MESH = 70.0  # pixels of a head unit from which every second row of the mesh is not enough: 75 at 240 x 180
 BRIGHTEST = 0.8  # linear value given to the 98th percentile of the face
 
 
