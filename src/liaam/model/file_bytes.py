@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Any, TypeVar
 
 import numpy as np
 
-from liaam.model import file
+from liaam.model import file_format
 from liaam.model.appearance import AppearanceModel
 from liaam.model.light_basis import LightBasis
 from liaam.model.mirror import mirrored_model
@@ -22,22 +22,22 @@ Value = TypeVar("Value")
 
 
 def file_bytes(model: "AAM") -> bytes:
-    """Return the content of a model file."""
+    """Return the content of a model file_format."""
     from safetensors.numpy import save
 
     header = _header(model)
     tensors = _tensors(model)
     if model.others:
-        header["schema"] = file.OF_SHAPES
+        header["schema"] = file_format.OF_SHAPES
         header["others"] = []
     for i, other in enumerate(model.others):
         mirror_images = _mirror_images_of_landmarks(model, i)
         if mirror_images is None:
             header["others"].append(_header(other))
-            tensors |= _named(file.prefix_of(i), _tensors(other))
+            tensors |= _named(file_format.prefix_of(i), _tensors(other))
         else:
-            header["schema"] = file.OF_MIRRORED
-            header["others"].append({file.MIRRORED: mirror_images.tolist()})
+            header["schema"] = file_format.OF_MIRRORED
+            header["others"].append({file_format.MIRRORED: mirror_images.tolist()})
     return save(tensors, {"liaam": json.dumps(header)})
 
 
@@ -72,8 +72,8 @@ def _have_same_content(first: "AAM", second: "AAM") -> bool:
 def _header(model: "AAM") -> dict[str, Any]:
     """Return what a file holds of a model besides its tensors, and without its other shapes."""
     header = {
-        "format": file.FORMAT,
-        "schema": file.SCHEMA_VERSION,
+        "format": file_format.FORMAT,
+        "schema": file_format.SCHEMA_VERSION,
         "theta": model.theta,
         "response": describe_response(model.response),
         "camera": model.camera.describe(),
@@ -127,7 +127,7 @@ def _tensors(model: "AAM") -> dict[str, np.ndarray]:
 def _view_tensors(view: View) -> dict[str, np.ndarray | None]:
     tensors = _named("shape.", _stored_fields(view.shape_model, "shape"))
     for method, reliability in view.reliabilities.items():
-        tensors |= _named(f"{file.calibration_of(method)}.", _stored_fields(reliability, "reliability"))
+        tensors |= _named(f"{file_format.calibration_of(method)}.", _stored_fields(reliability, "reliability"))
     for i, level in enumerate(view.levels):
         for kind, appearance in level.appearances.items():
             tensors |= _named(f"{i}/{kind}.", _appearance_tensors(appearance))
@@ -137,7 +137,7 @@ def _view_tensors(view: View) -> dict[str, np.ndarray | None]:
 def _appearance_tensors(appearance: AppearanceModel) -> dict[str, np.ndarray | None]:
     """Return the tensors that hold an appearance exactly, as few and as narrow as that is possible."""
     mask = appearance.mask
-    if mask.sum() < file.LEAST_SHARE * len(mask):  # readers refuse so few; the others are stored too, as zeros
+    if mask.sum() < file_format.LEAST_SHARE * len(mask):  # readers refuse so few; the others are stored too, as zeros
         mask = np.ones(len(mask), bool)
     unexplained = None
     if appearance.unexplained is not None:
@@ -164,7 +164,7 @@ def _light_tensors(light: LightBasis) -> dict[str, np.ndarray]:
 
 def _stored_fields(part: object, kind: str) -> dict[str, Any]:
     """Return the fields of a part of a model that a file holds as they are, by their names."""
-    return {field: getattr(part, field) for field in file.STORED[kind]}
+    return {field: getattr(part, field) for field in file_format.STORED[kind]}
 
 
 def _named(prefix: str, tensors: Mapping[str, Value]) -> dict[str, Value]:

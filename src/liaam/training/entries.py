@@ -16,7 +16,7 @@ from liaam.errors import LandmarkError, TrainingError
 from liaam.io import Landmarks, image_size, read_image, read_landmarks
 from liaam.io.files import count_of, some_names
 from liaam.io.landmarks.base import Contour, contour_of
-from liaam.model.file import MAX_POINTS
+from liaam.model.file_format import MAX_POINTS
 from liaam.model.mesh import FOLD_TOLERANCE, delaunay, folded_share, signed_areas, triangles_from_edges
 from liaam.model.shape import align, procrustes_mean
 

@@ -9,7 +9,7 @@ import numpy as np
 
 from liaam.errors import TrainingError, check_options
 from liaam.model import MESH, SURROUNDINGS
-from liaam.model.file import MAX_BLUR, MAX_DIAGONAL, MAX_LEVELS, MOST_SHAPES
+from liaam.model.file_format import MAX_BLUR, MAX_DIAGONAL, MAX_LEVELS, MOST_SHAPES
 from liaam.model.pca import Variance, check_variance
 from liaam.model.shape import check_prior
 from liaam.training.compacting import Methods, chosen

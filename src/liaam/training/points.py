@@ -9,7 +9,7 @@ import numpy as np
 from liaam.errors import TrainingError
 from liaam.fitting.landmarkers import LANDMARKERS
 from liaam.io import LANDMARK_SUFFIXES, read_landmarks
-from liaam.model.file import MAX_POINTS
+from liaam.model.file_format import MAX_POINTS
 from liaam.model.point_map import PointMap, learn_point_map
 from liaam.photometry.encoding import as_colour
 from liaam.training.entries import Entry, image_of

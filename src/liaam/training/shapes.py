@@ -10,7 +10,7 @@ from itertools import count, takewhile
 import numpy as np
 
 from liaam.errors import TrainingError
-from liaam.model.file import MOST_SHAPES
+from liaam.model.file_format import MOST_SHAPES
 from liaam.model.shape import deviations_from, procrustes_mean
 from liaam.model.shape_prior import fit_prior, spread_points
 from liaam.training.entries import FEWEST

@@ -18,7 +18,7 @@ import numpy as np
 from liaam.errors import LiaamError, TrainingError
 from liaam.io import write_bytes_atomically
 from liaam.io.files import count_of, json_object
-from liaam.model.file import LAMPS_FORMAT, MAX_LOG_LIGHT
+from liaam.model.file_format import LAMPS_FORMAT, MAX_LOG_LIGHT
 from liaam.model.light_basis import HALF, SIDE, LightBasis, in_field, sample_field
 from liaam.model.rounding import rounded
 from liaam.model.shape import align
