@@ -25,6 +25,7 @@ from experiments.measures import or_dash
 from experiments.protocol import Header, Table, eight_bit, face_size, tell
 from experiments.relit import GRAIN, mesh_mask
 from experiments.runner import Experiment, Named, Row
+from liaam.distance_transform import distance_transform
 from liaam.errors import LiaamError
 from liaam.formatting import finite_or_none
 from liaam.photometry.response import srgb_to_linear
@@ -87,12 +88,10 @@ def lab_of(image: np.ndarray) -> np.ndarray:
 
 def skin_of(image: np.ndarray, inside: np.ndarray, points: np.ndarray) -> dict[str, np.ndarray]:
     """Masks of skin by place: in the mesh (``face``), above the brows (``brow``) and below the jaw (``jaw``)."""
-    import cv2
-
     lab = lab_of(image)
     distance = lab - np.median(lab[inside], axis=0)
     skin = (np.hypot(distance[..., 1], distance[..., 2]) < SKIN_COLOUR) & (np.abs(distance[..., 0]) < SKIN_LIGHTNESS)
-    away = cv2.distanceTransform((~inside).astype(np.uint8), cv2.DIST_L2, cv2.DIST_MASK_PRECISE)
+    away = distance_transform(~inside)
     band = (away > 0) & (away <= NEAR * face_size(points)) & skin
     y, x = np.indices(inside.shape)
     low, high = np.quantile(points[:, 0], [0.1, 0.9])

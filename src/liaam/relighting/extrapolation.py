@@ -10,7 +10,8 @@ import cv2
 import numpy as np
 
 from liaam import _core
-from liaam.relighting.painting import averages, distance, mean_of, smoothstep
+from liaam.distance_transform import distance_transform
+from liaam.relighting.painting import averages, mean_of, smoothstep
 
 # Distances are in reaches (of `Region`) unless said.
 FARTHEST = 4.0  # Distance beyond the mesh to which values extend
@@ -62,14 +63,14 @@ class Surroundings:
         light = np.exp(own)
         own = np.log(light + DARK * np.float32(np.quantile(light[inside], BRIGHTEST)))
         seen = cv2.GaussianBlur(own, (0, 0), BLUR_OWN)
-        away = distance(~inside)[..., None]
+        away = distance_transform(~inside)[..., None]
         in_object = inside[..., None]
         nearer = np.where(in_object, np.float32(1.0), _nearer_to_object(inside, away, seen, reach))
         alike, bright = _alike(inside, own, reach)
         enclosed = (bright > A_LITTLE) & _is_enclosed((bright <= A_LITTLE) & (nearer >= 0.5))
         gloss = bright * enclosed
         belongs = (alike * (1.0 - bright) + gloss) * np.maximum(nearer, enclosed)
-        depth = distance(np.pad(inside, 1))[1:-1, 1:-1]
+        depth = distance_transform(np.pad(inside, 1))[1:-1, 1:-1]
         is_deep = depth > min(BORDER * reach, 0.5 * depth.max())
         belongs = np.where(is_deep[..., None], np.float32(1.0), belongs)
         belongs = np.where(in_object, belongs, averaged(belongs, seen, max(1.0, EVEN * reach)))

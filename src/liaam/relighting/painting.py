@@ -194,11 +194,6 @@ def mean_of(log_rgb: np.ndarray) -> np.ndarray:
     return cv2.transform(log_rgb, np.full((1, 3), 1 / 3, np.float32))
 
 
-def distance(mask: np.ndarray) -> np.ndarray:
-    """Return the distance of each pixel of a mask (h, w) from the rest, float32."""
-    return cv2.distanceTransform(mask.astype(np.uint8), cv2.DIST_L2, cv2.DIST_MASK_PRECISE)
-
-
 def smoothstep(x: np.ndarray) -> np.ndarray:
     """Rise smoothly from 0 at 0 to 1 at 1."""
     x = np.clip(x, 0.0, 1.0)

@@ -29,6 +29,7 @@ import cv2
 import numpy as np
 from numpy.polynomial.legendre import legvander
 
+from liaam.distance_transform import distance_transform
 from liaam.formatting import short_repr
 from liaam.model import AAM
 from liaam.model.light_basis import HALF, in_field, sample_field
@@ -38,7 +39,7 @@ from liaam.photometry.invariant import CHROMATICITY, THETA_DEFAULT, temperature_
 from liaam.photometry.noise import noise_deviation
 from liaam.photometry.response import log_slope
 from liaam.relighting.appearance import ShadowFree
-from liaam.relighting.painting import Region, distance, smoothstep
+from liaam.relighting.painting import Region, smoothstep
 from liaam.training.textures import sample_appearance
 
 SQUARE = HALF * np.array([(-1, -1), (1, -1), (1, 1), (-1, 1)], np.float64)
@@ -277,7 +278,7 @@ def errors_of_the_model(model: AAM) -> np.ndarray:
     """Return the variance of the errors of a model's appearance in fitted images, (n_pixels,) float32."""
     unexplained = model.levels[-1].appearances["log"].unexplained
     variance = UNKNOWN**2 if unexplained is None else np.trace(unexplained, axis1=1, axis2=2) / 3.0
-    depth = distance(model.frame.picture(np.ones(model.n_pixels)) > 0)[tuple(model.frame.pixels.T)]
+    depth = distance_transform(model.frame.picture(np.ones(model.n_pixels)) > 0)[tuple(model.frame.pixels.T)]
     soft = smoothstep((depth - 1.0) / (SOFT_EDGE * model.diagonal))
     return (variance + np.square(AT_THE_BORDER * (1.0 - soft))).astype(np.float32)
 

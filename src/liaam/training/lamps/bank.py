@@ -15,6 +15,7 @@ from typing import Any
 import cv2
 import numpy as np
 
+from liaam.distance_transform import distance_transform
 from liaam.errors import LiaamError, TrainingError
 from liaam.io import write_bytes_atomically
 from liaam.io.files import count_of, json_object
@@ -277,7 +278,7 @@ def _away_from(mean: np.ndarray) -> np.ndarray:
     step = 2 * HALF / (SIDE - 1)
     outside = np.ones((SIDE, SIDE), np.uint8)
     cv2.fillConvexPoly(outside, cv2.convexHull(np.rint((mean + HALF) / step).astype(np.int32)), 0)
-    return cv2.distanceTransform(outside, cv2.DIST_L2, cv2.DIST_MASK_PRECISE) * np.float32(step)
+    return distance_transform(outside) * np.float32(step)
 
 
 def _border() -> np.ndarray:
