@@ -166,8 +166,7 @@ class _Hold(ContextDecorator):
 
 
 def _take_blas() -> Callable[[], object]:
-    """Limit BLAS and OpenMP to one thread; return a function that restores their limits."""
-    import scipy.linalg  # noqa: F401 (loads its own BLAS, which must be loaded to be limited)
+    """Limit BLAS and OpenMP to one thread, as far as they are loaded; return a function that restores their limits."""
     from threadpoolctl import threadpool_limits
 
     return threadpool_limits(limits=1).restore_original_limits
@@ -186,18 +185,41 @@ _blas = _Hold(_take_blas)
 _opencv = _Hold(_take_opencv)
 
 
-def one_blas_thread() -> _Hold:
+class _WithSciPy(ContextDecorator):
+    """The hold on BLAS after SciPy is loaded: it brings a BLAS of its own, which must be loaded to be limited."""
+
+    def __enter__(self) -> None:
+        import scipy.linalg  # noqa: F401
+
+        _blas.__enter__()
+
+    def __exit__(self, *_: object) -> None:
+        _blas.__exit__()
+
+
+_blas_with_scipy = _WithSciPy()
+
+
+def one_numpy_thread() -> _Hold:
+    """Limit the BLAS of NumPy to one thread, for the whole process: where SciPy, which takes long to load, has no part.
+
+    Sums then have a fixed order, and products of the size of a fit's are no slower.
+    """
+    return _blas
+
+
+def one_blas_thread() -> _WithSciPy:
     """Limit BLAS and OpenMP to one thread, for the whole process; also to decorate functions.
 
     Matrices of fits and of training are too small for more threads, which would busy-wait: on two cores, training on 60
     images takes as long with one as with two, and beside eight other programs 48 s instead of 129. Sums then have a
     fixed order.
     """
-    return _blas
+    return _blas_with_scipy
 
 
 @contextmanager
 def one_thread() -> Iterator[None]:
     """Limit BLAS, OpenMP and OpenCV to one thread, so that workers do not compete for cores."""
-    with _opencv, _blas:
+    with _opencv, _blas_with_scipy:
         yield

@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from threadpoolctl import threadpool_limits
 
 import liaam
 from liaam.cli.inputs import model_and_inputs
@@ -70,6 +71,21 @@ def test_turned_copies_are_no_further_images(face, run):
     assert face.n_all_images == face.n_images == 254 and face.n_copies > 3 * 254
     _, out, _ = run("show", "face")
     assert "254 images and" in out and "3, each with a model of its own, from copies of the same images" in out
+
+
+def test_bits_do_not_depend_on_the_threads_of_blas():
+    image = read_image(FACE_PICTURE)
+    fits = []
+    for n_threads in (1, 3):
+        with threadpool_limits(n_threads, user_api="blas"):
+            fitter = Fitter(liaam.load_model(model_file("face")))  # nothing is prepared yet
+            result = fitter.fit(image)
+            fits.append((result, Relighter.of(fitter, image, result)))
+    (one, relit_by_one), (several, relit_by_several) = fits
+    np.testing.assert_array_equal(one.landmarks, several.landmarks)
+    np.testing.assert_array_equal(one.landmark_covariances, several.landmark_covariances)
+    np.testing.assert_array_equal(relit_by_one.frame_shading.log, relit_by_several.frame_shading.log)
+    np.testing.assert_array_equal(relit_by_one.flat(), relit_by_several.flat())
 
 
 def test_left_and_right_are_the_persons(face):

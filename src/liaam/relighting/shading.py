@@ -41,6 +41,7 @@ from liaam.photometry.response import log_slope
 from liaam.relighting.appearance import ShadowFree
 from liaam.relighting.painting import Region, smoothstep
 from liaam.training.textures import sample_appearance
+from liaam.workers import one_numpy_thread
 
 SQUARE = HALF * np.array([(-1, -1), (1, -1), (1, 1), (-1, 1)], np.float64)
 """Corners of the square around the mean shape to which lamps' light is known."""
@@ -237,6 +238,7 @@ class Shading:
     __repr__ = short_repr
 
 
+@one_numpy_thread()  # so that the bits do not depend on the number of threads
 def find_shading(model: AAM, image: np.ndarray, shape: np.ndarray, response: Response) -> tuple[ShadowFree, Shading]:
     """Estimate the appearance and the light of an image (h, w, 3) with fitted landmarks (n, 2)."""
     log, usable = sample_appearance(image, shape, model.warp, "log", response, model.levels[-1].blur)

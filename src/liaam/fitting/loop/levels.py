@@ -30,6 +30,7 @@ from liaam.model.sampling import AveragedImage
 from liaam.model.shape import Similarity, align, diagonal_of, own_parameters
 from liaam.photometry import NoiseModel, Response, is_grey
 from liaam.photometry.encoding import ENCODINGS, Encoding, Means, light_of_floats, light_table, log_floor
+from liaam.workers import one_numpy_thread
 
 # Pixels of an image of floats up to which its light is computed once for all levels and starts; else by level.
 LARGEST_FLOATS = 4_000_000
@@ -172,6 +173,7 @@ class CoarseToFine:
             shape = levels[-1].reached
         return levels
 
+    @one_numpy_thread()  # so that the bits of a fit do not depend on the number of threads
     def _prepare(self, objectives: Sequence[Objective]) -> Any:
         warps: list[Any] = [objective.warp for objective in objectives]  # of a mesh: that is what the core can fit
         method = objectives[0].method
