@@ -374,32 +374,43 @@ def _line(blocks: np.ndarray, low: int, high: int = HIGHEST, start: np.ndarray |
     Iteratively reweighted least squares minimise the sum of relative deviations, so up to half of the blocks may be
     outliers. Both numbers are non-negative, unless the fit continues from a start for standard errors.
     """
+    level = np.ascontiguousarray(blocks["level"])
+    rounding = np.ascontiguousarray(blocks["rounding"])
     variance = _variance(blocks, low, high)
-    noise = variance - blocks["rounding"]
-    design = np.column_stack([blocks["level"], np.ones(len(blocks))])
+    noise = variance - rounding
     # Without a start, all noise is of photons at first.
-    line = np.array([max(np.median(noise / blocks["level"]), 0.0), 0.0]) if start is None else start
+    line = np.array([max(np.median(noise / level), 0.0), 0.0]) if start is None else start
     least = max(1e-3 * float(np.median(variance)), 1e-16)  # by which a deviation is divided
     for _ in range(ROUNDS if start is None else ROUNDS_OF_REPLICATES):
-        predicted = design @ line
-        expected = np.maximum(predicted + blocks["rounding"], least)
+        slope, offset = line
+        predicted = slope * level + offset
+        expected = np.maximum(predicted + rounding, least)
         deviation = np.abs(noise - predicted) / expected
         weight = blocks["weight"] / (np.square(expected) * np.maximum(deviation, BEND))
-        weighted = design.T * weight
-        normal = weighted @ design
-        right = weighted @ noise
-        line = np.linalg.lstsq(normal, right, rcond=1e-12)[0]
+        line = _weighted_line(level, noise, weight)
         if start is None and line.min() < 0:
-            line = _non_negative(line, normal, right)
+            line = _non_negative(line, level, noise, weight)
     return line
 
 
-def _non_negative(line: np.ndarray, normal: np.ndarray, right: np.ndarray) -> np.ndarray:
+def _weighted_line(level: np.ndarray, noise: np.ndarray, weight: np.ndarray) -> np.ndarray:
+    """Fit slope and offset, (2,), by least squares; the slope is 0 where all blocks have one brightness."""
+    total = weight.sum()
+    mean_level = (weight @ level) / total
+    mean_noise = (weight @ noise) / total
+    apart = level - mean_level
+    pull = weight * apart
+    spread = pull @ apart
+    slope = (pull @ noise) / spread if spread > 0.0 else 0.0
+    return np.array([slope, mean_noise - slope * mean_level])
+
+
+def _non_negative(line: np.ndarray, level: np.ndarray, noise: np.ndarray, weight: np.ndarray) -> np.ndarray:
     """Fit slope or offset alone, with the other, which was negative, at 0."""
-    free = 1 if line[0] < 0 else 0
-    fitted = np.zeros(2)
-    fitted[free] = max(right[free] / normal[free, free], 0.0)
-    return fitted
+    if line[0] < 0:
+        return np.array([0.0, max((weight @ noise) / weight.sum(), 0.0)])
+    weighted = weight * level
+    return np.array([max((weighted @ noise) / (weighted @ level), 0.0), 0.0])
 
 
 def _on_line(blocks: np.ndarray, line: np.ndarray) -> np.ndarray:
