@@ -1,5 +1,6 @@
 // Random small fits of the core, for sanitizers: meshes, methods, images and numbers of any kind. Each case runs whole
-// fits and checks that what comes back has the right size, and is finite where it must be.
+// fits and checks that what comes back has the right size, and is finite where it must be. The digest of all results that
+// it prints says whether a change of the core left every bit as it was, with the same compiler.
 //
 //     driver CASES [SEED]
 
@@ -43,6 +44,39 @@ double odd(Rng& rng, double usual) {
     const double odd_ones[] = {std::numeric_limits<double>::quiet_NaN(), std::numeric_limits<double>::infinity(), -1e300, 0.0};
     return integer(rng, 0, 19) ? usual : odd_ones[integer(rng, 0, 3)];
 }
+
+// A digest (FNV-1a) of the bits of all results.
+class Digest {
+  public:
+    void add(double number) {
+        if (std::isnan(number)) number = std::numeric_limits<double>::quiet_NaN();  // whatever its bits
+        for (const std::byte each : std::as_bytes(std::span<const double>(&number, 1))) {
+            value_ ^= static_cast<std::uint64_t>(each);
+            value_ *= 0x100000001b3;
+        }
+    }
+    template <class T>
+    void add(std::span<const T> numbers) {
+        for (const T each : numbers) add(static_cast<double>(each));
+    }
+    void add(const Solution& fit) {
+        add(std::span<const double>(fit.state.p));
+        add(std::span<const double>(fit.state.angles));
+        add(std::span<const double>(fit.state.lam));
+        add(std::span<const double>(fit.trace.costs));
+        add(std::span<const double>(fit.trace.path));
+        add(std::span<const double>(fit.expected_hessian.numbers()));
+        add(std::span<const float>(fit.usable));
+        add(std::span<const float>(fit.residual));
+        for (const double number : {fit.noise_variance, fit.squares, fit.weight, fit.prior_scale}) add(number);
+        for (const int count : {fit.trace.n_iterations, fit.trace.converged + 0, fit.trace.held + 0, fit.trace.flat + 0})
+            add(static_cast<double>(count));
+    }
+    std::uint64_t value() const { return value_; }
+
+  private:
+    std::uint64_t value_ = 0xcbf29ce484222325;
+};
 
 // The arrays of a random objective. The mesh is a square of two triangles; the shape moves its corners.
 struct Arrays {
@@ -174,7 +208,7 @@ struct Photo {
     }
 };
 
-void fit_once(Rng& rng) {
+void fit_once(Rng& rng, Digest& digest) {
     const int kind = integer(rng, 0, 2);
     const Encoding encoding = kind == 0 ? Encoding::soft : kind == 2 ? Encoding::log : static_cast<Encoding>(integer(rng, 0, 2));
     const Photo photo(rng, encoding);
@@ -201,11 +235,12 @@ void fit_once(Rng& rng) {
         check(result.fit.trace.path.size() == result.fit.trace.costs.size() * coarse.n_p(), "the path has other lengths");
         check(result.fit.usable.size() == coarse.n(), "usable pixels differ in number");
         check(result.fit.state.lam.size() == static_cast<std::size_t>(coarse.m), "lambda has another length");
+        digest.add(result.fit);
     }
 }
 
 // A level from a state that may be no number.
-void solve_once(Rng& rng) {
+void solve_once(Rng& rng, Digest& digest) {
     Arrays arrays(rng, integer(rng, 0, 2));
     const int height = integer(rng, 2, 20), width = integer(rng, 2, 20);
     std::vector<float> pixels = normals<float>(rng, 8 * height * width), noise(16, 0.1f);
@@ -225,6 +260,7 @@ void solve_once(Rng& rng) {
     const Solution fit = solve_level(arrays.objective, image, start, options, 1.0, integer(rng, 0, 1), work, [] { return false; });
     check(fit.trace.n_iterations <= 2 * options.max_iterations, "too many steps");
     check(fit.state.p.size() == arrays.n_p(), "p has another length");
+    digest.add(fit);
 }
 
 void draw_once(Rng& rng) {
@@ -261,11 +297,12 @@ void differentiate_once(Rng& rng) {
 int main(int argc, char** argv) {
     const int cases = argc > 1 ? std::atoi(argv[1]) : 1000;
     Rng rng(argc > 2 ? std::strtoull(argv[2], nullptr, 10) : 1);
+    Digest digest;
     for (int i = 0; i < cases; ++i) {
         if (i % 4 == 1) differentiate_once(rng);
         if (i % 4 == 0) draw_once(rng);
-        if (i % 2 == 0) solve_once(rng);
-        else fit_once(rng);
+        if (i % 2 == 0) solve_once(rng, digest);
+        else fit_once(rng, digest);
     }
-    std::printf("%d cases\n", cases);
+    std::printf("%d cases, digest %016llx\n", cases, static_cast<unsigned long long>(digest.value()));
 }
