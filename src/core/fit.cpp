@@ -240,8 +240,8 @@ class Fit {
         image_.value_left = 1.0 / std::sqrt(correlated_pixels(blur));
         image_.slope_left = scale * slope_left(blur);
         // In an image smaller than the model's frame, one image pixel covers several model pixels.
-        const double tied = std::max(correlated_pixels(level.blur), 1.0 / (scale * scale));
-        image_.correlated = std::max(1.0, level.density * tied);
+        const double pixels_per_dof = std::max(correlated_pixels(level.blur), 1.0 / (scale * scale));
+        image_.correlated = std::max(1.0, level.density * pixels_per_dof);
     }
 
     const std::vector<LevelSpec>& levels_;
@@ -261,13 +261,12 @@ Options coarse(Options options) {
 }
 
 std::array<double, 2> first_angles(const Objective& objective, const Target& target, const Options& options,
-                                   const EncodedImage& image, const State& state, Workspace& work) {
+                                   const EncodedImage& image, const State& state, SamplingRoom& room) {
     const Method& method = objective.method;
     if (!method.n_free()) return {target.theta_1, target.theta_2};
     const bool image_only = method.n_free() == 1 && method.directions[0][0] == 0.0;
     if (!image_only || !target.has_invariant || !options.best_angle) return state.angles;
-    work.begin(objective, state);
-    return {state.angles[0], best_image_angle(objective, image, work)};
+    return {state.angles[0], best_image_angle(objective, image, state, room)};
 }
 
 }  // namespace
@@ -319,7 +318,6 @@ std::vector<FittedLevel> fit_levels(const std::vector<LevelSpec>& levels, const 
                                     const Target& target, const Options& options, const EncodingConstants& constants,
                                     FitRoom& room, const Interrupted& interrupted) {
     Fit fit(levels, picture, target, constants, room);
-    Workspace& work = room.work;
     std::vector<FittedLevel> results;
     std::vector<double> shape = target.start;
     double margin = target.margin;
@@ -328,9 +326,9 @@ std::vector<FittedLevel> fit_levels(const std::vector<LevelSpec>& levels, const 
         const Options own = last ? options : coarse(options);
         FittedLevel result;
         State start = fit.prepare(level, shape, margin, result);
-        start.angles = results.empty() ? first_angles(*level.objective, target, own, fit.image(), start, work)
+        start.angles = results.empty() ? first_angles(*level.objective, target, own, fit.image(), start, room.level.sampling)
                                        : results.back().fit.state.angles;
-        result.fit = solve_level(*level.objective, fit.image(), start, own, level.blur, last, work, interrupted);
+        result.fit = solve_level(*level.objective, fit.image(), start, own, level.blur, last, room.level, interrupted);
         const auto before = map(result.pose, level.shapes.shape(start.p));
         const auto after = map(result.pose, level.shapes.shape(result.fit.state.p));
         for (std::size_t i = 0; i < shape.size(); ++i) shape[i] += after[i] - before[i];  // what no mode here shows stays

@@ -71,7 +71,7 @@ struct BlockMeans {
 
 // Room for fits, reused by the next.
 struct FitRoom {
-    Workspace work;
+    LevelRoom level;
     BlockMeans around_start, around_shape;
     Channels channels;
     std::vector<float> noise;

@@ -158,12 +158,10 @@ struct Arrays {
         const std::size_t e = n() * k, free = static_cast<std::size_t>(n_free), modes = static_cast<std::size_t>(m);
         Model& model = objective.model;
         model.mesh = {{beta.data(), n(), 3}, starts, {triangles.data(), 2, 3}, {rest.data(), 4, 2}, {basis.data(), 8, 8}, 0.5};
-        model.rows = {rows.data(), 1 + modes, e};
-        model.lines = lines;
-        model.slopes = {slopes.data(), 1 + modes, 2 * e};
+        model.modes = {{rows.data(), 1 + modes, e}, lines, {slopes.data(), 1 + modes, 2 * e}};
         for (std::size_t i = 0; i < 3 && n_free == 2; ++i) {
-            model.row_parts[i] = {row_parts.data() + i * rows.size(), 1 + modes, e};
-            model.slope_parts[i] = {slope_parts.data() + i * slopes.size(), 1 + modes, 2 * e};
+            model.mode_parts[i] = {row_parts.data() + i * rows.size(), 1 + modes, e};
+            model.gradient_parts[i] = {slope_parts.data() + i * slopes.size(), 1 + modes, 2 * e};
         }
         model.sqrt_weights = sqrt_weights;
         model.gram = {gram.data(), modes, modes};
@@ -256,8 +254,8 @@ void solve_once(Rng& rng, Digest& digest) {
     start.p[0] = odd(rng, start.p[0]);
     Options options;
     options.max_iterations = integer(rng, 0, 8);
-    static Workspace work;
-    const Solution fit = solve_level(arrays.objective, image, start, options, 1.0, integer(rng, 0, 1), work, [] { return false; });
+    static LevelRoom room;
+    const Solution fit = solve_level(arrays.objective, image, start, options, 1.0, integer(rng, 0, 1), room, [] { return false; });
     check(fit.trace.n_iterations <= 2 * options.max_iterations, "too many steps");
     check(fit.state.p.size() == arrays.n_p(), "p has another length");
     digest.add(fit);
