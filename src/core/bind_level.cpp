@@ -57,12 +57,12 @@ void check_objective(const Objective& objective) {
     const std::size_t n = objective.n(), k = objective.k(), m = objective.m(), e = n * k;
     check_mesh(model.mesh, objective.n_p());
     require(n > 0 && k > 0 && k <= kChannels && objective.method.metric[0].size() == k * kChannels, "the metric is damaged");
-    require(model.modes.values.n_rows == m + 1 && model.modes.values.n_columns == e, "rows differ in size");
+    require(model.modes.values.n_rows == m + 1 && model.modes.values.n_columns == e, "modes differ in size");
     require(model.modes.transposed.size() == e * objective.width() && objective.width() >= m && objective.width() % 8 == 0,
-            "lines differ in size");
+            "transposed modes differ in size");
     require(model.modes.gradients.n_rows == m + 1 &&
                 (model.modes.gradients.n_columns == 2 * e || objective.method.step == StepKind::own),
-            "slopes differ in size");
+            "gradients of modes differ in size");
     require(model.sqrt_weights.size() == e && model.gram.n_rows == m && model.gram.n_columns == m &&
                 model.errors.size() == n,
             "weights or errors differ in size");
@@ -82,11 +82,11 @@ std::unique_ptr<HeldObjective> make_objective(const nb::dict& given) {
     Method& method = held->objective.method;
     model.mesh = {fields.rows<float>("beta"), fields.numbers<std::int64_t>("starts"), fields.rows<std::int64_t>("triangles"),
                   fields.rows<double>("rest"), fields.rows<double>("basis"), fields.value<double>("movement")};
-    model.modes.values = fields.rows<float>("rows");
-    model.modes.transposed = fields.numbers<float>("lines");
-    model.modes.gradients = fields.rows<float>("slopes");
-    model.mode_parts = fields.parts("row_parts");
-    model.gradient_parts = fields.parts("slope_parts");
+    model.modes.values = fields.rows<float>("modes");
+    model.modes.transposed = fields.numbers<float>("transposed_modes");
+    model.modes.gradients = fields.rows<float>("mode_gradients");
+    model.mode_parts = fields.parts("mode_parts");
+    model.gradient_parts = fields.parts("mode_gradient_parts");
     model.sqrt_weights = fields.numbers<float>("sqrt_weights");
     model.gram = fields.rows<double>("gram");
     model.ridge = fields.numbers<double>("ridge");
@@ -134,8 +134,8 @@ std::unique_ptr<HeldImage> make_image(const nb::dict& given) {
     image.first_log = fields.value<double>("first_log");
     image.last_log = fields.value<double>("last_log");
     check_noise(image.log_noise, image.first_log, image.last_log);
-    image.value_left = fields.value<double>("value_left");
-    image.slope_left = fields.value<double>("slope_left");
+    image.value_noise_gain = fields.value<double>("value_noise_gain");
+    image.slope_noise_gain = fields.value<double>("slope_noise_gain");
     image.correlated = fields.value<double>("correlated");
     image.point_precision = fields.rows<double>("point_precision");
     image.points = fields.numbers<double>("points");
@@ -180,8 +180,8 @@ void bind_level_fit(nb::module_& module) {
                      })
         .def_prop_ro("n_iterations", [](const Solution& fit) { return fit.trace.n_iterations; })
         .def_prop_ro("converged", [](const Solution& fit) { return fit.trace.converged; })
-        .def_prop_ro("held", [](const Solution& fit) { return fit.trace.held; })
-        .def_prop_ro("flat", [](const Solution& fit) { return fit.trace.flat; })
+        .def_prop_ro("angle_fixed", [](const Solution& fit) { return fit.trace.angle_fixed; })
+        .def_prop_ro("no_texture", [](const Solution& fit) { return fit.trace.no_texture; })
         .def_ro("noise_variance", &Solution::noise_variance)
         .def_ro("squares", &Solution::squares)
         .def_ro("weight", &Solution::weight)
@@ -273,7 +273,7 @@ nb::dict arrays_of(const Problem& problem) {
     all["residual"] = copied(fitted.residual, {n * k});
     all["gradients"] = copied(samples.gradients, {n * k, 2});
     all["usable"] = copied(samples.usable, {n});
-    all["rows"] = owned(std::vector<float>(modes.data, modes.data + modes.n_rows * n * k), {modes.n_rows, n * k});
+    all["modes"] = owned(std::vector<float>(modes.data, modes.data + modes.n_rows * n * k), {modes.n_rows, n * k});
     all["metric"] = copied(samples.metric, {k, kChannels});
     all["base_sqrt_weights"] = copied(weights.base_sqrt_weights, {n * k});
     all["sqrt_weights"] = copied(weights.sqrt_weights, {n * k});

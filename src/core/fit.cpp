@@ -122,7 +122,7 @@ bool join_blocks(const BlockMeans& fine, const Region& region, double size, Bloc
 double correlated_pixels(double blur) { return std::max(1.0, 4.0 * std::numbers::pi * blur * blur); }
 
 // Standard deviation of central differences of unit white noise after a Gaussian blur (pixels).
-double slope_left(double blur) {
+double slope_noise_gain(double blur) {
     if (!(blur > 0.3)) return std::sqrt(0.5);
     return std::sqrt((1.0 - std::exp(-1.0 / (blur * blur))) / (8.0 * std::numbers::pi * blur * blur));
 }
@@ -237,8 +237,8 @@ class Fit {
         image_.log_noise = room_.noise;
         image_.first_log = target_.first_log;
         image_.last_log = target_.last_log;
-        image_.value_left = 1.0 / std::sqrt(correlated_pixels(blur));
-        image_.slope_left = scale * slope_left(blur);
+        image_.value_noise_gain = 1.0 / std::sqrt(correlated_pixels(blur));
+        image_.slope_noise_gain = scale * slope_noise_gain(blur);
         // In an image smaller than the model's frame, one image pixel covers several model pixels.
         const double pixels_per_dof = std::max(correlated_pixels(level.blur), 1.0 / (scale * scale));
         image_.correlated = std::max(1.0, level.density * pixels_per_dof);

@@ -171,7 +171,7 @@ void append(const Trace& more, std::size_t n_p, Trace& trace) {
     trace.path.insert(trace.path.end(), more.path.begin() + static_cast<std::ptrdiff_t>(n_p), more.path.end());
     trace.angles.insert(trace.angles.end(), more.angles.begin() + 1, more.angles.end());
     trace.n_iterations += more.n_iterations;
-    trace.held = more.held;
+    trace.angle_fixed = more.angle_fixed;
 }
 
 // Steps with the expected gradient from the solution of a level; none if they raise the cost. The weights are kept,
@@ -235,16 +235,16 @@ Trace run_level(const Objective& objective, const EncodedImage& image, const Con
                                                      loop.fresh, room.linearisation);
         const auto& observable =
             observable_parameters(method, samples, fitted, equations.hessian, controls.observable, room.step);
-        trace.held = std::find(observable.begin(), observable.end(), 0) != observable.end();
-        trace.flat = !has_texture(equations, fitted, objective.n_p());
-        if (ends || trace.flat) break;
+        trace.angle_fixed = std::find(observable.begin(), observable.end(), 0) != observable.end();
+        trace.no_texture = !has_texture(equations, fitted, objective.n_p());
+        if (ends || trace.no_texture) break;
 
         const ResidualVariance variance = residual_variance(objective, weights, fitted);
         const NormalEquations& system =
             add_priors(objective, image, state.p, controls.shape_prior, variance.value, equations, priors, room.step);
         const Step& step = solve(system, observable, loop.damping, controls.expected, newton, room.step);
-        trace.flat = !step.found;
-        if (trace.flat) break;
+        trace.no_texture = !step.found;
+        if (trace.no_texture) break;
 
         const double length = movement(objective, step.q);
         loop.least = std::min(loop.least, penalised_cost(objective, image, state.p, fitted, priors));
@@ -275,7 +275,7 @@ Solution solve_level(const Objective& objective, const EncodedImage& image, cons
     Controls controls{options, 0.0, 0, expected, reweighs, evaluate_last};
     set_early(objective.method, blur, more > 0, controls);
     Trace trace = run_level(objective, image, controls, room, interrupted);
-    if (more > 0 && !trace.flat) {
+    if (more > 0 && !trace.no_texture) {
         controls = {options, 0.0, 0, true, reweighs && options.scoring >= 0, evaluate_last};
         controls.max_iterations = more;
         controls.damping = 0.0;

@@ -14,8 +14,8 @@ struct Trace {
     std::vector<std::array<double, 2>> angles;
     int n_iterations = 0;                       // refused steps included
     bool converged = false;
-    bool held = false;  // an angle was not observable and kept fixed
-    bool flat = false;  // there is no texture under the model
+    bool angle_fixed = false;  // an angle was not observable
+    bool no_texture = false;   // there is none under the model
 };
 
 // Sums over the usable pixels of one row: weights, weighted samples and their squares, weighted squares of the residual.

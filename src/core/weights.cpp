@@ -67,7 +67,7 @@ struct NoisePlanes {
 // The variances of the three logarithms of a block of pixels, its light, and the light's variance.
 void log_variances(const EncodedImage& image, const Samples& samples, const float* known, std::size_t begin,
                    std::size_t size, const NoiseTable& table, NoisePlanes& planes) {
-    const auto keep = static_cast<float>(image.value_left * image.value_left);
+    const auto keep = static_cast<float>(image.value_noise_gain * image.value_noise_gain);
     for (std::size_t i = 0; i < size; ++i) {
         planes.light[i] = kLogFloor;
         planes.spread[i] = 0.0f;
@@ -96,7 +96,7 @@ void log_variances(const EncodedImage& image, const Samples& samples, const floa
 // do/dg = (I - o o') / sqrt(|g|^2 + s^2), and the square root follows from |o|.
 void direction_variances(const EncodedImage& image, const Samples& samples, std::size_t begin, std::size_t size,
                          NoisePlanes& planes) {
-    const auto slope = static_cast<float>(std::pow(image.slope_left / kSoftness, 2));
+    const auto slope = static_cast<float>(std::pow(image.slope_noise_gain / kSoftness, 2));
     const float* values = samples.values.data() + kChannels * begin;
     for (std::size_t i = 0; i < size; ++i) {
         const float x = values[kChannels * i], y = values[kChannels * i + 1];
@@ -260,7 +260,7 @@ double negative_log_likelihood(const Objective& objective, const Samples& sample
 void log_channel_noise(const Objective& objective, const EncodedImage& image, const Samples& samples, Weights& weights) {
     const std::size_t k = objective.k();
     const NoiseTable table(image);
-    const auto keep = static_cast<float>(image.value_left * image.value_left);
+    const auto keep = static_cast<float>(image.value_noise_gain * image.value_noise_gain);
     for (std::size_t i = 0; i < objective.n(); ++i) {
         float* noise = weights.channel_noise.data() + kChannels * i;
         for (std::size_t c = 0; c < 3; ++c) {

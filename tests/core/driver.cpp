@@ -69,7 +69,7 @@ class Digest {
         add(std::span<const float>(fit.usable));
         add(std::span<const float>(fit.residual));
         for (const double number : {fit.noise_variance, fit.squares, fit.weight, fit.prior_scale}) add(number);
-        for (const int count : {fit.trace.n_iterations, fit.trace.converged + 0, fit.trace.held + 0, fit.trace.flat + 0})
+        for (const int count : {fit.trace.n_iterations, fit.trace.converged + 0, fit.trace.angle_fixed + 0, fit.trace.no_texture + 0})
             add(static_cast<double>(count));
     }
     std::uint64_t value() const { return value_; }
