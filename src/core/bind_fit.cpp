@@ -104,7 +104,7 @@ std::vector<FittedLevel> run_fit(const PreparedFit& prepared, const Picture& pic
     const RoomOfThread room;
     {
         const Unlocked unlocked;
-        results = fit_levels(prepared.levels, picture, target, own, EncodingConstants{}, *room, std::ref(signals));
+        results = fit_levels(prepared.levels, picture, target, own, encoding_constants(), *room, std::ref(signals));
     }
     signals.rethrow();
     return results;

@@ -87,11 +87,12 @@ nb::object encode_light(const Array<float, 3>& light, const std::optional<Array<
                 "there is a finite share for each pixel");
         means.finite = numbers_of(*finite);
     }
+    const EncodingConstants& constants = encoding_constants();
     EncodingOptions options{numbered<Encoding>(encoding, Encoding::soft, "encoding"), floor, blur, pixel, turn};
     Channels channels;
     {
         const Unlocked unlocked;
-        encode(means, options, EncodingConstants{}, channels);
+        encode(means, options, constants, channels);
     }
     return owned(std::move(channels.pixels), {light.shape(0), light.shape(1), kChannels});
 }

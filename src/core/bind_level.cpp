@@ -137,6 +137,7 @@ std::unique_ptr<HeldImage> make_image(const nb::dict& given) {
     image.value_noise_gain = fields.value<double>("value_noise_gain");
     image.slope_noise_gain = fields.value<double>("slope_noise_gain");
     image.correlated = fields.value<double>("correlated");
+    image.constants = encoding_constants();
     image.point_precision = fields.rows<double>("point_precision");
     image.points = fields.numbers<double>("points");
     require(image.point_precision.n_rows == image.points.size() && image.point_precision.n_columns == image.points.size(),

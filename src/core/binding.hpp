@@ -20,6 +20,7 @@
 #include <vector>
 
 #include "arrays.hpp"
+#include "encoding.hpp"
 #include "image.hpp"
 
 namespace nb = nanobind;
@@ -127,6 +128,9 @@ liaam::Stored<T> stored(const Image<T>& image) {
     return {data_of(image), static_cast<std::ptrdiff_t>(image.shape(0)), static_cast<std::ptrdiff_t>(image.shape(1)),
             image.stride(0), image.stride(1), image.stride(2)};
 }
+
+// The constants that liaam._core has set.
+const liaam::EncodingConstants& encoding_constants();
 
 void bind_level(nb::module_& module);
 void bind_fit(nb::module_& module);

@@ -230,6 +230,7 @@ class Fit {
         image_.pixels = room_.channels.pixels;
         image_.height = static_cast<int>(room_.channels.height);
         image_.width = static_cast<int>(room_.channels.width);
+        image_.constants = constants_;
         image_.from_model = compose(result.to_patch, result.pose);
         const double scale = scale_of(image_.from_model), blur = scale * level.blur;
         room_.noise.assign(target_.log_noise.begin(), target_.log_noise.end());

@@ -74,8 +74,10 @@ struct EncodedImage {
     Similarity from_model;
     Floats log_noise;                         // standard deviation of the logarithm, at evenly spaced logarithms
     double first_log = 0.0, last_log = 1.0;   // the lowest and the highest of these
-    double value_noise_gain = 1.0, slope_noise_gain = 1.0;  // share of that deviation after the blur, in values and in gradients
+    double value_noise_gain = 1.0;            // of the blur: share of that deviation that it leaves in values
+    double slope_noise_gain = 1.0;            // the same in gradients
     double correlated = 1.0;                  // sampled pixels per independent residual, for weights by rows
+    EncodingConstants constants{};            // with which it was encoded
     Rows<const double> point_precision;       // (n_p, n_p): of p by the points of another landmarker, or empty
     Doubles points;                           // (n_p): p of these points
 };

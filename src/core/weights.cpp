@@ -20,7 +20,6 @@ constexpr float kMostDirectionNoise = 0.5f;   // most variance of a component of
 constexpr double kCorrelated[2] = {8.0, 30.0};  // factors on correlated pixels, for errors of gradients and of colour
 constexpr std::size_t kPlane = 512;           // pixels whose variances are computed together
 constexpr std::size_t kGradientRows = 2;      // of `soft`; the others are of colour
-constexpr float kSoftness = 0.1f, kLogFloor = 0.004f, kBrightness = 1.0f / 3.0f;  // as in EncodingConstants
 
 // Candidate factors on the model's learnt errors, of which the most likely one is used: 0, and 1e-3 to 30.
 const std::array<double, 20>& error_factors() {
@@ -69,12 +68,13 @@ void log_variances(const EncodedImage& image, const Samples& samples, const floa
                    std::size_t size, const NoiseTable& table, NoisePlanes& planes) {
     const auto keep = static_cast<float>(image.value_noise_gain * image.value_noise_gain);
     for (std::size_t i = 0; i < size; ++i) {
-        planes.light[i] = kLogFloor;
+        planes.light[i] = image.constants.log_floor;
         planes.spread[i] = 0.0f;
     }
     for (std::size_t c = 0; c < 3; ++c) {
         const float* values = samples.values.data() + kChannels * begin + 2 + c;
         float* variance = planes.channel[2 + c];
+        const float share = image.constants.brightness[c];
         for (std::size_t i = 0; i < size; ++i) {
             planes.log[i] = values[kChannels * i];
             planes.deviation[i] = table(planes.log[i]);
@@ -82,7 +82,7 @@ void log_variances(const EncodedImage& image, const Samples& samples, const floa
 #pragma omp simd
         for (std::size_t i = 0; i < size; ++i) {
             const float log = planes.log[i] < 20.0f ? planes.log[i] : 20.0f;
-            const float brightness = kBrightness * exp_of(log > -20.0f ? log : -20.0f);
+            const float brightness = share * exp_of(log > -20.0f ? log : -20.0f);
             const float square = planes.deviation[i] * planes.deviation[i];
             planes.light[i] += brightness;
             planes.spread[i] += square * brightness * brightness;
@@ -96,7 +96,7 @@ void log_variances(const EncodedImage& image, const Samples& samples, const floa
 // do/dg = (I - o o') / sqrt(|g|^2 + s^2), and the square root follows from |o|.
 void direction_variances(const EncodedImage& image, const Samples& samples, std::size_t begin, std::size_t size,
                          NoisePlanes& planes) {
-    const auto slope = static_cast<float>(std::pow(image.slope_noise_gain / kSoftness, 2));
+    const auto slope = static_cast<float>(std::pow(image.slope_noise_gain / image.constants.softness, 2));
     const float* values = samples.values.data() + kChannels * begin;
     for (std::size_t i = 0; i < size; ++i) {
         const float x = values[kChannels * i], y = values[kChannels * i + 1];

@@ -303,7 +303,8 @@ def _levels(
     for patch, (blur, stride) in zip(patches, LEVELS, strict=True):
         selected = (patch.channels[..., -1] > 0) & wanted
         slopes = np.gradient(cv2.GaussianBlur(luminance, (0, 0), blur))
-        stands_out = np.hypot(*slopes) / (noise * slope_noise_gain(blur))  # gradients in standard deviations of their noise
+        # Gradients in standard deviations of their noise.
+        stands_out = np.hypot(*slopes) / (noise * slope_noise_gain(blur))
         significant = stands_out[selected & (stands_out > SIGNIFICANT)]
         if blur < SHARP and not (significant.size and np.median(significant) > CLEAR):
             continue

@@ -22,6 +22,9 @@ namespace {
 
 using Rng = std::mt19937_64;
 
+constexpr EncodingConstants kConstants{.all = 0.999f, .unusable = 1e-3f, .log_floor = 0.004f, .softness = 0.1f, .flat = 1e-4f,
+                                       .brightness = {1.0f / 3, 1.0f / 3, 1.0f / 3}, .luminance = {0.2126f, 0.7152f, 0.0722f}};
+
 void check(bool holds, const char* what) {
     if (holds) return;
     std::fprintf(stderr, "%s\n", what);
@@ -227,7 +230,7 @@ void fit_once(Rng& rng, Digest& digest) {
     static FitRoom room;
     const std::vector<LevelSpec> levels{{&coarse.objective, 2.0, 1.0, shapes},
                                         {&coarse.objective, odd(rng, 0.0) == 0.0 ? 0.0 : 1.0, 0.5, shapes}};
-    const auto results = fit_levels(levels, photo.picture, target, options, EncodingConstants{}, room, [] { return false; });
+    const auto results = fit_levels(levels, photo.picture, target, options, kConstants, room, [] { return false; });
     check(!results.empty() && results.size() <= 2, "a fit has one or two levels");
     for (const FittedLevel& result : results) {
         check(result.fit.trace.path.size() == result.fit.trace.costs.size() * coarse.n_p(), "the path has other lengths");
@@ -250,6 +253,7 @@ void solve_once(Rng& rng, Digest& digest) {
     image.from_model.x0 = odd(rng, 0.5 * width);
     image.from_model.y0 = odd(rng, 0.5 * height);
     image.log_noise = noise;
+    image.constants = kConstants;
     State start{normals<double>(rng, arrays.n_p(), 0.5), {2.0, 2.1}, normals<double>(rng, arrays.m)};
     start.p[0] = odd(rng, start.p[0]);
     Options options;

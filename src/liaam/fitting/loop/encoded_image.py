@@ -28,7 +28,7 @@ class EncodedImage:
     from_model: Similarity  # model pixels to patch pixels
     # (s,) float32: standard deviation of the logarithm due to noise, at evenly spaced logarithms over LOG_RANGE
     log_noise: np.ndarray = field(default_factory=NO_NOISE.copy)
-    value_noise_gain: float = 1.0  # the fraction of it left after the blur of the encoded channels
+    value_noise_gain: float = 1.0  # of the blur of the encoded channels: the fraction of it that is left
     # Standard deviation of a gradient per model pixel after that blur, for noise of unit standard deviation
     slope_noise_gain: float = 1.0
     blur: float = 0.0  # its standard deviation, model pixels

@@ -11,9 +11,9 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from liaam.encoding_constants import BRIGHTNESS, LOG_FLOOR, SOFTNESS
 from liaam.fitting.reference.thresholds import THRESHOLDS
 from liaam.image_reference import CHANNELS, sample
-from liaam.photometry.encoding import BRIGHTNESS, LOG_FLOOR, SOFTNESS
 
 if TYPE_CHECKING:
     from liaam.fitting.loop.encoded_image import EncodedImage
