@@ -16,12 +16,6 @@ constexpr double kSearch = std::numbers::pi / 3.0;
 constexpr int kScanned = 240;   // angles tried along the arc; at most four are stationary
 constexpr double kRidge = 1e-6;  // on A'A, as a fraction of its largest entry
 
-double product(Floats root, Floats a, Floats b) {
-    double sum = 0.0;
-    for (std::size_t e = 0; e < root.size(); ++e) sum += static_cast<double>(root[e]) * root[e] * a[e] * b[e];
-    return sum;
-}
-
 }  // namespace
 
 double minimise_on_arc(std::array<double, 3> s, std::array<double, 2> b, double centre, double reach) {
@@ -80,7 +74,7 @@ double best_image_angle(const Objective& objective, const EncodedImage& image, c
     double inner[3][3];
     for (std::size_t a = 0; a < 3; ++a)
         for (std::size_t b = 0; b < 3; ++b) {
-            inner[a][b] = product(sqrt_weights, columns[a], columns[b]);
+            inner[a][b] = weighted_product(sqrt_weights, columns[a], columns[b]);
             for (std::size_t j = 0; j < m; ++j) inner[a][b] -= cross[j][a] * cross[j][b];
             if (!std::isfinite(inner[a][b])) return state.angles[1];
         }

@@ -184,12 +184,6 @@ void differentiate_angle(const Objective& objective, std::size_t f, const Sample
     }
 }
 
-double weighted_product(Floats root, Floats a, Floats b) {
-    double product = 0.0;
-    for (std::size_t e = 0; e < root.size(); ++e) product += root[e] * root[e] * a[e] * b[e];
-    return product;
-}
-
 // Products of the angles' columns with each other, with the modes and with the residual.
 void sum_angle_products(const Objective& objective, const Samples& samples, const FittedAppearance& fitted,
                         LinearisationRoom& room) {
@@ -212,11 +206,9 @@ void eliminate_appearance(const FittedAppearance& fitted, LinearisationRoom& roo
     room.whitened = room.aj;
     solve_lower(fitted.factor, room.whitened);
     room.whitened_slope = fitted.slope;
-    for (std::size_t i = 0; i < room.whitened_slope.size(); ++i) {
-        for (std::size_t j = 0; j < i; ++j) room.whitened_slope[i] -= fitted.factor[i][j] * room.whitened_slope[j];
-        room.whitened_slope[i] /= fitted.factor[i][i];
+    solve_lower(fitted.factor, room.whitened_slope);
+    for (std::size_t i = 0; i < room.whitened_slope.size(); ++i)
         for (std::size_t a = 0; a < n; ++a) gradient[a] -= room.whitened_slope[i] * room.whitened[i][a];
-    }
     multiply_transposed(room.whitened.view(), room.whitened.view(), n, room.product);
     for (std::size_t a = 0; a < n; ++a)
         for (std::size_t b = 0; b <= a; ++b)

@@ -3,7 +3,6 @@
 #include <cmath>
 #include <limits>
 
-#include "eight.hpp"
 #include "thresholds.hpp"
 
 namespace liaam {
@@ -111,11 +110,10 @@ std::vector<Contrast> contrast_of(const Objective& objective, const Samples& sam
     const std::size_t k = objective.k();
     std::vector<Contrast> sums(rows_shown(objective), Contrast{});
     for (std::size_t i = 0; i < samples.usable.size(); ++i) {
-        const Eight value = load(samples.values.data() + kChannels * i);
         for (std::size_t r = 0; r < sums.size(); ++r) {
             const std::size_t e = i * k + r;
             const double weight = static_cast<double>(samples.usable[i]) * sqrt_weights[e] * sqrt_weights[e];
-            const double sample = sum(load(samples.metric.data() + kChannels * r) * value), left = residual[e];
+            const double sample = samples.projected[e], left = residual[e];
             sums[r][0] += weight;
             sums[r][1] += weight * sample;
             sums[r][2] += weight * sample * sample;

@@ -165,19 +165,26 @@ void solve_lower(const Matrix& factor, Matrix& right) {
     }
 }
 
-void solve(const Matrix& factor, std::span<double> right) {
-    const std::size_t n = factor.rows();
-    for (std::size_t i = 0; i < n; ++i) {
+void solve_lower(const Matrix& factor, std::span<double> right) {
+    for (std::size_t i = 0; i < factor.rows(); ++i) {
         const double* own = factor[i];
         double left = right[i];
         for (std::size_t j = 0; j < i; ++j) left -= own[j] * right[j];
         right[i] = left / own[i];
     }
-    for (std::size_t i = n; i-- > 0;) {
+}
+
+void solve_upper(const Matrix& factor, std::span<double> right) {
+    for (std::size_t i = factor.rows(); i-- > 0;) {
         const double* own = factor[i];
         right[i] /= own[i];
         for (std::size_t j = 0; j < i; ++j) right[j] -= own[j] * right[i];
     }
+}
+
+void solve(const Matrix& factor, std::span<double> right) {
+    solve_lower(factor, right);
+    solve_upper(factor, right);
 }
 
 void multiply_transposed(Rows<const double> left, Rows<const double> right, std::size_t rows, Matrix& out) {

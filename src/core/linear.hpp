@@ -11,8 +11,10 @@ namespace liaam {
 // Replaces the lower triangle of a matrix by its Cholesky factor L; false if it is not positive definite.
 bool cholesky(Matrix& matrix);
 
-// Replaces the columns R by L^-1 R.
+// Replaces the columns R by L^-1 R, r by L^-1 r, or r by L'^-1 r.
 void solve_lower(const Matrix& factor, Matrix& right);
+void solve_lower(const Matrix& factor, std::span<double> right);
+void solve_upper(const Matrix& factor, std::span<double> right);
 
 // Replaces r by (L L')^-1 r.
 void solve(const Matrix& factor, std::span<double> right);

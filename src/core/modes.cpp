@@ -71,6 +71,14 @@ void multiply_modes(Rows<const float> rows, Floats sqrt_weights, Floats column, 
     }
 }
 
+double weighted_product(Floats sqrt_weights, Floats a, Floats b) {
+    double product = 0.0;
+#pragma omp simd reduction(+ : product)
+    for (std::size_t e = 0; e < a.size(); ++e)
+        product += static_cast<double>(sqrt_weights[e]) * sqrt_weights[e] * a[e] * b[e];
+    return product;
+}
+
 void add_modes(Rows<const float> rows, Doubles lam, double scale, std::span<float> out) {
     const auto factor = [&](std::size_t j) { return static_cast<float>(scale * lam[j]); };
     for (std::size_t begin = 0; begin < out.size(); begin += kBlock) {

@@ -16,6 +16,9 @@ void weighted_gram(Rows<const float> rows, Floats sqrt_weights, std::vector<floa
 void multiply_modes(Rows<const float> rows, Floats sqrt_weights, Floats column, std::vector<float>& block,
                     std::span<double> out);
 
+// The weighted product of two columns.
+double weighted_product(Floats sqrt_weights, Floats a, Floats b);
+
 // Adds scale A lambda to a column, such as the residual or, of the modes' gradients, the mean's.
 void add_modes(Rows<const float> rows, Doubles lam, double scale, std::span<float> out);
 

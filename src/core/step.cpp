@@ -61,16 +61,10 @@ bool whitened_step(const Matrix& factor, Matrix& hessian, double least, double d
     transpose(hessian);
     solve_lower(factor, hessian);
     if (!symmetrise(hessian)) return false;
-    for (std::size_t i = 0; i < step.size(); ++i) {
-        hessian[i][i] -= least;
-        for (std::size_t j = 0; j < i; ++j) step[i] -= factor[i][j] * step[j];
-        step[i] /= factor[i][i];
-    }
+    for (std::size_t i = 0; i < step.size(); ++i) hessian[i][i] -= least;
+    solve_lower(factor, step);
     if (!solve_clamped(hessian, least + damping, spectrum, step)) return false;
-    for (std::size_t i = step.size(); i-- > 0;) {
-        step[i] /= factor[i][i];
-        for (std::size_t j = 0; j < i; ++j) step[j] -= factor[i][j] * step[i];
-    }
+    solve_upper(factor, step);
     return true;
 }
 
