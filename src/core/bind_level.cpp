@@ -80,25 +80,25 @@ std::unique_ptr<HeldObjective> make_objective(const nb::dict& given) {
     Fields fields(given, held->kept);
     Model& model = held->objective.model;
     Method& method = held->objective.method;
-    model.mesh = {fields.rows<float>("beta"), fields.numbers<std::int64_t>("starts"), fields.rows<std::int64_t>("triangles"),
-                  fields.rows<double>("rest"), fields.rows<double>("basis"), fields.value<double>("movement")};
-    model.modes.values = fields.rows<float>("modes");
+    model.mesh = {fields.matrix<float>("beta"), fields.numbers<std::int64_t>("starts"), fields.matrix<std::int64_t>("triangles"),
+                  fields.matrix<double>("rest"), fields.matrix<double>("basis"), fields.value<double>("movement")};
+    model.modes.values = fields.matrix<float>("modes");
     model.modes.transposed = fields.numbers<float>("transposed_modes");
-    model.modes.gradients = fields.rows<float>("mode_gradients");
+    model.modes.gradients = fields.matrix<float>("mode_gradients");
     model.mode_parts = fields.parts("mode_parts");
     model.gradient_parts = fields.parts("mode_gradient_parts");
     model.sqrt_weights = fields.numbers<float>("sqrt_weights");
-    model.gram = fields.rows<double>("gram");
+    model.gram = fields.matrix<double>("gram");
     model.ridge = fields.numbers<double>("ridge");
     model.errors = fields.numbers<double>("errors");
     model.prior = fields.numbers<double>("prior");
     model.correlated = fields.value<double>("correlated");
     model.dof = fields.value<double>("dof");
     model.colours = fields.value<bool>("colours");
-    const Rows<const float> metric = fields.rows<float>("metric");
+    const MatrixView<const float> metric = fields.matrix<float>("metric");
     require(metric.n_rows == 3, "the metric has a constant, a cos and a sin part");
     method.metric = {metric[0], metric[1], metric[2]};
-    method.directions = fields.rows<double>("directions");
+    method.directions = fields.matrix<double>("directions");
     method.weighting = numbered<Weighting>(fields.value<int>("weighting"), Weighting::rows, "weighting");
     method.loss = numbered<Loss>(fields.value<int>("loss"), Loss::learnt, "loss");
     method.gaussian_median = fields.value<double>("gaussian_median");
@@ -113,7 +113,7 @@ struct HeldImage {
     std::vector<nb::object> kept;
 };
 
-Similarity similarity_of(const Rows<const double>& rows) {
+Similarity similarity_of(const MatrixView<const double>& rows) {
     require(rows.n_rows == 2 && rows.n_columns == 3, "a similarity is (2, 3)");
     return {rows[0][0], rows[0][1], rows[0][2], rows[1][0], rows[1][1], rows[1][2]};
 }
@@ -129,7 +129,7 @@ std::unique_ptr<HeldImage> make_image(const nb::dict& given) {
                 image.pixels.size() == kChannels * static_cast<std::size_t>(image.height) * image.width &&
                 image.pixels.size() / kChannels < (std::size_t{1} << 31),
             "an encoded image has eight channels, and at least 2 by 2 pixels");
-    image.from_model = similarity_of(fields.rows<double>("from_model"));
+    image.from_model = similarity_of(fields.matrix<double>("from_model"));
     image.log_noise = fields.numbers<float>("log_noise");
     image.first_log = fields.value<double>("first_log");
     image.last_log = fields.value<double>("last_log");
@@ -138,7 +138,7 @@ std::unique_ptr<HeldImage> make_image(const nb::dict& given) {
     image.slope_noise_gain = fields.value<double>("slope_noise_gain");
     image.correlated = fields.value<double>("correlated");
     image.constants = encoding_constants();
-    image.point_precision = fields.rows<double>("point_precision");
+    image.point_precision = fields.matrix<double>("point_precision");
     image.points = fields.numbers<double>("points");
     require(image.point_precision.n_rows == image.points.size() && image.point_precision.n_columns == image.points.size(),
             "the precision of the points differs in size");
@@ -268,7 +268,7 @@ nb::dict arrays_of(const Problem& problem) {
     const LinearisationRoom& linearisation = room.linearisation;
     const Objective& objective = problem.objective();
     const std::size_t n = objective.n(), k = objective.k();
-    const Rows<const float>& modes = samples.modes.values;
+    const MatrixView<const float>& modes = samples.modes.values;
     nb::dict all;
     all["values"] = copied(samples.values, {n, kChannels});
     all["residual"] = copied(fitted.residual, {n * k});

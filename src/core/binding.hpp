@@ -107,7 +107,7 @@ auto numbers_of(const Given& array) {
     return std::vector<std::remove_cv_t<std::remove_pointer_t<decltype(numbers)>>>(numbers, numbers + array.size());
 }
 template <class T>
-liaam::Rows<const T> rows_of(const Array<T, 2>& array) {
+liaam::MatrixView<const T> view_of(const Array<T, 2>& array) {
     return {data_of(array), array.shape(0), array.shape(1)};
 }
 inline liaam::Matrix matrix_of(const Array<double, 2>& array) {

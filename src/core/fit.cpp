@@ -151,7 +151,7 @@ bool is_sane(Doubles shape, Doubles start) {
 }
 
 // The precision of the n parameters of a level: the first modes, and the similarity, which comes last.
-Rows<const double> precision_of(Rows<const double> all, std::size_t n, Matrix& room) {
+MatrixView<const double> precision_of(MatrixView<const double> all, std::size_t n, Matrix& room) {
     const auto at = [&](std::size_t i) { return i + 4 < n ? i : i + all.n_rows - n; };
     room.resize(n, n);
     for (std::size_t i = 0; i < n; ++i)

@@ -12,7 +12,7 @@ constexpr std::size_t kRotations = 3;  // most rotations, as a multiple of n^2; 
 constexpr std::size_t kTall = 4, kWide = 8;  // a tile of a product, whose sums stay in registers
 
 // Rows i to i + kTall and columns j to j + kWide of L'R.
-void multiply_tile(Rows<const double> left, Rows<const double> right, std::size_t i, std::size_t j, Matrix& out) {
+void multiply_tile(MatrixView<const double> left, MatrixView<const double> right, std::size_t i, std::size_t j, Matrix& out) {
     double sums[kTall][kWide]{};
     const double *a = left.data + i, *b = right.data + j;
     for (std::size_t k = 0; k < left.n_rows; ++k, a += left.n_columns, b += right.n_columns)
@@ -187,7 +187,7 @@ void solve(const Matrix& factor, std::span<double> right) {
     solve_upper(factor, right);
 }
 
-void multiply_transposed(Rows<const double> left, Rows<const double> right, std::size_t rows, Matrix& out) {
+void multiply_transposed(MatrixView<const double> left, MatrixView<const double> right, std::size_t rows, Matrix& out) {
     const std::size_t width = right.n_columns;
     out.resize(rows, width);
     if (rows >= kTall && width >= kWide) {

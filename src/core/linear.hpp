@@ -20,7 +20,7 @@ void solve_upper(const Matrix& factor, std::span<double> right);
 void solve(const Matrix& factor, std::span<double> right);
 
 // Writes the first `rows` rows of L'R, of L (n, a) and R (n, b).
-void multiply_transposed(Rows<const double> left, Rows<const double> right, std::size_t rows, Matrix& out);
+void multiply_transposed(MatrixView<const double> left, MatrixView<const double> right, std::size_t rows, Matrix& out);
 
 // Room for the eigensolver, reused between calls.
 struct Spectrum {

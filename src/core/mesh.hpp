@@ -18,12 +18,12 @@ struct Similarity {
 
 // Views of a model's arrays; pixels are sorted by triangle.
 struct Mesh {
-    Rows<const float> beta;                // (n, 3): barycentric weights of each pixel
-    std::span<const std::int64_t> starts;  // (t + 1): first pixel of each triangle, and the end
-    Rows<const std::int64_t> triangles;    // (t, 3): vertices of each triangle
-    Rows<const double> rest;               // (v, 2): vertices at p = 0, model pixels
-    Rows<const double> basis;              // (2 v, w): derivatives of x0, y0, x1, y1 ... by p, padded with zeros
-    double movement = 1.0;                 // root mean square movement of the landmarks by a unit step of p
+    MatrixView<const float> beta;              // (n, 3): barycentric weights of each pixel
+    std::span<const std::int64_t> starts;      // (t + 1): first pixel of each triangle, and the end
+    MatrixView<const std::int64_t> triangles;  // (t, 3): vertices of each triangle
+    MatrixView<const double> rest;             // (v, 2): vertices at p = 0, model pixels
+    MatrixView<const double> basis;            // (2 v, w): derivatives of x0, y0, x1, y1 ... by p, padded with zeros
+    double movement = 1.0;                     // root mean square movement of the landmarks by a unit step of p
 
     std::size_t n_pixels() const { return beta.n_rows; }
     std::size_t n_vertices() const { return rest.n_rows; }

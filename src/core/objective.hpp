@@ -15,25 +15,25 @@ namespace liaam {
 
 // The mean appearance A_0 and the modes A_i (eq 4), projected by P(theta_1).
 struct Modes {
-    Rows<const float> values;     // (1 + m, n k): P(theta_1) A_0 and P(theta_1) A_i
-    Floats transposed;            // (n k, w): those of the modes, without the mean, padded with zeros
-    Rows<const float> gradients;  // (1 + m, 2 n k): spatial gradients of all, per pixel k by x, then k by y
+    MatrixView<const float> values;     // (1 + m, n k): P(theta_1) A_0 and P(theta_1) A_i
+    Floats transposed;                  // (n k, w): those of the modes, without the mean, padded with zeros
+    MatrixView<const float> gradients;  // (1 + m, 2 n k): spatial gradients of all, per pixel k by x, then k by y
 };
 
 // The model's side of the residual of eq 10, at one level.
 struct Model {
     Mesh mesh;
-    Modes modes;                                      // at the training camera's angle
-    std::array<Rows<const float>, 3> mode_parts;      // constant, cos and sin parts of values; empty if theta_1 is fixed
-    std::array<Rows<const float>, 3> gradient_parts;  // the same of gradients
-    Floats sqrt_weights;                           // (n k): of the model's weights
-    Rows<const double> gram;                       // (m, m): A'A under these weights
-    Doubles ridge;                                 // (m): precision of lambda, in units of squared residuals
-    Doubles errors;                                // (n): variance of the model's errors, mean over the rows
-    Doubles prior;                                 // (n_p): precision of a Gaussian prior on p; 0 for none
-    double correlated = 1.0;                       // pixels per independent residual
-    double dof = 0.0;                              // degrees of freedom of the prior's scale; infinite for a fixed scale
-    bool colours = true;                           // the model was trained on colour images
+    Modes modes;                                            // at the training camera's angle
+    std::array<MatrixView<const float>, 3> mode_parts;      // constant, cos, sin; empty if theta_1 is fixed
+    std::array<MatrixView<const float>, 3> gradient_parts;  // the same of the gradients
+    Floats sqrt_weights;                                    // (n k): of the model's weights
+    MatrixView<const double> gram;                          // (m, m): A'A under these weights
+    Doubles ridge;                                          // (m): precision of lambda, in units of squared residuals
+    Doubles errors;                                         // (n): variance of the model's errors, mean over the rows
+    Doubles prior;                                          // (n_p): precision of a Gaussian prior on p; 0 for none
+    double correlated = 1.0;                                // pixels per independent residual
+    double dof = 0.0;                                       // freedom of the prior's scale; infinite if fixed
+    bool colours = true;                                    // the model was trained on colour images
 
     bool theta_1_is_free() const { return !mode_parts[0].empty(); }
 };
@@ -44,8 +44,8 @@ enum class StepKind { own, scored, expected };  // gradient of the steps: the im
 
 // A row of the table of methods.
 struct Method {
-    std::array<Floats, 3> metric;     // P(theta) = metric[0] + cos(theta) metric[1] + sin(theta) metric[2], (k, 8) each
-    Rows<const double> directions;    // (2, n_free): derivatives of (theta_1, theta_2) by the free angles
+    std::array<Floats, 3> metric;         // P(theta) = metric[0] + cos(theta) metric[1] + sin(theta) metric[2], (k, 8) each
+    MatrixView<const double> directions;  // (2, n_free): derivatives of (theta_1, theta_2) by the free angles
     Weighting weighting = Weighting::model;
     Loss loss = Loss::none;
     double gaussian_median = 1.0;     // median magnitude of a Gaussian residual, in standard deviations
@@ -72,14 +72,14 @@ struct EncodedImage {
     Floats pixels;  // (h, w, 8)
     int height = 0, width = 0;
     Similarity from_model;
-    Floats log_noise;                         // standard deviation of the logarithm, at evenly spaced logarithms
-    double first_log = 0.0, last_log = 1.0;   // the lowest and the highest of these
-    double value_noise_gain = 1.0;            // of the blur: share of that deviation that it leaves in values
-    double slope_noise_gain = 1.0;            // the same in gradients
-    double correlated = 1.0;                  // sampled pixels per independent residual, for weights by rows
-    EncodingConstants constants{};            // with which it was encoded
-    Rows<const double> point_precision;       // (n_p, n_p): of p by the points of another landmarker, or empty
-    Doubles points;                           // (n_p): p of these points
+    Floats log_noise;                          // standard deviation of the logarithm, at evenly spaced logarithms
+    double first_log = 0.0, last_log = 1.0;    // the lowest and the highest of these
+    double value_noise_gain = 1.0;             // of the blur: share of that deviation that it leaves in values
+    double slope_noise_gain = 1.0;             // the same in gradients
+    double correlated = 1.0;                   // sampled pixels per independent residual, for weights by rows
+    EncodingConstants constants{};             // with which it was encoded
+    MatrixView<const double> point_precision;  // (n_p, n_p): of p by the points of another landmarker, or empty
+    Doubles points;                            // (n_p): p of these points
 };
 
 // The unknowns.

@@ -21,7 +21,7 @@ void set_metric(const Method& method, double theta_2, Samples& samples) {
 }
 
 // Combines constant, cos and sin parts at an angle.
-void combine_parts(const std::array<Rows<const float>, 3>& parts, double theta, std::vector<float>& out) {
+void combine_parts(const std::array<MatrixView<const float>, 3>& parts, double theta, std::vector<float>& out) {
     const auto c = static_cast<float>(std::cos(theta)), s = static_cast<float>(std::sin(theta));
     const float *constant = parts[0].data, *by_cos = parts[1].data, *by_sin = parts[2].data;
     out.resize(parts[0].n_rows * parts[0].n_columns);
