@@ -172,7 +172,7 @@ def _covariance(
         by_image = (seen.values[:, : slope.shape[1]] @ slope.T).astype(np.float64)
         least = np.square(method.angle_directions[1]) * np.square(whitened(by_image.reshape(1, -1))).sum()
         scale[n_p:] = np.maximum(scale[n_p:], least)
-    return _inverse(_information(J, whitened(seen.rows[1:])), scale)
+    return _inverse(_information(J, whitened(seen.modes[1:])), scale)
 
 
 def _information(J: np.ndarray, A: np.ndarray) -> np.ndarray:

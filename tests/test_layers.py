@@ -28,7 +28,7 @@ LAYERS = (
     ("photometry",),
     ("io",),
     ("error_measures", "models", "progress", "tables", "workers"),
-    ("_core", "distance_transform", "formatting", "image_reference"),
+    ("_core", "distance_transform", "encoding_constants", "formatting", "image_reference"),
     ("errors",),
 )
 """Packages and modules of liaam from high to low. Those of one row do not import each other in a circle."""

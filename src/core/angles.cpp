@@ -3,9 +3,8 @@
 #include <cmath>
 #include <numbers>
 
+#include "linear.hpp"
 #include "modes.hpp"
-#include "normal_equations.hpp"
-#include "residual.hpp"
 
 namespace liaam {
 
@@ -16,12 +15,6 @@ namespace {
 constexpr double kSearch = std::numbers::pi / 3.0;
 constexpr int kScanned = 240;   // angles tried along the arc; at most four are stationary
 constexpr double kRidge = 1e-6;  // on A'A, as a fraction of its largest entry
-
-double product(Floats root, Floats a, Floats b) {
-    double sum = 0.0;
-    for (std::size_t e = 0; e < root.size(); ++e) sum += static_cast<double>(root[e]) * root[e] * a[e] * b[e];
-    return sum;
-}
 
 }  // namespace
 
@@ -52,39 +45,41 @@ double minimise_on_arc(std::array<double, 3> s, std::array<double, 2> b, double 
     return cost(refined) < lowest ? refined : best;
 }
 
-double best_image_angle(const Objective& objective, const EncodedImage& image, Workspace& work) {
+double best_image_angle(const Objective& objective, const EncodedImage& image, const State& state, SamplingRoom& room) {
     const std::size_t n = objective.n(), m = objective.m();
-    evaluate_residual(objective, image, work, true);
-    solve_appearance(objective, work, false, false);
+    const Samples& samples = sample(objective, image, state, room);
+    std::vector<float> sqrt_weights(n);
+    for (std::size_t i = 0; i < n; ++i) sqrt_weights[i] = objective.model.sqrt_weights[i] * samples.usable[i];
     // The columns log R - log B and log G - log B of the image, and the mean appearance.
     std::array<std::vector<float>, 3> columns{std::vector<float>(n), std::vector<float>(n), std::vector<float>(n)};
     for (std::size_t i = 0; i < n; ++i) {
-        const float* value = work.values.data() + kChannels * i;
+        const float* value = samples.values.data() + kChannels * i;
         columns[0][i] = value[0] - value[2];
         columns[1][i] = value[1] - value[2];
-        columns[2][i] = work.rows[0][i];
+        columns[2][i] = samples.modes.values[0][i];
     }
+    std::vector<float> block;
     Matrix gram(m, m), cross(m, 3);
-    weighted_gram(work.rows, work.masked, work.block, gram);
+    weighted_gram(samples.modes.values, sqrt_weights, block, gram);
     double largest = 1e-300;
     for (std::size_t j = 0; j < m; ++j) largest = std::max(largest, gram[j][j]);
     for (std::size_t j = 0; j < m; ++j) gram[j][j] += kRidge * largest;
     std::vector<double> products(m);
     for (std::size_t c = 0; c < 3; ++c) {
-        multiply_modes(work.rows, work.masked, columns[c], work.block, products);
+        multiply_modes(samples.modes.values, sqrt_weights, columns[c], block, products);
         for (std::size_t j = 0; j < m; ++j) cross[j][c] = products[j];
     }
-    if (!cholesky(gram)) return work.state.angles[1];
+    if (!cholesky(gram)) return state.angles[1];
     solve_lower(gram, cross);
     double inner[3][3];
     for (std::size_t a = 0; a < 3; ++a)
         for (std::size_t b = 0; b < 3; ++b) {
-            inner[a][b] = product(work.masked, columns[a], columns[b]);
+            inner[a][b] = weighted_product(sqrt_weights, columns[a], columns[b]);
             for (std::size_t j = 0; j < m; ++j) inner[a][b] -= cross[j][a] * cross[j][b];
-            if (!std::isfinite(inner[a][b])) return work.state.angles[1];
+            if (!std::isfinite(inner[a][b])) return state.angles[1];
         }
-    if (inner[0][0] + inner[1][1] <= 0.0) return work.state.angles[1];
-    return minimise_on_arc({inner[0][0], inner[0][1], inner[1][1]}, {inner[0][2], inner[1][2]}, work.state.angles[0],
+    if (inner[0][0] + inner[1][1] <= 0.0) return state.angles[1];
+    return minimise_on_arc({inner[0][0], inner[0][1], inner[1][1]}, {inner[0][2], inner[1][2]}, state.angles[0],
                            kSearch);
 }
 

@@ -14,7 +14,7 @@ using Doubles = std::span<const double>;
 
 // A view of a C-contiguous matrix.
 template <class T>
-struct Rows {
+struct MatrixView {
     T* data = nullptr;
     std::size_t n_rows = 0;
     std::size_t n_columns = 0;
@@ -40,7 +40,7 @@ class Matrix {
     std::size_t columns() const { return columns_; }
     double* operator[](std::size_t i) { return numbers_.data() + i * columns_; }
     const double* operator[](std::size_t i) const { return numbers_.data() + i * columns_; }
-    Rows<const double> view() const { return {numbers_.data(), rows_, columns_}; }
+    MatrixView<const double> view() const { return {numbers_.data(), rows_, columns_}; }
     std::vector<double>& numbers() { return numbers_; }
     const std::vector<double>& numbers() const { return numbers_; }
 

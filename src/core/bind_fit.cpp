@@ -46,7 +46,7 @@ std::unique_ptr<PreparedFit> prepare(const nb::dict& given) {
         Fields level(own, prepared->kept);
         const nb::object objective = own["objective"];
         const auto& held = nb::cast<const HeldObjective&>(objective);
-        const Shapes shapes{level.rows<double>("basis"), mean};
+        const Shapes shapes{level.matrix<double>("basis"), mean};
         const double blur = level.value<double>("blur");
         check_shapes(shapes);
         require(held.objective.n_p() == shapes.basis.n_rows, "a level has other shape modes");
@@ -75,13 +75,13 @@ Target target_of(const PreparedFit& prepared, const nb::dict& given, std::vector
     target.log_noise = fields.numbers<float>("log_noise");
     target.first_log = fields.value<double>("first_log");
     target.last_log = fields.value<double>("last_log");
-    target.point_precision = fields.rows<double>("point_precision");
+    target.point_precision = fields.matrix<double>("point_precision");
     const Shapes& shapes = prepared.levels.back().shapes;
     require(start.size() == shapes.mean.size(), "the start has another number of landmarks");
     require(target.margin >= 0.0 && target.margin < kLargest, "the margin is out of range");
     require(std::all_of(start.begin(), start.end(), [](double each) { return std::abs(each) < kLargest; }),
             "the start is not finite, or far away");
-    const Rows<const double>& precision = target.point_precision;
+    const MatrixView<const double>& precision = target.point_precision;
     require(points.empty() || (points.size() == start.size() && precision.n_rows >= shapes.basis.n_rows &&
                                precision.n_columns == precision.n_rows),
             "the mapped points differ in size");
@@ -104,7 +104,7 @@ std::vector<FittedLevel> run_fit(const PreparedFit& prepared, const Picture& pic
     const RoomOfThread room;
     {
         const Unlocked unlocked;
-        results = fit_levels(prepared.levels, picture, target, own, EncodingConstants{}, *room, std::ref(signals));
+        results = fit_levels(prepared.levels, picture, target, own, encoding_constants(), *room, std::ref(signals));
     }
     signals.rethrow();
     return results;

@@ -66,7 +66,7 @@ nb::object luminance(const Image<T>& image, const Array<float, 2>& tables) {
     require(tables.shape(0) == 3 && tables.shape(1) == std::size_t{1} << (8 * sizeof(T)),
             "there is a table for each channel, with an entry for each stored value");
     std::vector<float> out(image.shape(0) * image.shape(1));
-    const Rows<const float> rows = rows_of(tables);
+    const MatrixView<const float> rows = view_of(tables);
     const Stored<T> view = stored(image);
     {
         const Unlocked unlocked;
@@ -87,11 +87,12 @@ nb::object encode_light(const Array<float, 3>& light, const std::optional<Array<
                 "there is a finite share for each pixel");
         means.finite = numbers_of(*finite);
     }
+    const EncodingConstants& constants = encoding_constants();
     EncodingOptions options{numbered<Encoding>(encoding, Encoding::soft, "encoding"), floor, blur, pixel, turn};
     Channels channels;
     {
         const Unlocked unlocked;
-        encode(means, options, EncodingConstants{}, channels);
+        encode(means, options, constants, channels);
     }
     return owned(std::move(channels.pixels), {light.shape(0), light.shape(1), kChannels});
 }
@@ -128,8 +129,8 @@ auto sample_at(const Array<float, 3>& channels, const Array<double, 2>& points) 
     require(points.shape(1) == 2 && channels.shape(0) >= 2 && channels.shape(1) >= 2 && depth >= 1,
             "points are (n, 2), and the image is at least 2 by 2 pixels");
     std::vector<float> values(size_of({n, depth - 1})), usable(n);
-    const Rows<const float> pixels{data_of(channels), channels.shape(0) * channels.shape(1), depth};
-    const Rows<const double> places = rows_of(points);
+    const MatrixView<const float> pixels{data_of(channels), channels.shape(0) * channels.shape(1), depth};
+    const MatrixView<const double> places = view_of(points);
     {
         const Unlocked unlocked;
         sample_channels(pixels, channels.shape(1), places, values.data(), usable.data());
@@ -172,7 +173,7 @@ auto peaks_of(const nb::ndarray<const float, nb::ndim<2>, nb::device::cpu>& imag
 auto draw(const Array<double, 2>& points, const Array<std::int32_t, 2>& triangles, const Array<double, 2>& values,
           std::size_t height, std::size_t width) {
     require(points.shape(1) == 3 && triangles.shape(1) == 3 && values.shape(0) == points.shape(0), "the mesh is damaged");
-    const Rows<const std::int32_t> named = rows_of(triangles);
+    const MatrixView<const std::int32_t> named = view_of(triangles);
     require(named.n_rows <= static_cast<std::size_t>(std::numeric_limits<std::int32_t>::max()), "there are too many triangles");
     for (std::size_t i = 0; i < triangles.size(); ++i)
         require(named.data[i] >= 0 && static_cast<std::size_t>(named.data[i]) < points.shape(0),
@@ -180,7 +181,7 @@ auto draw(const Array<double, 2>& points, const Array<std::int32_t, 2>& triangle
     const std::size_t n_pixels = size_of({height, width}), n_values = size_of({height, width, values.shape(1)});
     std::vector<std::int32_t> owner(n_pixels, -1);
     std::vector<double> drawn(n_values, 0.0);
-    const Rows<const double> corners = rows_of(points), carried = rows_of(values);
+    const MatrixView<const double> corners = view_of(points), carried = view_of(values);
     {
         const Unlocked unlocked;
         draw_triangles(corners, named, carried, {owner.data(), height, width}, drawn.data());
@@ -210,7 +211,7 @@ nb::object slopes_along(const Array<double, 2>& values, const Array<std::int32_t
     for (const std::int32_t pixel : pixels)
         require(pixel >= 0 && static_cast<std::size_t>(pixel) < n, "the order names a pixel that does not exist");
     std::vector<double> slopes(values.size(), 0.0);
-    const Rows<const double> numbers = rows_of(values);
+    const MatrixView<const double> numbers = view_of(values);
     const auto neighbours = span_of(joined);
     {
         const Unlocked unlocked;

@@ -3,11 +3,6 @@
 
 #include <memory>
 
-#include "derivatives.hpp"
-#include "normal_equations.hpp"
-#include "residual.hpp"
-#include "weights.hpp"
-
 using namespace liaam;
 
 namespace {
@@ -62,21 +57,21 @@ void check_objective(const Objective& objective) {
     const std::size_t n = objective.n(), k = objective.k(), m = objective.m(), e = n * k;
     check_mesh(model.mesh, objective.n_p());
     require(n > 0 && k > 0 && k <= kChannels && objective.method.metric[0].size() == k * kChannels, "the metric is damaged");
-    require(model.rows.n_rows == m + 1 && model.rows.n_columns == e, "rows differ in size");
-    require(model.lines.size() == e * objective.width() && objective.width() >= m && objective.width() % 8 == 0,
-            "lines differ in size");
-    require(model.slopes.n_rows == m + 1 &&
-                (model.slopes.n_columns == 2 * e || objective.method.step == StepKind::own),
-            "slopes differ in size");
+    require(model.modes.values.n_rows == m + 1 && model.modes.values.n_columns == e, "modes differ in size");
+    require(model.modes.transposed.size() == e * objective.width() && objective.width() >= m && objective.width() % 8 == 0,
+            "transposed modes differ in size");
+    require(model.modes.gradients.n_rows == m + 1 &&
+                (model.modes.gradients.n_columns == 2 * e || objective.method.step == StepKind::own),
+            "gradients of modes differ in size");
     require(model.sqrt_weights.size() == e && model.gram.n_rows == m && model.gram.n_columns == m &&
                 model.errors.size() == n,
             "weights or errors differ in size");
     require(objective.method.directions.n_rows == 2 && objective.method.n_free() <= 2, "there are at most two angles");
     require(objective.method.weighting != Weighting::rows || k >= 2, "weights by rows need the two rows of gradients");
-    for (const auto& parts : model.row_parts)
+    for (const auto& parts : model.mode_parts)
         require(!model.theta_1_is_free() || (parts.n_rows == m + 1 && parts.n_columns == e), "parts differ in size");
-    for (const auto& parts : model.slope_parts)
-        require(!model.theta_1_is_free() || (parts.n_rows == m + 1 && parts.n_columns == model.slopes.n_columns),
+    for (const auto& parts : model.gradient_parts)
+        require(!model.theta_1_is_free() || (parts.n_rows == m + 1 && parts.n_columns == model.modes.gradients.n_columns),
                 "parts differ in size");
 }
 
@@ -85,25 +80,25 @@ std::unique_ptr<HeldObjective> make_objective(const nb::dict& given) {
     Fields fields(given, held->kept);
     Model& model = held->objective.model;
     Method& method = held->objective.method;
-    model.mesh = {fields.rows<float>("beta"), fields.numbers<std::int64_t>("starts"), fields.rows<std::int64_t>("triangles"),
-                  fields.rows<double>("rest"), fields.rows<double>("basis"), fields.value<double>("movement")};
-    model.rows = fields.rows<float>("rows");
-    model.lines = fields.numbers<float>("lines");
-    model.slopes = fields.rows<float>("slopes");
-    model.row_parts = fields.parts("row_parts");
-    model.slope_parts = fields.parts("slope_parts");
+    model.mesh = {fields.matrix<float>("beta"), fields.numbers<std::int64_t>("starts"), fields.matrix<std::int64_t>("triangles"),
+                  fields.matrix<double>("rest"), fields.matrix<double>("basis"), fields.value<double>("movement")};
+    model.modes.values = fields.matrix<float>("modes");
+    model.modes.transposed = fields.numbers<float>("transposed_modes");
+    model.modes.gradients = fields.matrix<float>("mode_gradients");
+    model.mode_parts = fields.parts("mode_parts");
+    model.gradient_parts = fields.parts("mode_gradient_parts");
     model.sqrt_weights = fields.numbers<float>("sqrt_weights");
-    model.gram = fields.rows<double>("gram");
+    model.gram = fields.matrix<double>("gram");
     model.ridge = fields.numbers<double>("ridge");
     model.errors = fields.numbers<double>("errors");
     model.prior = fields.numbers<double>("prior");
     model.correlated = fields.value<double>("correlated");
     model.dof = fields.value<double>("dof");
     model.colours = fields.value<bool>("colours");
-    const Rows<const float> metric = fields.rows<float>("metric");
+    const MatrixView<const float> metric = fields.matrix<float>("metric");
     require(metric.n_rows == 3, "the metric has a constant, a cos and a sin part");
     method.metric = {metric[0], metric[1], metric[2]};
-    method.directions = fields.rows<double>("directions");
+    method.directions = fields.matrix<double>("directions");
     method.weighting = numbered<Weighting>(fields.value<int>("weighting"), Weighting::rows, "weighting");
     method.loss = numbered<Loss>(fields.value<int>("loss"), Loss::learnt, "loss");
     method.gaussian_median = fields.value<double>("gaussian_median");
@@ -118,7 +113,7 @@ struct HeldImage {
     std::vector<nb::object> kept;
 };
 
-Similarity similarity_of(const Rows<const double>& rows) {
+Similarity similarity_of(const MatrixView<const double>& rows) {
     require(rows.n_rows == 2 && rows.n_columns == 3, "a similarity is (2, 3)");
     return {rows[0][0], rows[0][1], rows[0][2], rows[1][0], rows[1][1], rows[1][2]};
 }
@@ -134,15 +129,16 @@ std::unique_ptr<HeldImage> make_image(const nb::dict& given) {
                 image.pixels.size() == kChannels * static_cast<std::size_t>(image.height) * image.width &&
                 image.pixels.size() / kChannels < (std::size_t{1} << 31),
             "an encoded image has eight channels, and at least 2 by 2 pixels");
-    image.from_model = similarity_of(fields.rows<double>("from_model"));
+    image.from_model = similarity_of(fields.matrix<double>("from_model"));
     image.log_noise = fields.numbers<float>("log_noise");
     image.first_log = fields.value<double>("first_log");
     image.last_log = fields.value<double>("last_log");
     check_noise(image.log_noise, image.first_log, image.last_log);
-    image.value_left = fields.value<double>("value_left");
-    image.slope_left = fields.value<double>("slope_left");
+    image.value_noise_gain = fields.value<double>("value_noise_gain");
+    image.slope_noise_gain = fields.value<double>("slope_noise_gain");
     image.correlated = fields.value<double>("correlated");
-    image.point_precision = fields.rows<double>("point_precision");
+    image.constants = encoding_constants();
+    image.point_precision = fields.matrix<double>("point_precision");
     image.points = fields.numbers<double>("points");
     require(image.point_precision.n_rows == image.points.size() && image.point_precision.n_columns == image.points.size(),
             "the precision of the points differs in size");
@@ -185,8 +181,8 @@ void bind_level_fit(nb::module_& module) {
                      })
         .def_prop_ro("n_iterations", [](const Solution& fit) { return fit.trace.n_iterations; })
         .def_prop_ro("converged", [](const Solution& fit) { return fit.trace.converged; })
-        .def_prop_ro("held", [](const Solution& fit) { return fit.trace.held; })
-        .def_prop_ro("flat", [](const Solution& fit) { return fit.trace.flat; })
+        .def_prop_ro("angle_fixed", [](const Solution& fit) { return fit.trace.angle_fixed; })
+        .def_prop_ro("no_texture", [](const Solution& fit) { return fit.trace.no_texture; })
         .def_ro("noise_variance", &Solution::noise_variance)
         .def_ro("squares", &Solution::squares)
         .def_ro("weight", &Solution::weight)
@@ -208,34 +204,48 @@ class Problem {
     }
 
     void begin(const Array<double, 1>& p, std::array<double, 2> angles, const Array<double, 1>& lam) {
-        work_.begin(objective_, state_of(objective_, p, angles, lam));
+        begin_level(objective_, state_of(objective_, p, angles, lam), room_);
         reached_ = Reached::begun;
     }
     void set_state(const Array<double, 1>& p, std::array<double, 2> angles, const Array<double, 1>& lam) {
         require(reached_ >= Reached::begun, kNotBegun);
-        work_.state = state_of(objective_, p, angles, lam);
+        room_.memory.state = state_of(objective_, p, angles, lam);
+        reached_ = Reached::begun;
     }
     void evaluate(bool solves) {
         require(reached_ >= Reached::begun, kNotBegun);
-        evaluate_residual(objective_, image_, work_, solves);
-        solve_appearance(objective_, work_, false, solves);
+        auto& [state, weights, priors, newton] = room_.memory;
+        const Samples& samples = sample(objective_, image_, state, room_.sampling);
+        turn_weights(objective_, samples, weights, room_.weighing);
+        if (solves) state.lam = fit_appearance(objective_, samples, weights, room_.appearance).lam;
+        else given_appearance(objective_, samples, weights, state.lam, room_.appearance);
         reached_ = Reached::evaluated;
     }
     bool reweigh(bool solves) {
         require(reached_ == Reached::evaluated, kNotEvaluated);
-        const bool changed = objective_.method.reweighs() && update_weights(objective_, image_, work_);
-        if (changed) solve_appearance(objective_, work_, true, solves);
-        return changed;
+        if (!objective_.method.reweighs()) return false;
+        auto& [state, weights, priors, newton] = room_.memory;
+        const Samples& samples = room_.sampling.samples;
+        const Floats residual = room_.appearance.fitted.residual;
+        if (!update_weights(objective_, image_, samples, residual, weights, room_.weighing)) return false;
+        if (solves) state.lam = refit_appearance(objective_, samples, weights, room_.appearance).lam;
+        else given_appearance(objective_, samples, weights, state.lam, room_.appearance);
+        return true;
     }
     void differentiate(bool image_in_j, bool image_in_e) {
         require(reached_ == Reached::evaluated, kNotEvaluated);
         require((image_in_j && image_in_e) || objective_.method.step != StepKind::own, "the method expects no gradient");
-        if (!image_in_j || !image_in_e) model_gradient(objective_, work_);
-        linearise(objective_, work_, {image_in_j, image_in_e});
+        const Samples& samples = room_.sampling.samples;
+        const FittedAppearance& fitted = room_.appearance.fitted;
+        const Floats own = samples.gradients;
+        const bool expects = !image_in_j || !image_in_e;
+        const Floats expected = expects ? expected_gradient(objective_, samples, fitted.lam, room_.linearisation) : own;
+        multiply_derivatives(objective_, samples, fitted, room_.memory.weights, image_in_j ? own : expected,
+                             image_in_e ? own : expected, room_.linearisation);
     }
-    const Workspace& evaluated() const {
+    const LevelRoom& evaluated() const {
         require(reached_ == Reached::evaluated, kNotEvaluated);
-        return work_;
+        return room_;
     }
     const Objective& objective() const { return objective_; }
 
@@ -246,40 +256,45 @@ class Problem {
 
     const Objective& objective_;
     const EncodedImage& image_;
-    Workspace work_;
+    LevelRoom room_;
     Reached reached_ = Reached::nothing;
 };
 
 nb::dict arrays_of(const Problem& problem) {
-    const Workspace& work = problem.evaluated();
+    const LevelRoom& room = problem.evaluated();
+    const Samples& samples = room.sampling.samples;
+    const Weights& weights = room.memory.weights;
+    const FittedAppearance& fitted = room.appearance.fitted;
+    const LinearisationRoom& linearisation = room.linearisation;
     const Objective& objective = problem.objective();
-    const std::size_t n = objective.n(), k = objective.k(), rows = work.rows.n_rows;
+    const std::size_t n = objective.n(), k = objective.k();
+    const MatrixView<const float>& modes = samples.modes.values;
     nb::dict all;
-    all["values"] = copied(work.values, {n, kChannels});
-    all["residual"] = copied(work.residual, {n * k});
-    all["gradients"] = copied(work.gradients, {n * k, 2});
-    all["usable"] = copied(work.usable, {n});
-    all["rows"] = owned(std::vector<float>(work.rows.data, work.rows.data + rows * n * k), {rows, n * k});
-    all["metric"] = copied(work.metric, {k, kChannels});
-    all["base_sqrt_weights"] = copied(work.base_sqrt_weights, {n * k});
-    all["sqrt_weights"] = copied(work.sqrt_weights, {n * k});
-    all["weight_slope"] = copied(work.weight_slope, {work.weight_slope.size()});
-    all["masked"] = copied(work.masked, {n * k});
-    all["variance"] = copied(work.variance, {work.variance.size()});
-    all["noise_variance"] = work.noise_variance;
-    all["squares"] = work.squares;
-    all["weight"] = work.weight;
-    all["lam"] = copied(work.state.lam, {work.state.lam.size()});
-    all["gram"] = copied(work.gram);
-    all["factor"] = copied(work.factor);
-    all["ar"] = copied(work.ar, {work.ar.size()});
-    all["expected"] = copied(work.expected, {work.expected.size() / 2, 2});
+    all["values"] = copied(samples.values, {n, kChannels});
+    all["residual"] = copied(fitted.residual, {n * k});
+    all["gradients"] = copied(samples.gradients, {n * k, 2});
+    all["usable"] = copied(samples.usable, {n});
+    all["modes"] = owned(std::vector<float>(modes.data, modes.data + modes.n_rows * n * k), {modes.n_rows, n * k});
+    all["metric"] = copied(samples.metric, {k, kChannels});
+    all["base_sqrt_weights"] = copied(weights.base_sqrt_weights, {n * k});
+    all["sqrt_weights"] = copied(weights.sqrt_weights, {n * k});
+    all["weight_slope"] = copied(weights.slope, {weights.slope.size()});
+    all["masked"] = copied(fitted.sqrt_weights, {n * k});
+    all["variance"] = copied(weights.variance, {weights.variance.size()});
+    all["noise_variance"] = weights.noise_variance;
+    all["squares"] = fitted.squares;
+    all["weight"] = fitted.weight;
+    all["lam"] = copied(fitted.lam, {fitted.lam.size()});
+    all["gram"] = copied(weights.gram);
+    all["factor"] = copied(fitted.factor);
+    all["ar"] = copied(fitted.slope, {fitted.slope.size()});
+    all["expected"] = copied(linearisation.expected, {linearisation.expected.size() / 2, 2});
     std::vector<float> columns;
-    for (const auto& column : work.columns) columns.insert(columns.end(), column.begin(), column.end());
-    all["columns"] = owned(std::move(columns), {work.columns.size(), n * k});
-    all["aj"] = copied(work.aj);
-    all["hessian"] = copied(work.hessian);
-    all["gradient"] = copied(work.gradient, {work.gradient.size()});
+    for (const auto& column : linearisation.columns) columns.insert(columns.end(), column.begin(), column.end());
+    all["columns"] = owned(std::move(columns), {linearisation.columns.size(), n * k});
+    all["aj"] = copied(linearisation.aj);
+    all["hessian"] = copied(linearisation.equations.hessian);
+    all["gradient"] = copied(linearisation.equations.gradient, {linearisation.equations.gradient.size()});
     return all;
 }
 
@@ -306,7 +321,7 @@ Solution solve_one(const HeldObjective& held, const HeldImage& image, const Arra
     const RoomOfThread room;
     {
         const Unlocked unlocked;
-        fit = solve_level(held.objective, image.image, start, own, blur, evaluate_last, (*room).work, std::ref(signals));
+        fit = solve_level(held.objective, image.image, start, own, blur, evaluate_last, (*room).level, std::ref(signals));
     }
     signals.rethrow();
     return fit;

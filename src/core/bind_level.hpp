@@ -58,10 +58,10 @@ class Fields {
         return span_of(array<T, 1>(name));
     }
     template <class T>
-    liaam::Rows<const T> rows(const char* name) {
-        return rows_of(array<T, 2>(name));
+    liaam::MatrixView<const T> matrix(const char* name) {
+        return view_of(array<T, 2>(name));
     }
-    std::array<liaam::Rows<const float>, 3> parts(const char* name) {
+    std::array<liaam::MatrixView<const float>, 3> parts(const char* name) {
         const auto all = array<float, 3>(name);
         if (all.shape(0) == 0) return {};
         const std::size_t rows = all.shape(1), columns = all.shape(2), size = rows * columns;

@@ -12,65 +12,60 @@ using namespace liaam;
 
 namespace {
 
-Workspace with_system(const Array<double, 2>& hessian, const Array<double, 1>& gradient, const std::vector<bool>& observable) {
+NormalEquations equations_of(const Array<double, 2>& base, const Array<double, 2>& hessian,
+                             const Array<double, 1>& gradient, const std::vector<bool>& observable) {
     const std::size_t n = gradient.size();
     require(hessian.shape(0) == n && hessian.shape(1) == n && observable.size() == n, "the system differs in size");
-    Workspace work;
-    work.hessian = work.damping_matrix = matrix_of(hessian);
-    work.gradient = numbers_of(gradient);
-    work.observable.assign(observable.begin(), observable.end());
-    work.step.assign(n, 0.0);
-    work.last_step.assign(n, 0.0);
-    return work;
+    require(base.shape(0) == n && base.shape(1) == n, "the system differs in size");
+    return {matrix_of(hessian), matrix_of(base), numbers_of(gradient)};
 }
+
+std::vector<char> chars_of(const std::vector<bool>& given) { return {given.begin(), given.end()}; }
 
 auto damped(const Array<double, 2>& hessian, const Array<double, 1>& gradient, const std::vector<bool>& observable,
             double damping) {
-    Workspace work = with_system(hessian, gradient, observable);
-    const bool found = damped_step(damping, work);
-    return std::make_pair(found, copied(work.step, {work.step.size()}));
+    StepRoom room;
+    const auto equations = equations_of(hessian, hessian, gradient, observable);
+    const Step& step = damped_step(equations, chars_of(observable), damping, room);
+    return std::make_pair(step.found, copied(step.q, {step.q.size()}));
 }
 
 auto clamped(const Array<double, 2>& base, const Array<double, 2>& hessian, const Array<double, 1>& gradient,
              const std::vector<bool>& observable, double damping, double least) {
-    Workspace work = with_system(hessian, gradient, observable);
-    require(base.shape(0) == hessian.shape(0) && base.shape(1) == hessian.shape(1), "the system differs in size");
-    work.damping_matrix = matrix_of(base);
-    work.least_curvature = least;
-    const bool found = clamped_newton_step(damping, work);
-    return std::make_pair(found, copied(work.step, {work.step.size()}));
+    StepRoom room;
+    const auto equations = equations_of(base, hessian, gradient, observable);
+    NewtonMemory memory{least, std::vector<double>(gradient.size(), 0.0)};
+    const Step& step = clamped_newton_step(equations, chars_of(observable), damping, memory, room);
+    return std::make_pair(step.found, copied(step.q, {step.q.size()}));
 }
 
 double next_scale(const Array<double, 2>& hessian, const Array<double, 1>& p, const Array<double, 1>& prior, double dof,
                   double scale, double strength, double variance) {
-    Workspace work;
     require(hessian.shape(0) >= p.size() && hessian.shape(0) == hessian.shape(1) && prior.size() == p.size(),
             "the system differs in size");
-    work.damping_matrix = matrix_of(hessian);
-    work.state.p = numbers_of(p);
-    work.prior_scale = scale;
+    StepRoom room;
     Model model;
     model.prior = span_of(prior);
     model.dof = dof;
-    return next_prior_scale(model, strength, variance, work);
+    return next_prior_scale(model, matrix_of(hessian), numbers_of(p), scale, strength, variance, room);
 }
 
 auto observable_of(const Array<double, 2>& hessian, const Array<double, 2>& directions, double squares, double weight,
                    double observable) {
-    Workspace work;
     require(directions.shape(0) == 2 && hessian.shape(0) == hessian.shape(1) && hessian.shape(0) >= directions.shape(1),
             "the system differs in size");
     require(directions.shape(1) <= 2, "there are at most two angles");
-    work.hessian = matrix_of(hessian);
-    work.observable.assign(hessian.shape(0), 1);
-    work.metric.assign(8, 1.0f);  // |L'|^2 / |L|^2 = 1
-    work.metric_slope.assign(8, 1.0f);
-    work.squares = squares;
-    work.weight = weight;
+    Samples samples;
+    samples.metric.assign(8, 1.0f);  // |L'|^2 / |L|^2 = 1
+    samples.metric_slope.assign(8, 1.0f);
+    FittedAppearance fitted;
+    fitted.squares = squares;
+    fitted.weight = weight;
     Method method;
-    method.directions = rows_of(directions);
-    observable_parameters(method, observable, work);
-    return std::vector<bool>(work.observable.begin(), work.observable.end());
+    method.directions = view_of(directions);
+    StepRoom room;
+    const auto& moves = observable_parameters(method, samples, fitted, matrix_of(hessian), observable, room);
+    return std::vector<bool>(moves.begin(), moves.end());
 }
 
 auto factor_of(const Array<double, 2>& matrix) {
@@ -89,11 +84,11 @@ auto solve_clamped_of(const Array<double, 2>& matrix, double least, const Array<
     return std::make_pair(found, owned(std::move(solution), {right.size()}));
 }
 
-auto gram_of(const Array<float, 2>& rows, const Array<float, 1>& sqrt_weights) {
-    require(rows.shape(0) >= 1 && rows.shape(1) == sqrt_weights.size(), "rows and weights differ in size");
+auto gram_of(const Array<float, 2>& modes, const Array<float, 1>& sqrt_weights) {
+    require(modes.shape(0) >= 1 && modes.shape(1) == sqrt_weights.size(), "modes and weights differ in size");
     std::vector<float> block;
-    Matrix gram(rows.shape(0) - 1, rows.shape(0) - 1);
-    weighted_gram(rows_of(rows), span_of(sqrt_weights), block, gram);
+    Matrix gram(modes.shape(0) - 1, modes.shape(0) - 1);
+    weighted_gram(view_of(modes), span_of(sqrt_weights), block, gram);
     return copied(gram);
 }
 
@@ -117,7 +112,7 @@ void bind_parts(nb::module_& module) {
                "observable"_a);
     module.def("cholesky", factor_of, "matrix"_a);
     module.def("solve_clamped", solve_clamped_of, "matrix"_a, "least"_a, "right"_a);
-    module.def("weighted_gram", gram_of, "rows"_a, "sqrt_weights"_a);
+    module.def("weighted_gram", gram_of, "modes"_a, "sqrt_weights"_a);
     module.def("loss_weight", weight_of, "loss"_a, "u"_a);
     module.def("median", median_of, "numbers"_a);
     module.def("minimise_on_arc", minimise_on_arc, "s"_a, "b"_a, "centre"_a, "reach"_a);

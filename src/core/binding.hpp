@@ -20,6 +20,7 @@
 #include <vector>
 
 #include "arrays.hpp"
+#include "encoding.hpp"
 #include "image.hpp"
 
 namespace nb = nanobind;
@@ -106,7 +107,7 @@ auto numbers_of(const Given& array) {
     return std::vector<std::remove_cv_t<std::remove_pointer_t<decltype(numbers)>>>(numbers, numbers + array.size());
 }
 template <class T>
-liaam::Rows<const T> rows_of(const Array<T, 2>& array) {
+liaam::MatrixView<const T> view_of(const Array<T, 2>& array) {
     return {data_of(array), array.shape(0), array.shape(1)};
 }
 inline liaam::Matrix matrix_of(const Array<double, 2>& array) {
@@ -127,6 +128,9 @@ liaam::Stored<T> stored(const Image<T>& image) {
     return {data_of(image), static_cast<std::ptrdiff_t>(image.shape(0)), static_cast<std::ptrdiff_t>(image.shape(1)),
             image.stride(0), image.stride(1), image.stride(2)};
 }
+
+// The constants that liaam._core has set.
+const liaam::EncodingConstants& encoding_constants();
 
 void bind_level(nb::module_& module);
 void bind_fit(nb::module_& module);

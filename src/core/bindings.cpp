@@ -1,6 +1,7 @@
 // The extension module.
 #include <atomic>
 #include <chrono>
+#include <optional>
 #include <thread>
 
 #include "binding.hpp"
@@ -14,6 +15,8 @@ namespace {
 std::atomic<bool> python_ends = false;
 std::atomic<int> unlocked_threads = 0;
 std::thread::id ending_thread;
+
+std::optional<liaam::EncodingConstants> constants_set;  // once, at import; only read later
 
 constexpr std::chrono::milliseconds A_MOMENT{1};
 
@@ -36,7 +39,19 @@ bool runs_x86_64_v3() {
 #endif
 }
 
+void set_encoding_constants(const nb::dict& given) {
+    const auto number = [&](const char* name) { return nb::cast<float>(given[name]); };
+    const auto weights = [&](const char* name) { return nb::cast<std::array<float, 3>>(given[name]); };
+    constants_set = {number("all"),      number("unusable"), number("log_floor"),  number("softness"),
+                     number("flat"),     weights("brightness"), weights("luminance")};
+}
+
 }  // namespace
+
+const liaam::EncodingConstants& encoding_constants() {
+    require(constants_set.has_value(), "the constants of the encodings are not set; import liaam._core");
+    return *constants_set;
+}
 
 Unlocked::Unlocked() {
     ++unlocked_threads;
@@ -75,5 +90,6 @@ NB_MODULE(LIAAM_MODULE, module) {
     bind_parts(module);
     nb::module_::import_("atexit").attr("register")(nb::cpp_function(&Unlocked::end));
     module.attr("SOURCES") = LIAAM_DIGEST;
+    module.def("_set_encoding_constants", set_encoding_constants, "constants"_a);
     module.def("best_instruction_set", [] { return runs_x86_64_v3() ? "avx2" : "baseline"; });
 }

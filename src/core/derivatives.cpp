@@ -3,8 +3,8 @@
 #include <cmath>
 
 #include "eight.hpp"
+#include "linear.hpp"
 #include "modes.hpp"
-#include "normal_equations.hpp"
 
 namespace liaam {
 
@@ -31,9 +31,9 @@ struct Range {
 };
 
 // w^2 (gradient by x, by y, residual, angle column or 0) of the residuals of a triangle's pixels.
-void weigh_columns(const Workspace& work, const std::vector<float>& gradients, const float* column, Range residuals,
+void weigh_columns(const FittedAppearance& fitted, Floats gradients, const float* column, Range residuals,
                    std::vector<float>& fours) {
-    const float *root = work.masked.data(), *residual = work.residual.data(), *slopes = gradients.data();
+    const float *root = fitted.sqrt_weights.data(), *residual = fitted.residual.data(), *slopes = gradients.data();
     fours.resize(std::max(fours.size(), 4 * (residuals.end - residuals.begin) + kEight));
     float* out = fours.data();
     for (std::size_t e = residuals.begin; e < residuals.end; ++e, out += 4) {
@@ -104,26 +104,26 @@ struct ModeSums {
 };
 
 // Adds J'A of a triangle to the rows of its vertices.
-void add_triangle_modes(const Objective& objective, std::span<const std::int64_t> triangle, Range pixels, Workspace& work) {
-    const Mesh& mesh = objective.model.mesh;
-    const std::size_t k = objective.k(), width = objective.width();
+void add_triangle_modes(const Mesh& mesh, std::span<const std::int64_t> triangle, Range pixels, std::size_t k,
+                        Floats transposed_modes, const std::vector<float>& fours, Matrix& sums_of_all) {
+    const std::size_t width = sums_of_all.columns();
     for (std::size_t column = 0; column < width; column += kEight) {
         ModeSums sums;
-        const float* four = work.fours.data();
-        const float* lines = work.lines.data() + pixels.begin * k * width + column;
+        const float* four = fours.data();
+        const float* modes = transposed_modes.data() + pixels.begin * k * width + column;
         for (std::size_t i = pixels.begin; i < pixels.end; ++i) {
             Eight x{}, y{};
-            for (std::size_t r = 0; r < k; ++r, four += 4, lines += width) {
-                const Eight line = load(lines);
-                x += four[0] * line;
-                y += four[1] * line;
+            for (std::size_t r = 0; r < k; ++r, four += 4, modes += width) {
+                const Eight own = load(modes);
+                x += four[0] * own;
+                y += four[1] * own;
             }
             sums.add(mesh.beta[i].data(), x, y);
         }
         const Eight* of_corner[3][2] = {{&sums.ax, &sums.ay}, {&sums.bx, &sums.by}, {&sums.cx, &sums.cy}};
         for (std::size_t corner = 0; corner < 3; ++corner)
             for (std::size_t axis = 0; axis < 2; ++axis) {
-                double* out = work.modes_by_vertex[2 * triangle[corner] + axis] + column;
+                double* out = sums_of_all[2 * triangle[corner] + axis] + column;
                 for (std::size_t j = 0; j < kEight; ++j) out[j] += (*of_corner[corner][axis])[j];
             }
     }
@@ -131,104 +131,151 @@ void add_triangle_modes(const Objective& objective, std::span<const std::int64_t
 
 // E'J, E'r and E' times an angle column, for x and y of each vertex; and J'A, with the first column. Triangle by
 // triangle, so that what is summed stays in the cache.
-void sum_by_vertex(const Objective& objective, const std::vector<float>& of_j, const std::vector<float>& of_e,
-                   std::size_t f, Workspace& work) {
+void sum_by_vertex(const Objective& objective, const Samples& samples, const FittedAppearance& fitted, Floats of_j,
+                   Floats of_e, std::size_t f, LinearisationRoom& room) {
     const Mesh& mesh = objective.model.mesh;
     const std::size_t k = objective.k();
-    const float* column = work.columns.empty() ? nullptr : work.columns[f].data();
-    work.by_vertex.resize(2 * mesh.n_vertices(), mesh.basis.n_columns + kEight);
-    work.by_vertex.fill(0.0);
+    const float* column = room.columns.empty() ? nullptr : room.columns[f].data();
+    room.by_vertex.resize(2 * mesh.n_vertices(), mesh.basis.n_columns + kEight);
+    room.by_vertex.fill(0.0);
     if (f == 0) {
-        work.modes_by_vertex.resize(2 * mesh.n_vertices(), objective.width());
-        work.modes_by_vertex.fill(0.0);
+        room.modes_by_vertex.resize(2 * mesh.n_vertices(), objective.width());
+        room.modes_by_vertex.fill(0.0);
     }
     for (std::size_t t = 0; t < mesh.triangles.n_rows; ++t) {
         const Range pixels{static_cast<std::size_t>(mesh.starts[t]), static_cast<std::size_t>(mesh.starts[t + 1])};
         if (pixels.begin == pixels.end) continue;
-        weigh_columns(work, of_j, column, {pixels.begin * k, pixels.end * k}, work.fours);
+        weigh_columns(fitted, of_j, column, {pixels.begin * k, pixels.end * k}, room.fours);
         CornerPairs pairs;
-        const float* fours = work.fours.data();
+        const float* fours = room.fours.data();
         for (std::size_t i = pixels.begin; i < pixels.end; ++i, fours += 4 * k)
             pairs.add(mesh.beta[i].data(), pixel_products(fours, of_e.data() + 2 * i * k, k));
-        add_triangle(mesh, mesh.triangles[t], pairs, work.by_vertex);
-        if (f == 0) add_triangle_modes(objective, mesh.triangles[t], pixels, work);
+        add_triangle(mesh, mesh.triangles[t], pairs, room.by_vertex);
+        if (f == 0)
+            add_triangle_modes(mesh, mesh.triangles[t], pixels, k, samples.modes.transposed, room.fours,
+                               room.modes_by_vertex);
     }
 }
 
-void differentiate_angle(const Objective& objective, std::size_t f, Workspace& work) {
-    const double by_model = objective.method.directions[0][f], theta = work.state.angles[0];
+// The derivative of the weighted residual by a free angle, divided by the square root of the weight: that of eq 10 is
+// L'(theta_2) log I and -L'(theta_1) A.
+void differentiate_angle(const Objective& objective, std::size_t f, const Samples& samples,
+                         const FittedAppearance& fitted, const Weights& weights, std::vector<float>& out) {
+    const double by_model = objective.method.directions[0][f], theta = samples.angles[0];
     const auto by_image = static_cast<float>(objective.method.directions[1][f]);
     const std::size_t k = objective.k();
-    std::vector<float>& out = work.columns[f];
+    out.resize(fitted.residual.size());
     for (std::size_t e = 0; e < out.size(); ++e) {
-        const float *slope = work.metric_slope.data() + kChannels * (e % k), *value = work.values.data() + kChannels * (e / k);
+        const float* slope = samples.metric_slope.data() + kChannels * (e % k);
+        const float* value = samples.values.data() + kChannels * (e / k);
         float change = 0.0f;
         for (std::size_t c = 0; c + 1 < kChannels; ++c) change += slope[c] * value[c];
-        if (!work.weight_slope.empty()) change += work.weight_slope[e] * work.residual[e];
+        if (!weights.slope.empty()) change += weights.slope[e] * fitted.residual[e];
         out[e] = by_image * change;
     }
     if (!objective.model.theta_1_is_free()) return;
     const auto along = static_cast<float>(by_model * std::cos(theta)), across = static_cast<float>(by_model * std::sin(theta));
-    const auto& parts = objective.model.row_parts;
+    const auto& parts = objective.model.mode_parts;
     for (std::size_t j = 0; j < parts[0].n_rows; ++j) {
-        const float scale = j == 0 ? 1.0f : static_cast<float>(work.state.lam[j - 1]);
+        const float scale = j == 0 ? 1.0f : static_cast<float>(fitted.lam[j - 1]);
         const float *by_cos = parts[1][j].data(), *by_sin = parts[2][j].data();
 #pragma omp simd
         for (std::size_t e = 0; e < out.size(); ++e) out[e] -= scale * (along * by_sin[e] - across * by_cos[e]);
     }
 }
 
-double weighted_product(const std::vector<float>& root, const std::vector<float>& a, const std::vector<float>& b) {
-    double product = 0.0;
-    for (std::size_t e = 0; e < root.size(); ++e) product += root[e] * root[e] * a[e] * b[e];
-    return product;
+// Products of the angles' columns with each other, with the modes and with the residual.
+void sum_angle_products(const Objective& objective, const Samples& samples, const FittedAppearance& fitted,
+                        LinearisationRoom& room) {
+    const std::size_t n_p = objective.n_p(), n_free = room.columns.size(), m = objective.m();
+    room.mode_products.resize(m);
+    for (std::size_t f = 0; f < n_free; ++f) {
+        multiply_modes(samples.modes.values, fitted.sqrt_weights, room.columns[f], room.block, room.mode_products);
+        for (std::size_t j = 0; j < m; ++j) room.aj[j][n_p + f] = room.mode_products[j];
+        for (std::size_t g = 0; g < n_free; ++g)
+            room.equations.hessian[n_p + f][n_p + g] =
+                weighted_product(fitted.sqrt_weights, room.columns[f], room.columns[g]);
+        room.equations.gradient[n_p + f] = weighted_product(fitted.sqrt_weights, room.columns[f], fitted.residual);
+    }
 }
 
-// Products of the angles' columns with each other, with the modes and with the residual.
-void sum_angle_products(const Objective& objective, Workspace& work) {
-    const std::size_t n_p = objective.n_p(), n_free = work.columns.size();
-    for (std::size_t f = 0; f < n_free; ++f) {
-        multiply_modes(work.rows, work.masked, work.columns[f], work.block, work.lam_step);
-        for (std::size_t j = 0; j < work.lam_step.size(); ++j) work.aj[j][n_p + f] = work.lam_step[j];
-        for (std::size_t g = 0; g < n_free; ++g)
-            work.hessian[n_p + f][n_p + g] = weighted_product(work.masked, work.columns[f], work.columns[g]);
-        work.gradient[n_p + f] = weighted_product(work.masked, work.columns[f], work.residual);
-    }
+// Replaces J'J and J'r by the symmetrised Hessian J'QJ and the gradient J'Qr.
+void eliminate_appearance(const FittedAppearance& fitted, LinearisationRoom& room) {
+    auto& [hessian, expected, gradient] = room.equations;
+    const std::size_t n = gradient.size();
+    room.whitened = room.aj;
+    solve_lower(fitted.factor, room.whitened);
+    room.whitened_slope = fitted.slope;
+    solve_lower(fitted.factor, room.whitened_slope);
+    for (std::size_t i = 0; i < room.whitened_slope.size(); ++i)
+        for (std::size_t a = 0; a < n; ++a) gradient[a] -= room.whitened_slope[i] * room.whitened[i][a];
+    multiply_transposed(room.whitened.view(), room.whitened.view(), n, room.product);
+    for (std::size_t a = 0; a < n; ++a)
+        for (std::size_t b = 0; b <= a; ++b)
+            hessian[a][b] = hessian[b][a] = 0.5 * (hessian[a][b] + hessian[b][a]) - room.product[a][b];
 }
 
 }  // namespace
 
-void model_gradient(const Objective& objective, Workspace& work) {
-    std::copy_n(work.slopes.data, work.appearance_slopes.size(), work.appearance_slopes.begin());
-    add_modes(work.slopes, work.state.lam, 1.0, work.appearance_slopes);
-    vertices_at(objective.model.mesh, work.state.p, work.vertices);
-    pull_gradients(objective.model.mesh, work.vertices, work.appearance_slopes, work.expected);
+void begin_equations(const Objective& objective, NormalEquations& equations) {
+    equations.expected_hessian.resize(objective.n_q(), objective.n_q());
+    equations.expected_hessian.fill(0.0);
 }
 
-void differentiate_angles(const Objective& objective, Workspace& work) {
-    for (std::size_t f = 0; f < work.columns.size(); ++f) differentiate_angle(objective, f, work);
+const std::vector<float>& expected_gradient(const Objective& objective, const Samples& samples, Doubles lam,
+                                            LinearisationRoom& room) {
+    std::vector<float>& own = room.appearance_gradients;
+    const auto mean = samples.modes.gradients[0];
+    own.assign(mean.begin(), mean.end());
+    add_modes(samples.modes.gradients, lam, 1.0, own);
+    room.expected.resize(own.size());
+    pull_gradients(objective.model.mesh, samples.vertices, own, room.expected);
+    return room.expected;
 }
 
-void linearise(const Objective& objective, Workspace& work, Linearisation kind) {
+void multiply_derivatives(const Objective& objective, const Samples& samples, const FittedAppearance& fitted,
+                          const Weights& weights, Floats of_j, Floats of_e, LinearisationRoom& room) {
     const Mesh& mesh = objective.model.mesh;
-    const std::size_t n_p = objective.n_p(), n_free = work.columns.size(), width = mesh.basis.n_columns;
-    const auto &of_j = kind.image_in_j ? work.gradients : work.expected;
-    const auto &of_e = kind.image_in_e ? work.gradients : work.expected;
-    differentiate_angles(objective, work);
-    sum_angle_products(objective, work);
+    const std::size_t n_p = objective.n_p(), n_q = objective.n_q(), m = objective.m(), width = mesh.basis.n_columns;
+    const std::size_t n_free = objective.method.n_free();
+    Matrix& hessian = room.equations.hessian;
+    hessian.resize(n_q, n_q);
+    room.equations.gradient.resize(n_q);
+    room.aj.resize(m, n_q);
+    room.columns.resize(n_free);
+    for (std::size_t f = 0; f < n_free; ++f)
+        differentiate_angle(objective, f, samples, fitted, weights, room.columns[f]);
+    sum_angle_products(objective, samples, fitted, room);
     for (std::size_t f = 0; f < std::max<std::size_t>(n_free, 1); ++f) {
-        sum_by_vertex(objective, of_j, of_e, f, work);
-        multiply_transposed(mesh.basis, work.by_vertex.view(), n_p, work.carried);
+        sum_by_vertex(objective, samples, fitted, of_j, of_e, f, room);
+        multiply_transposed(mesh.basis, room.by_vertex.view(), n_p, room.carried);
         for (std::size_t i = 0; i < n_p && n_free; ++i)
-            work.hessian[i][n_p + f] = work.hessian[n_p + f][i] = work.carried[i][width + 1];
+            hessian[i][n_p + f] = hessian[n_p + f][i] = room.carried[i][width + 1];
     }
-    multiply_transposed(mesh.basis, work.modes_by_vertex.view(), n_p, work.carried_modes);
+    multiply_transposed(mesh.basis, room.modes_by_vertex.view(), n_p, room.carried_modes);
     for (std::size_t i = 0; i < n_p; ++i) {
-        work.gradient[i] = work.carried[i][width];
-        std::copy_n(work.carried[i], n_p, work.hessian[i]);
-        for (std::size_t j = 0; j < work.ar.size(); ++j) work.aj[j][i] = work.carried_modes[i][j];
+        room.equations.gradient[i] = room.carried[i][width];
+        std::copy_n(room.carried[i], n_p, hessian[i]);
+        for (std::size_t j = 0; j < m; ++j) room.aj[j][i] = room.carried_modes[i][j];
     }
-    eliminate_appearance(work);
+    eliminate_appearance(fitted, room);
+}
+
+const NormalEquations& linearise(const Objective& objective, const Samples& samples, const FittedAppearance& fitted,
+                                 const Weights& weights, bool expects, bool fresh, LinearisationRoom& room) {
+    NormalEquations& equations = room.equations;
+    if (!expects) {
+        multiply_derivatives(objective, samples, fitted, weights, samples.gradients, samples.gradients, room);
+        equations.expected_hessian = equations.hessian;
+        return equations;
+    }
+    const Floats expected = expected_gradient(objective, samples, fitted.lam, room);
+    if (fresh) {
+        multiply_derivatives(objective, samples, fitted, weights, expected, expected, room);
+        equations.expected_hessian = equations.hessian;
+    }
+    multiply_derivatives(objective, samples, fitted, weights, samples.gradients, expected, room);
+    return equations;
 }
 
 }  // namespace liaam

@@ -15,15 +15,14 @@ constexpr double kWidestBlur = 1e4;   // standard deviation in pixels, above whi
 
 enum class Encoding { value, log, orientation, soft };
 
-// Constants of the encodings, set once by liaam.photometry.encoding.
+// Constants of the encodings. Their values, and the reasons, are in liaam.encoding_constants.
 struct EncodingConstants {
-    float all = 0.999f;           // fraction of a block's pixels above which the block counts as usable
-    float unusable = 1e-3f;       // weight of an unusable pixel in a blur
-    float log_floor = 0.004f;     // added to brightness before the logarithm
-    float softness = 0.1f;        // gradient of log brightness at which the squared length is one half
-    float flat = 1e-4f;           // the same for `orientation`
-    std::array<float, 3> brightness{1.0f / 3, 1.0f / 3, 1.0f / 3};
-    std::array<float, 3> luminance{0.2126f, 0.7152f, 0.0722f};
+    float all;        // fraction of a block's pixels above which the block counts as usable
+    float unusable;   // weight of an unusable pixel in a blur
+    float log_floor;  // added to brightness before the logarithm
+    float softness;   // gradient of log brightness at which the squared length is one half
+    float flat;       // the same for `orientation`
+    std::array<float, 3> brightness, luminance;  // weights of R, G and B
 };
 
 // How to encode means of light: `floor` is the lower bound of linear light in logarithms, `blur` in pixels, `pixel` the

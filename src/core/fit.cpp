@@ -122,7 +122,7 @@ bool join_blocks(const BlockMeans& fine, const Region& region, double size, Bloc
 double correlated_pixels(double blur) { return std::max(1.0, 4.0 * std::numbers::pi * blur * blur); }
 
 // Standard deviation of central differences of unit white noise after a Gaussian blur (pixels).
-double slope_left(double blur) {
+double slope_noise_gain(double blur) {
     if (!(blur > 0.3)) return std::sqrt(0.5);
     return std::sqrt((1.0 - std::exp(-1.0 / (blur * blur))) / (8.0 * std::numbers::pi * blur * blur));
 }
@@ -151,7 +151,7 @@ bool is_sane(Doubles shape, Doubles start) {
 }
 
 // The precision of the n parameters of a level: the first modes, and the similarity, which comes last.
-Rows<const double> precision_of(Rows<const double> all, std::size_t n, Matrix& room) {
+MatrixView<const double> precision_of(MatrixView<const double> all, std::size_t n, Matrix& room) {
     const auto at = [&](std::size_t i) { return i + 4 < n ? i : i + all.n_rows - n; };
     room.resize(n, n);
     for (std::size_t i = 0; i < n; ++i)
@@ -230,6 +230,7 @@ class Fit {
         image_.pixels = room_.channels.pixels;
         image_.height = static_cast<int>(room_.channels.height);
         image_.width = static_cast<int>(room_.channels.width);
+        image_.constants = constants_;
         image_.from_model = compose(result.to_patch, result.pose);
         const double scale = scale_of(image_.from_model), blur = scale * level.blur;
         room_.noise.assign(target_.log_noise.begin(), target_.log_noise.end());
@@ -237,11 +238,11 @@ class Fit {
         image_.log_noise = room_.noise;
         image_.first_log = target_.first_log;
         image_.last_log = target_.last_log;
-        image_.value_left = 1.0 / std::sqrt(correlated_pixels(blur));
-        image_.slope_left = scale * slope_left(blur);
+        image_.value_noise_gain = 1.0 / std::sqrt(correlated_pixels(blur));
+        image_.slope_noise_gain = scale * slope_noise_gain(blur);
         // In an image smaller than the model's frame, one image pixel covers several model pixels.
-        const double tied = std::max(correlated_pixels(level.blur), 1.0 / (scale * scale));
-        image_.correlated = std::max(1.0, level.density * tied);
+        const double pixels_per_dof = std::max(correlated_pixels(level.blur), 1.0 / (scale * scale));
+        image_.correlated = std::max(1.0, level.density * pixels_per_dof);
     }
 
     const std::vector<LevelSpec>& levels_;
@@ -261,13 +262,12 @@ Options coarse(Options options) {
 }
 
 std::array<double, 2> first_angles(const Objective& objective, const Target& target, const Options& options,
-                                   const EncodedImage& image, const State& state, Workspace& work) {
+                                   const EncodedImage& image, const State& state, SamplingRoom& room) {
     const Method& method = objective.method;
     if (!method.n_free()) return {target.theta_1, target.theta_2};
     const bool image_only = method.n_free() == 1 && method.directions[0][0] == 0.0;
     if (!image_only || !target.has_invariant || !options.best_angle) return state.angles;
-    work.begin(objective, state);
-    return {state.angles[0], best_image_angle(objective, image, work)};
+    return {state.angles[0], best_image_angle(objective, image, state, room)};
 }
 
 }  // namespace
@@ -319,7 +319,6 @@ std::vector<FittedLevel> fit_levels(const std::vector<LevelSpec>& levels, const 
                                     const Target& target, const Options& options, const EncodingConstants& constants,
                                     FitRoom& room, const Interrupted& interrupted) {
     Fit fit(levels, picture, target, constants, room);
-    Workspace& work = room.work;
     std::vector<FittedLevel> results;
     std::vector<double> shape = target.start;
     double margin = target.margin;
@@ -328,9 +327,9 @@ std::vector<FittedLevel> fit_levels(const std::vector<LevelSpec>& levels, const 
         const Options own = last ? options : coarse(options);
         FittedLevel result;
         State start = fit.prepare(level, shape, margin, result);
-        start.angles = results.empty() ? first_angles(*level.objective, target, own, fit.image(), start, work)
+        start.angles = results.empty() ? first_angles(*level.objective, target, own, fit.image(), start, room.level.sampling)
                                        : results.back().fit.state.angles;
-        result.fit = solve_level(*level.objective, fit.image(), start, own, level.blur, last, work, interrupted);
+        result.fit = solve_level(*level.objective, fit.image(), start, own, level.blur, last, room.level, interrupted);
         const auto before = map(result.pose, level.shapes.shape(start.p));
         const auto after = map(result.pose, level.shapes.shape(result.fit.state.p));
         for (std::size_t i = 0; i < shape.size(); ++i) shape[i] += after[i] - before[i];  // what no mode here shows stays

@@ -22,8 +22,8 @@ struct Picture {
 
 // The shape model of the landmarks (eq 2).
 struct Shapes {
-    Rows<const double> basis;  // (n_p, 2 n): shape modes, then the four similarity vectors, all orthonormal
-    Doubles mean;              // (2 n)
+    MatrixView<const double> basis;  // (n_p, 2 n): shape modes, then the four similarity vectors, all orthonormal
+    Doubles mean;                    // (2 n)
 
     std::vector<double> shape(Doubles p) const;
     std::vector<double> parameters(const std::vector<double>& shape) const;
@@ -50,8 +50,8 @@ struct Target {
     bool has_invariant = false;    // theta_2 and lambda have a joint optimum
     Floats log_noise;              // of one pixel; see EncodedImage
     double first_log = 0.0, last_log = 1.0;
-    Rows<const double> point_precision;  // of all p by the points of another landmarker, or empty
-    std::vector<double> points;          // (2 n): landmarks mapped from these points, or empty
+    MatrixView<const double> point_precision;  // of all p by the points of another landmarker, or empty
+    std::vector<double> points;                // (2 n): landmarks mapped from these points, or empty
 };
 
 // The solution of a level, the similarity from model pixels to image pixels that it refers to, and its encoded patch.
@@ -71,7 +71,7 @@ struct BlockMeans {
 
 // Room for fits, reused by the next.
 struct FitRoom {
-    Workspace work;
+    LevelRoom level;
     BlockMeans around_start, around_shape;
     Channels channels;
     std::vector<float> noise;

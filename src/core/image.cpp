@@ -150,7 +150,7 @@ void stored_luminance(const Stored<T>& image, const std::array<Floats, 3>& table
 template void stored_luminance(const Stored<std::uint8_t>&, const std::array<Floats, 3>&, float*);
 template void stored_luminance(const Stored<std::uint16_t>&, const std::array<Floats, 3>&, float*);
 
-void sample_channels(Rows<const float> pixels, std::ptrdiff_t width, Rows<const double> points, float* values,
+void sample_channels(MatrixView<const float> pixels, std::ptrdiff_t width, MatrixView<const double> points, float* values,
                      float* usable) {
     const std::size_t last = pixels.n_columns - 1;
     const auto height = static_cast<std::ptrdiff_t>(pixels.n_rows) / width;

@@ -65,7 +65,7 @@ void stored_luminance(const Stored<T>& image, const std::array<Floats, 3>& table
 
 // Samples channels (h, w, c + 1) bilinearly at points (x, y): values (n, c), and 1 where all four pixels around a point
 // are inside and usable, else 0. The last channel is the weight of the pixel.
-void sample_channels(Rows<const float> pixels, std::ptrdiff_t width, Rows<const double> points, float* values,
+void sample_channels(MatrixView<const float> pixels, std::ptrdiff_t width, MatrixView<const double> points, float* values,
                      float* usable);
 
 }  // namespace liaam

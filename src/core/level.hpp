@@ -3,7 +3,7 @@
 
 #include <functional>
 
-#include "objective.hpp"
+#include "step.hpp"
 
 namespace liaam {
 
@@ -14,8 +14,8 @@ struct Trace {
     std::vector<std::array<double, 2>> angles;
     int n_iterations = 0;                       // refused steps included
     bool converged = false;
-    bool held = false;  // an angle was not observable and kept fixed
-    bool flat = false;  // there is no texture under the model
+    bool angle_fixed = false;  // an angle was not observable
+    bool no_texture = false;   // there is none under the model
 };
 
 // Sums over the usable pixels of one row: weights, weighted samples and their squares, weighted squares of the residual.
@@ -58,19 +58,37 @@ struct Controls : Options {
     bool evaluate_last = true;  // evaluate the residual once more after a last step that is too short to matter
 };
 
+// What a run of the loop carries from one step to the next: a copy undoes a run.
+struct Memory {
+    State state;
+    Weights weights;
+    Priors priors;
+    NewtonMemory newton;
+};
+
+// Room for a level, reused by the next. What each part returns stays in its room until it is called again.
+struct LevelRoom {
+    Memory memory;
+    SamplingRoom sampling;
+    WeighingRoom weighing;
+    AppearanceRoom appearance;
+    LinearisationRoom linearisation;
+    StepRoom step;
+};
+
+// Sets a memory to a start and to the model's weights.
+void begin_level(const Objective& objective, const State& start, LevelRoom& room);
+
 // Whether to stop: asked once in a while, so that Ctrl-C ends a fit.
 using Interrupted = std::function<bool()>;
 
-// Runs the loop from the state in the workspace. Always terminates.
-Trace run_level(const Objective& objective, const EncodedImage& image, const Controls& controls, Workspace& work,
+// Runs the loop from the state in the room's memory. Always terminates.
+Trace run_level(const Objective& objective, const EncodedImage& image, const Controls& controls, LevelRoom& room,
                 const Interrupted& interrupted);
 
 // Minimises the cost over one image at one level, from a start: the loop with the method's steps, and for `scored` the
 // loop with the expected gradient at the end.
 Solution solve_level(const Objective& objective, const EncodedImage& image, const State& start, const Options& options,
-                     double blur, bool evaluate_last, Workspace& work, const Interrupted& interrupted);
-
-// Collects the solution from the workspace.
-Solution collect(const Objective& objective, Trace trace, const Workspace& work, bool keeps_samples = false);
+                     double blur, bool evaluate_last, LevelRoom& room, const Interrupted& interrupted);
 
 }  // namespace liaam

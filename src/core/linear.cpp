@@ -12,7 +12,7 @@ constexpr std::size_t kRotations = 3;  // most rotations, as a multiple of n^2; 
 constexpr std::size_t kTall = 4, kWide = 8;  // a tile of a product, whose sums stay in registers
 
 // Rows i to i + kTall and columns j to j + kWide of L'R.
-void multiply_tile(Rows<const double> left, Rows<const double> right, std::size_t i, std::size_t j, Matrix& out) {
+void multiply_tile(MatrixView<const double> left, MatrixView<const double> right, std::size_t i, std::size_t j, Matrix& out) {
     double sums[kTall][kWide]{};
     const double *a = left.data + i, *b = right.data + j;
     for (std::size_t k = 0; k < left.n_rows; ++k, a += left.n_columns, b += right.n_columns)
@@ -165,22 +165,29 @@ void solve_lower(const Matrix& factor, Matrix& right) {
     }
 }
 
-void solve(const Matrix& factor, std::span<double> right) {
-    const std::size_t n = factor.rows();
-    for (std::size_t i = 0; i < n; ++i) {
+void solve_lower(const Matrix& factor, std::span<double> right) {
+    for (std::size_t i = 0; i < factor.rows(); ++i) {
         const double* own = factor[i];
         double left = right[i];
         for (std::size_t j = 0; j < i; ++j) left -= own[j] * right[j];
         right[i] = left / own[i];
     }
-    for (std::size_t i = n; i-- > 0;) {
+}
+
+void solve_upper(const Matrix& factor, std::span<double> right) {
+    for (std::size_t i = factor.rows(); i-- > 0;) {
         const double* own = factor[i];
         right[i] /= own[i];
         for (std::size_t j = 0; j < i; ++j) right[j] -= own[j] * right[i];
     }
 }
 
-void multiply_transposed(Rows<const double> left, Rows<const double> right, std::size_t rows, Matrix& out) {
+void solve(const Matrix& factor, std::span<double> right) {
+    solve_lower(factor, right);
+    solve_upper(factor, right);
+}
+
+void multiply_transposed(MatrixView<const double> left, MatrixView<const double> right, std::size_t rows, Matrix& out) {
     const std::size_t width = right.n_columns;
     out.resize(rows, width);
     if (rows >= kTall && width >= kWide) {

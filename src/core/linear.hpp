@@ -11,14 +11,16 @@ namespace liaam {
 // Replaces the lower triangle of a matrix by its Cholesky factor L; false if it is not positive definite.
 bool cholesky(Matrix& matrix);
 
-// Replaces the columns R by L^-1 R.
+// Replaces the columns R by L^-1 R, r by L^-1 r, or r by L'^-1 r.
 void solve_lower(const Matrix& factor, Matrix& right);
+void solve_lower(const Matrix& factor, std::span<double> right);
+void solve_upper(const Matrix& factor, std::span<double> right);
 
 // Replaces r by (L L')^-1 r.
 void solve(const Matrix& factor, std::span<double> right);
 
 // Writes the first `rows` rows of L'R, of L (n, a) and R (n, b).
-void multiply_transposed(Rows<const double> left, Rows<const double> right, std::size_t rows, Matrix& out);
+void multiply_transposed(MatrixView<const double> left, MatrixView<const double> right, std::size_t rows, Matrix& out);
 
 // Room for the eigensolver, reused between calls.
 struct Spectrum {

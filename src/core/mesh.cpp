@@ -35,7 +35,10 @@ void vertices_at(const Mesh& mesh, Doubles p, std::vector<double>& vertices) {
     }
 }
 
-void warp_pixels(const Mesh& mesh, Doubles vertices, const Similarity& to, int width, int height, Places& places) {
+void warp_pixels(const Mesh& mesh, Doubles vertices, const Similarity& to, int width, int height,
+                 SamplePoints& points) {
+    points.corner.resize(mesh.n_pixels());
+    for (auto* each : {&points.across, &points.down, &points.inside}) each->resize(mesh.n_pixels());
     const double right = width - 1.0, bottom = height - 1.0, last_column = width - 2.0, last_row = height - 2.0;
     for (std::size_t t = 0; t < mesh.triangles.n_rows; ++t) {
         const auto triangle = mesh.triangles[t];
@@ -56,10 +59,10 @@ void warp_pixels(const Mesh& mesh, Doubles vertices, const Similarity& to, int w
             double column = std::floor(x), row = std::floor(y);
             column = column < last_column ? column : last_column;
             row = row < last_row ? row : last_row;
-            places.corner[i] = static_cast<std::int32_t>(row * width + column);
-            places.across[i] = static_cast<float>(x - column);
-            places.down[i] = static_cast<float>(y - row);
-            places.inside[i] = inside ? 1.0f : 0.0f;
+            points.corner[i] = static_cast<std::int32_t>(row * width + column);
+            points.across[i] = static_cast<float>(x - column);
+            points.down[i] = static_cast<float>(y - row);
+            points.inside[i] = inside ? 1.0f : 0.0f;
         }
     }
 }

@@ -29,7 +29,7 @@ void add_tile(const float* block, std::size_t size, std::size_t m, std::size_t i
 
 }  // namespace
 
-void weighted_gram(Rows<const float> rows, Floats sqrt_weights, std::vector<float>& block, Matrix& gram) {
+void weighted_gram(MatrixView<const float> modes, Floats sqrt_weights, std::vector<float>& block, Matrix& gram) {
     const std::size_t m = gram.rows();
     gram.fill(0.0);
     block.resize(m * kBlock);
@@ -38,7 +38,7 @@ void weighted_gram(Rows<const float> rows, Floats sqrt_weights, std::vector<floa
         const std::size_t padded = (size + kEight - 1) / kEight * kEight;
         const float* own = sqrt_weights.data() + begin;
         for (std::size_t j = 0; j < m; ++j) {
-            const float* mode = rows[1 + j].data() + begin;
+            const float* mode = modes[1 + j].data() + begin;
             float* weighted = block.data() + j * kBlock;
 #pragma omp simd
             for (std::size_t e = 0; e < size; ++e) weighted[e] = mode[e] * own[e];
@@ -51,7 +51,7 @@ void weighted_gram(Rows<const float> rows, Floats sqrt_weights, std::vector<floa
         for (std::size_t j = 0; j < i; ++j) gram[j][i] = gram[i][j];
 }
 
-void multiply_modes(Rows<const float> rows, Floats sqrt_weights, Floats column, std::vector<float>& block,
+void multiply_modes(MatrixView<const float> modes, Floats sqrt_weights, Floats column, std::vector<float>& block,
                     std::span<double> out) {
     std::fill(out.begin(), out.end(), 0.0);
     block.resize(std::max(block.size(), kBlock));
@@ -62,7 +62,7 @@ void multiply_modes(Rows<const float> rows, Floats sqrt_weights, Floats column, 
 #pragma omp simd
         for (std::size_t e = 0; e < size; ++e) weighted[e] = own[e] * own[e] * values[e];
         for (std::size_t j = 0; j < out.size(); ++j) {
-            const float* mode = rows[1 + j].data() + begin;
+            const float* mode = modes[1 + j].data() + begin;
             float product = 0.0f;
 #pragma omp simd reduction(+ : product)
             for (std::size_t e = 0; e < size; ++e) product += mode[e] * weighted[e];
@@ -71,12 +71,20 @@ void multiply_modes(Rows<const float> rows, Floats sqrt_weights, Floats column, 
     }
 }
 
-void add_modes(Rows<const float> rows, Doubles lam, double scale, std::span<float> out) {
+double weighted_product(Floats sqrt_weights, Floats a, Floats b) {
+    double product = 0.0;
+#pragma omp simd reduction(+ : product)
+    for (std::size_t e = 0; e < a.size(); ++e)
+        product += static_cast<double>(sqrt_weights[e]) * sqrt_weights[e] * a[e] * b[e];
+    return product;
+}
+
+void add_modes(MatrixView<const float> modes, Doubles lam, double scale, std::span<float> out) {
     const auto factor = [&](std::size_t j) { return static_cast<float>(scale * lam[j]); };
     for (std::size_t begin = 0; begin < out.size(); begin += kBlock) {
         const std::size_t size = std::min(kBlock, out.size() - begin);
         float* sums = out.data() + begin;
-        const auto mode = [&](std::size_t j) { return rows[1 + j].data() + begin; };
+        const auto mode = [&](std::size_t j) { return modes[1 + j].data() + begin; };
         std::size_t j = 0;
         for (; j + 4 <= lam.size(); j += 4) {  // each sum is loaded and stored once for four modes
             const float *a = mode(j), *b = mode(j + 1), *c = mode(j + 2), *d = mode(j + 3);

@@ -33,8 +33,8 @@ void follow(float* row, const float* from, std::size_t depth, float feedback) {
 
 }  // namespace
 
-void draw_triangles(Rows<const double> points, Rows<const std::int32_t> triangles, Rows<const double> values,
-                    Rows<std::int32_t> owner, double* drawn) {
+void draw_triangles(MatrixView<const double> points, MatrixView<const std::int32_t> triangles, MatrixView<const double> values,
+                    MatrixView<std::int32_t> owner, double* drawn) {
     const std::size_t depth = values.n_columns;
     std::vector<double> nearness(owner.n_rows * owner.n_columns, -std::numeric_limits<double>::infinity());
     for (std::size_t t = 0; t < triangles.n_rows; ++t) {

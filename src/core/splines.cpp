@@ -22,7 +22,7 @@ void divide(std::span<double> row, double divisor) {
 
 // The slopes of one run of at least two pixels: elimination in a tridiagonal system, whose first and last equations
 // have the diagonal only. `pivots` is scratch.
-void slopes_of_run(Rows<const double> values, std::span<const std::int32_t> run, Rows<double> slopes,
+void slopes_of_run(MatrixView<const double> values, std::span<const std::int32_t> run, MatrixView<double> slopes,
                    std::vector<double>& pivots) {
     const std::size_t last = run.size() - 1;
     pivots.assign(run.size(), 1.0);
@@ -42,8 +42,8 @@ void slopes_of_run(Rows<const double> values, std::span<const std::int32_t> run,
 
 }  // namespace
 
-void spline_slopes(Rows<const double> values, std::span<const std::int32_t> order, std::span<const std::uint8_t> joined,
-                   Rows<double> slopes) {
+void spline_slopes(MatrixView<const double> values, std::span<const std::int32_t> order, std::span<const std::uint8_t> joined,
+                   MatrixView<double> slopes) {
     std::vector<double> pivots;
     for (std::size_t first = 0, end = 0; first < order.size(); first = end) {
         for (end = first + 1; end < order.size() && joined[end - 1];) ++end;

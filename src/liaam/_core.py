@@ -11,6 +11,8 @@ import warnings
 from pathlib import Path
 from types import ModuleType
 
+from liaam import encoding_constants
+
 INSTRUCTION_SETS = ("baseline", "avx2")
 """Instruction sets that may be built, from the least to the most."""
 
@@ -82,5 +84,6 @@ def _warn_if_stale(digest: str) -> None:
 
 if BUILT:
     _warn_if_stale(_module.SOURCES)
+    _module._set_encoding_constants(encoding_constants.TABLE)
 
 globals().update({name: value for name, value in vars(_module).items() if not name.startswith("_")})

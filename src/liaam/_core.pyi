@@ -50,8 +50,8 @@ class Solution:
     angle_history: np.ndarray
     n_iterations: int
     converged: bool
-    held: bool
-    flat: bool
+    angle_fixed: bool
+    no_texture: bool
     noise_variance: float
     squares: float
     weight: float

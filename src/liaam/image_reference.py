@@ -5,16 +5,9 @@ They also replace these where the core could not be built. That of the fit is :m
 
 import numpy as np
 
+from liaam.encoding_constants import ALL, BRIGHTNESS, FLAT, LOG_FLOOR, LUMINANCE, SOFTNESS, UNUSABLE
+
 CHANNELS = 8  # Channels of an encoded pixel; the last is its weight
-ALL = 0.999  # Fraction of a block's pixels above which the whole block counts as usable
-UNUSABLE = 1e-3  # Weight of an unusable pixel in a blur; usable pixels have about 1
-# Light added before the logarithm of brightness, and softness of the gradients (see soft_directions) of the encodings
-# soft and orientation. liaam.photometry.encoding has the reasons.
-LOG_FLOOR = 0.004
-SOFTNESS = 0.1
-FLAT = 1e-4
-BRIGHTNESS = np.full(3, 1.0 / 3.0)  # Weights of R, G and B in the brightness of soft
-LUMINANCE = np.array([0.2126, 0.7152, 0.0722])  # Weights of R, G and B in luminance
 REACH = 3.0  # Standard deviations at which a Gaussian is truncated
 ON_EDGE = 1e-9  # Tolerance on negative barycentric weights of pixels on an edge
 VALUE, LOG, ORIENTATION, SOFT = range(4)  # Numbers of the encodings, as in ENCODINGS

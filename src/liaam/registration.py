@@ -11,7 +11,7 @@ import numpy as np
 
 from liaam.errors import ImageError, MethodError
 from liaam.fitting import FitStatus, Method, SolverOptions, get_method
-from liaam.fitting.loop.encoded_image import slope_left
+from liaam.fitting.loop.encoded_image import slope_noise_gain
 from liaam.fitting.loop.levels import FittedLevel, LinearImage, Target, is_sane, solve_levels
 from liaam.fitting.loop.objective import Objective
 from liaam.fitting.loop.options import scored
@@ -306,7 +306,8 @@ def _levels(
     for patch, (blur, stride) in zip(patches, LEVELS, strict=True):
         selected = (patch.channels[..., -1] > 0) & wanted
         slopes = np.gradient(cv2.GaussianBlur(luminance, (0, 0), blur))
-        stands_out = np.hypot(*slopes) / (noise * slope_left(blur))  # gradients in standard deviations of their noise
+        # Gradients in standard deviations of their noise.
+        stands_out = np.hypot(*slopes) / (noise * slope_noise_gain(blur))
         significant = stands_out[selected & (stands_out > SIGNIFICANT)]
         if blur < SHARP and not (significant.size and np.median(significant) > CLEAR):
             continue
@@ -362,7 +363,7 @@ def _judged(
 
 def _status(stage: FittedLevel, start: np.ndarray, inside: np.ndarray, correlation: float) -> FitStatus:
     solution = stage.solution
-    if solution.flat:
+    if solution.no_texture:
         return FitStatus.NO_TEXTURE
     if not is_sane(stage.reached, start):
         return FitStatus.DIVERGED
@@ -374,7 +375,7 @@ def _status(stage: FittedLevel, start: np.ndarray, inside: np.ndarray, correlati
         return FitStatus.DIVERGED
     if not solution.converged:
         return FitStatus.MAX_ITERATIONS
-    return FitStatus.LIGHT_UNOBSERVABLE if solution.held else FitStatus.CONVERGED
+    return FitStatus.LIGHT_UNOBSERVABLE if solution.angle_fixed else FitStatus.CONVERGED
 
 
 def _correlation(stage: FittedLevel) -> float:

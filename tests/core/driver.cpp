@@ -1,5 +1,6 @@
 // Random small fits of the core, for sanitizers: meshes, methods, images and numbers of any kind. Each case runs whole
-// fits and checks that what comes back has the right size, and is finite where it must be.
+// fits and checks that what comes back has the right size, and is finite where it must be. The digest of all results that
+// it prints says whether a change of the core left every bit as it was, with the same compiler.
 //
 //     driver CASES [SEED]
 
@@ -20,6 +21,9 @@ using namespace liaam;
 namespace {
 
 using Rng = std::mt19937_64;
+
+constexpr EncodingConstants kConstants{.all = 0.999f, .unusable = 1e-3f, .log_floor = 0.004f, .softness = 0.1f, .flat = 1e-4f,
+                                       .brightness = {1.0f / 3, 1.0f / 3, 1.0f / 3}, .luminance = {0.2126f, 0.7152f, 0.0722f}};
 
 void check(bool holds, const char* what) {
     if (holds) return;
@@ -43,6 +47,39 @@ double odd(Rng& rng, double usual) {
     const double odd_ones[] = {std::numeric_limits<double>::quiet_NaN(), std::numeric_limits<double>::infinity(), -1e300, 0.0};
     return integer(rng, 0, 19) ? usual : odd_ones[integer(rng, 0, 3)];
 }
+
+// A digest (FNV-1a) of the bits of all results.
+class Digest {
+  public:
+    void add(double number) {
+        if (std::isnan(number)) number = std::numeric_limits<double>::quiet_NaN();  // whatever its bits
+        for (const std::byte each : std::as_bytes(std::span<const double>(&number, 1))) {
+            value_ ^= static_cast<std::uint64_t>(each);
+            value_ *= 0x100000001b3;
+        }
+    }
+    template <class T>
+    void add(std::span<const T> numbers) {
+        for (const T each : numbers) add(static_cast<double>(each));
+    }
+    void add(const Solution& fit) {
+        add(std::span<const double>(fit.state.p));
+        add(std::span<const double>(fit.state.angles));
+        add(std::span<const double>(fit.state.lam));
+        add(std::span<const double>(fit.trace.costs));
+        add(std::span<const double>(fit.trace.path));
+        add(std::span<const double>(fit.expected_hessian.numbers()));
+        add(std::span<const float>(fit.usable));
+        add(std::span<const float>(fit.residual));
+        for (const double number : {fit.noise_variance, fit.squares, fit.weight, fit.prior_scale}) add(number);
+        for (const int count : {fit.trace.n_iterations, fit.trace.converged + 0, fit.trace.angle_fixed + 0, fit.trace.no_texture + 0})
+            add(static_cast<double>(count));
+    }
+    std::uint64_t value() const { return value_; }
+
+  private:
+    std::uint64_t value_ = 0xcbf29ce484222325;
+};
 
 // The arrays of a random objective. The mesh is a square of two triangles; the shape moves its corners.
 struct Arrays {
@@ -124,12 +161,10 @@ struct Arrays {
         const std::size_t e = n() * k, free = static_cast<std::size_t>(n_free), modes = static_cast<std::size_t>(m);
         Model& model = objective.model;
         model.mesh = {{beta.data(), n(), 3}, starts, {triangles.data(), 2, 3}, {rest.data(), 4, 2}, {basis.data(), 8, 8}, 0.5};
-        model.rows = {rows.data(), 1 + modes, e};
-        model.lines = lines;
-        model.slopes = {slopes.data(), 1 + modes, 2 * e};
+        model.modes = {{rows.data(), 1 + modes, e}, lines, {slopes.data(), 1 + modes, 2 * e}};
         for (std::size_t i = 0; i < 3 && n_free == 2; ++i) {
-            model.row_parts[i] = {row_parts.data() + i * rows.size(), 1 + modes, e};
-            model.slope_parts[i] = {slope_parts.data() + i * slopes.size(), 1 + modes, 2 * e};
+            model.mode_parts[i] = {row_parts.data() + i * rows.size(), 1 + modes, e};
+            model.gradient_parts[i] = {slope_parts.data() + i * slopes.size(), 1 + modes, 2 * e};
         }
         model.sqrt_weights = sqrt_weights;
         model.gram = {gram.data(), modes, modes};
@@ -174,7 +209,7 @@ struct Photo {
     }
 };
 
-void fit_once(Rng& rng) {
+void fit_once(Rng& rng, Digest& digest) {
     const int kind = integer(rng, 0, 2);
     const Encoding encoding = kind == 0 ? Encoding::soft : kind == 2 ? Encoding::log : static_cast<Encoding>(integer(rng, 0, 2));
     const Photo photo(rng, encoding);
@@ -195,17 +230,18 @@ void fit_once(Rng& rng) {
     static FitRoom room;
     const std::vector<LevelSpec> levels{{&coarse.objective, 2.0, 1.0, shapes},
                                         {&coarse.objective, odd(rng, 0.0) == 0.0 ? 0.0 : 1.0, 0.5, shapes}};
-    const auto results = fit_levels(levels, photo.picture, target, options, EncodingConstants{}, room, [] { return false; });
+    const auto results = fit_levels(levels, photo.picture, target, options, kConstants, room, [] { return false; });
     check(!results.empty() && results.size() <= 2, "a fit has one or two levels");
     for (const FittedLevel& result : results) {
         check(result.fit.trace.path.size() == result.fit.trace.costs.size() * coarse.n_p(), "the path has other lengths");
         check(result.fit.usable.size() == coarse.n(), "usable pixels differ in number");
         check(result.fit.state.lam.size() == static_cast<std::size_t>(coarse.m), "lambda has another length");
+        digest.add(result.fit);
     }
 }
 
 // A level from a state that may be no number.
-void solve_once(Rng& rng) {
+void solve_once(Rng& rng, Digest& digest) {
     Arrays arrays(rng, integer(rng, 0, 2));
     const int height = integer(rng, 2, 20), width = integer(rng, 2, 20);
     std::vector<float> pixels = normals<float>(rng, 8 * height * width), noise(16, 0.1f);
@@ -217,14 +253,16 @@ void solve_once(Rng& rng) {
     image.from_model.x0 = odd(rng, 0.5 * width);
     image.from_model.y0 = odd(rng, 0.5 * height);
     image.log_noise = noise;
+    image.constants = kConstants;
     State start{normals<double>(rng, arrays.n_p(), 0.5), {2.0, 2.1}, normals<double>(rng, arrays.m)};
     start.p[0] = odd(rng, start.p[0]);
     Options options;
     options.max_iterations = integer(rng, 0, 8);
-    static Workspace work;
-    const Solution fit = solve_level(arrays.objective, image, start, options, 1.0, integer(rng, 0, 1), work, [] { return false; });
+    static LevelRoom room;
+    const Solution fit = solve_level(arrays.objective, image, start, options, 1.0, integer(rng, 0, 1), room, [] { return false; });
     check(fit.trace.n_iterations <= 2 * options.max_iterations, "too many steps");
     check(fit.state.p.size() == arrays.n_p(), "p has another length");
+    digest.add(fit);
 }
 
 void draw_once(Rng& rng) {
@@ -261,11 +299,12 @@ void differentiate_once(Rng& rng) {
 int main(int argc, char** argv) {
     const int cases = argc > 1 ? std::atoi(argv[1]) : 1000;
     Rng rng(argc > 2 ? std::strtoull(argv[2], nullptr, 10) : 1);
+    Digest digest;
     for (int i = 0; i < cases; ++i) {
         if (i % 4 == 1) differentiate_once(rng);
         if (i % 4 == 0) draw_once(rng);
-        if (i % 2 == 0) solve_once(rng);
-        else fit_once(rng);
+        if (i % 2 == 0) solve_once(rng, digest);
+        else fit_once(rng, digest);
     }
-    std::printf("%d cases\n", cases);
+    std::printf("%d cases, digest %016llx\n", cases, static_cast<unsigned long long>(digest.value()));
 }

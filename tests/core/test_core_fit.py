@@ -215,10 +215,10 @@ def test_ctrl_c_ends_a_fit(fine_model, lit_scene):
 DAMAGED = {
     "a triangle that names no vertex": ("triangles", lambda a: a + 1000),
     "pixels that are not sorted": ("starts", lambda a: a[::-1].copy()),
-    "fewer rows": ("rows", lambda a: a[:-1].copy()),
-    "shorter lines": ("lines", lambda a: a[:-8].copy()),
+    "fewer modes": ("modes", lambda a: a[:-1].copy()),
+    "shorter transposed modes": ("transposed_modes", lambda a: a[:-8].copy()),
     "a metric of another size": ("metric", lambda a: a[:, :-1].copy()),
-    "another type": ("rows", lambda a: a.astype(np.float64)),
+    "another type": ("modes", lambda a: a.astype(np.float64)),
     "weights of another size": ("sqrt_weights", lambda a: a[:-1].copy()),
     "errors of another size": ("errors", lambda a: a[:-1].copy()),
 }

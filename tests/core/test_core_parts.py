@@ -10,6 +10,7 @@ from scipy.linalg import eigh
 from scipy.optimize import minimize_scalar
 
 from liaam import _core
+from liaam.encoding_constants import TABLE
 from liaam.fitting import METHODS
 from liaam.fitting.loop.angles import SEARCH, _minimise_on_arc
 from liaam.fitting.methods import LOSSES, gaussian_median
@@ -42,6 +43,14 @@ def test_thresholds_are_the_same():
     found = dict(re.findall(r"constexpr \w+ k(\w+) = ([^;]+);", header))
     names = {re.sub(r"(?<!^)(?=[A-Z])", "_", name).upper(): eval(value) for name, value in found.items()}
     assert names == THRESHOLDS
+
+
+def test_the_core_has_no_values_of_its_own_for_the_encodings():
+    header = (ROOT / "src/core/encoding.hpp").read_text(encoding="utf-8")
+    (fields,) = re.findall(r"struct EncodingConstants \{(.*?)\};", header, re.DOTALL)
+    code = " ".join(line.partition("//")[0] for line in fields.splitlines())
+    assert "=" not in code
+    assert {name for name in re.findall(r"\w+", code) if name not in ("float", "std", "array", "3")} == set(TABLE)
 
 
 @pytest.mark.parametrize("file", ["level.cpp", "step.cpp"])

@@ -140,7 +140,7 @@ def test_methods_that_do_not_exist_are_refused(model, name, value, fault):
         _core.make_objective(fields)
 
 
-@pytest.mark.parametrize("name", ["beta", "rows", "gram", "basis"])
+@pytest.mark.parametrize("name", ["beta", "modes", "gram", "basis"])
 def test_models_one_byte_off_are_refused(model, name):
     fields = dict(finest_objective(model, "grey").fields)
     fields[name] = unaligned(fields[name])

@@ -144,7 +144,7 @@ def test_columns_of_lambda(model, lit_scene, method, engine, rng):
     seen = setting.evaluate()
     assert_jacobian(
         lambda lam: setting.weighted_residual(lam=lam),
-        -(seen.rows[1:] * seen.masked).T.astype(np.float64),
+        -(seen.modes[1:] * seen.masked).T.astype(np.float64),
         setting.state.lam,
         steps=1.0,
         tolerance=1e-3,
@@ -164,7 +164,7 @@ def test_the_residual_is_that_of_the_image_and_the_model(model, lit_scene, metho
     theta = setting.state.angles[0] if objective.method.angle_directions[0].any() else model.theta
     appearance = np.tensordot(setting.state.lam[: objective.appearance.n_modes], objective.appearance.modes, axes=1)
     appearance = (objective.appearance.mean + appearance) @ objective.method.model_metric(theta).T
-    extra = setting.state.lam[objective.appearance.n_modes :] @ seen.rows[1 + objective.appearance.n_modes :]
+    extra = setting.state.lam[objective.appearance.n_modes :] @ seen.modes[1 + objective.appearance.n_modes :]
     expected = shown - appearance - extra.reshape(appearance.shape)
     np.testing.assert_allclose(seen.residual, expected.ravel(), atol=3e-5 * max(1.0, np.abs(shown).max()))
     weighted = seen.masked.astype(np.float64) * seen.residual
@@ -196,7 +196,7 @@ def test_equations_are_those_of_dense_columns_where_half_of_the_image_is_blind(
         root[:, None] * np.hstack([setting.by_parameters(gradients, seen.p), seen.columns.T])
         for gradients in (seen.gradients, seen.expected if expects else seen.gradients)
     )
-    A, r, ridge = (seen.rows[1:] * root).T, root * seen.residual, setting.objective.fields["ridge"]
+    A, r, ridge = (seen.modes[1:] * root).T, root * seen.residual, setting.objective.fields["ridge"]
     aa, aj, hessian = A.T @ A, A.T @ J, E.T @ J
     hessian[n_p:, :n_p] = hessian[:n_p, n_p:].T  # with the angles' columns what is expected counts
     inverse = np.linalg.inv(aa + np.diag(ridge))
@@ -220,7 +220,7 @@ def test_the_best_appearance_leaves_nothing_to_gain(model, lit_scene, method, en
     np.testing.assert_allclose(seen.residual, again.residual, atol=1e-5 * max(1.0, np.abs(again.residual).max()))
     assert again.squares == pytest.approx(seen.squares, rel=1e-4, abs=1e-6)
     pull = np.sqrt(setting.objective.fields["ridge"])
-    A = np.vstack([(again.rows[1:] * again.masked).T.astype(np.float64), np.diag(pull)])
+    A = np.vstack([(again.modes[1:] * again.masked).T.astype(np.float64), np.diag(pull)])
     r = np.concatenate([again.masked.astype(np.float64) * again.residual, -pull * seen.lam])
     left = r - A @ np.linalg.lstsq(A, r, rcond=1e-9)[0]
     assert r @ r <= (left @ left) * (1 + 1e-3) + 1e-9

@@ -5,12 +5,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from liaam.encoding_constants import BRIGHTNESS
 from liaam.fitting import FitStatus, Fitter, SolverOptions
 from liaam.fitting.loop.levels import averaged_image, prepare_level, solve_levels
 from liaam.fitting.solution import residual_at, solution_at
 from liaam.model import MESH, SURROUNDINGS
 from liaam.photometry import linear_to_srgb, srgb_to_linear
-from liaam.photometry.encoding import BRIGHTNESS
 from liaam.photometry.invariant import LUMINANCE
 from setups import disturb, finest_objective, make_level, model_pixels, train_on
 

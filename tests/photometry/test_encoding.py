@@ -7,9 +7,10 @@ import numpy as np
 import pytest
 from hypothesis import example, given, strategies as st
 
+from liaam.encoding_constants import LOG_FLOOR, SOFTNESS
 from liaam.errors import ImageError, MethodError
 from liaam.photometry import ENCODINGS, encode, encoding, exposure_faults, invariant, is_grey, srgb_to_linear
-from liaam.photometry.encoding import LOG_FLOOR, SOFTNESS, as_colour, refuse_unscaled, value_luminance
+from liaam.photometry.encoding import as_colour, refuse_unscaled, value_luminance
 from liaam.training import sample_appearance
 
 

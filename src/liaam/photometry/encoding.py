@@ -11,6 +11,7 @@ from typing import NamedTuple
 import numpy as np
 
 from liaam import _core
+from liaam.encoding_constants import ALL, UNUSABLE
 from liaam.errors import ImageError, LiaamError, MethodError
 from liaam.photometry.features import Encoder
 from liaam.photometry.invariant import LUMINANCE
@@ -33,19 +34,6 @@ WIDTHS = {"value": 3, "log": 3, "orientation": 3, "soft": 6}  # channels, withou
 Encoding = str | Encoder
 """A name of :data:`ENCODINGS`, or a function of the user with a model's projection."""
 
-# Weights of linear R, G and B in the brightness for the gradients of ``soft``. On simulated scenes equal weights have a
-# sixth less error by noise than luminance, which is mostly green.
-BRIGHTNESS = np.full(3, 1.0 / 3.0)
-
-# Gradient of log brightness, per pixel of the reference frame, for which the squared length is normalised to one half.
-# On photographs of faces, 0.025 to 0.1 perform alike.
-SOFTNESS = 0.1
-LOG_FLOOR = 0.004  # added to linear brightness before the logarithm, to suppress gradients of noise in dark pixels
-
-# Gradient of luminance per pixel, in values of [0, 1], below which its direction fades to zero. The published
-# orientation has no such limit, and is undefined in flat regions.
-FLAT = 1e-4
-
 # Light that sRGB stores as these values, both between two 8-bit values: below the first a logarithm is unusable because
 # of noise and JPEG rounding, and above the second a channel counts as clipped. See `usable_range`.
 DARK = 7.5 / 255
@@ -53,9 +41,7 @@ SATURATED = 250.5 / 255
 # Largest change of the logarithm of light by one step of an integer type at which it can be measured: that of 8-bit
 # sRGB at DARK. Linear light in 8 bits reaches it at the same stored value, which is much brighter.
 COARSEST = 1 / 7.5
-UNUSABLE = 1e-3  # weight of an unusable pixel in a blur; usable pixels have about 1
 BRIGHTEST = 1e6  # upper bound of stored values and linear light of float images
-ALL = 0.999  # fraction of a block's pixels above which the whole block counts as usable
 FLOATS_AT_ONCE = 4_000_000  # pixels of a picture of floats whose light is worked out at a time, 40 bytes a pixel
 
 

@@ -9,8 +9,10 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from liaam import encoding_constants
+
 # Rec. 709 luminance weights, the metric of the grey method, shape (1, 3).
-LUMINANCE = np.array([[0.2126, 0.7152, 0.0722]])
+LUMINANCE = encoding_constants.LUMINANCE[None]
 # The two orthonormal rows orthogonal to 1, the metric of the chroma method, shape (2, 3)
 CHROMATICITY = np.array(
     [

@@ -94,7 +94,7 @@ def shadow_free(fitter: Fitter, image, result: FitResult, prior: float = 1.0) ->
     variance = correlated_pixels(fitter.view.levels[-1].blur) * max(seen["squares"] / seen["weight"], LEAST_VARIANCE)
     precision = np.zeros(len(seen["lam"]))
     precision[:n] = prior * variance / np.maximum(eigenvalues, 1e-12)
-    modes = (seen["rows"][1:] * seen["masked"]).astype(np.float64)
+    modes = (seen["modes"][1:] * seen["masked"]).astype(np.float64)
     gram = modes @ modes.T
     # Rounding may make the eigenvalues of unobserved modes negative, by less than this.
     hessian = gram + np.diag(precision + 1e-9 * np.diag(gram).max())

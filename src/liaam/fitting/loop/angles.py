@@ -21,8 +21,8 @@ def best_image_angle(objective: Objective, image: EncodedImage, state: State) ->
     seen = objective.evaluate(image, state)
     root = seen["masked"].astype(np.float64)
     log_r, log_g, log_b = seen["values"][:, :3].astype(np.float64).T
-    columns = np.stack([log_r - log_b, log_g - log_b, seen["rows"][0]]) * root
-    modes = seen["rows"][1:] * root
+    columns = np.stack([log_r - log_b, log_g - log_b, seen["modes"][0]]) * root
+    modes = seen["modes"][1:] * root
     gram = modes @ modes.T
     cross = modes @ columns.T
     gram += RIDGE * max(gram.diagonal().max(initial=0.0), 1e-300) * np.eye(len(gram))

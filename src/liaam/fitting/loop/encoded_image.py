@@ -28,9 +28,9 @@ class EncodedImage:
     from_model: Similarity  # model pixels to patch pixels
     # (s,) float32: standard deviation of the logarithm due to noise, at evenly spaced logarithms over LOG_RANGE
     log_noise: np.ndarray = field(default_factory=NO_NOISE.copy)
-    value_left: float = 1.0  # the fraction of it left after the blur of the encoded channels
+    value_noise_gain: float = 1.0  # of the blur of the encoded channels: the fraction of it that is left
     # Standard deviation of a gradient per model pixel after that blur, for noise of unit standard deviation
-    slope_left: float = 1.0
+    slope_noise_gain: float = 1.0
     blur: float = 0.0  # its standard deviation, model pixels
     correlated: float = 1.0  # number of sampled pixels per independent residual, for weights by rows
     # Precision and mean of p by the points of another landmarker, (n_p, n_p) and (n_p,) float64; empty for none.
@@ -58,8 +58,8 @@ class EncodedImage:
                 "first_log": first_log,
                 "last_log": last_log,
                 "log_noise": self.log_noise,
-                "value_left": self.value_left,
-                "slope_left": self.slope_left,
+                "value_noise_gain": self.value_noise_gain,
+                "slope_noise_gain": self.slope_noise_gain,
                 "correlated": self.correlated,
                 "point_precision": self.point_precision,
                 "points": self.points,
@@ -101,8 +101,8 @@ class EncodedImage:
             patch,
             from_model,
             log_noise=table,
-            value_left=1.0 / np.sqrt(correlated_pixels(blur_on_patch)),
-            slope_left=from_model.scale * slope_left(blur_on_patch),
+            value_noise_gain=1.0 / np.sqrt(correlated_pixels(blur_on_patch)),
+            slope_noise_gain=from_model.scale * slope_noise_gain(blur_on_patch),
             blur=blur,
             correlated=correlated,
         )
@@ -134,7 +134,7 @@ def correlated_pixels(blur: float) -> float:
     return max(1.0, 4.0 * np.pi * blur**2)
 
 
-def slope_left(blur: float) -> float:
+def slope_noise_gain(blur: float) -> float:
     """Return the standard deviation of central differences of unit white noise after a Gaussian blur (pixels)."""
     if blur <= LEAST_BLUR:
         return np.sqrt(0.5)

@@ -62,7 +62,7 @@ class Objective:
     @property
     def n_lambda(self) -> int:
         """Number of appearance modes plus extra modes."""
-        return len(self.fields["rows"]) - 1
+        return len(self.fields["modes"]) - 1
 
     @property
     def is_compiled(self) -> bool:
@@ -78,28 +78,28 @@ class Objective:
     def fields(self) -> dict[str, Any]:
         """Arrays and numbers of the objective, as ``src/core/objective.hpp`` names and describes them.
 
-        ``rows`` (1 + m, n k) are P(theta_1) A_0 and P(theta_1) A_i, and ``row_parts`` their constant, cos and sin parts
-        where theta_1 is free.
+        ``modes`` (1 + m, n k) are P(theta_1) A_0 and P(theta_1) A_i, and ``mode_parts`` their constant, cos and sin
+        parts where theta_1 is free.
         """
         n = len(self.appearance.mean)
         k = self.method.n_rows
         method = self.method
-        parts = self._rows_of(self.appearance, self.illumination)
-        rows = at_angle(parts, self.theta_model).reshape(-1, n * k)
-        slope_parts = self._slope_parts
-        m = len(rows) - 1
+        parts = self._modes_of(self.appearance, self.illumination)
+        modes = at_angle(parts, self.theta_model).reshape(-1, n * k)
+        gradient_parts = self._mode_gradient_parts
+        m = len(modes) - 1
         none = np.zeros((0, 0, 0), np.float32)
-        lines = np.zeros((n * k, padded(m)), np.float32)
-        lines[:, :m] = rows[1:].T
+        transposed = np.zeros((n * k, padded(m)), np.float32)
+        transposed[:, :m] = modes[1:].T
         root_weights = np.repeat(np.sqrt(self.appearance.usable), k).astype(np.float32)
-        weighted = rows[1:].astype(np.float64) * root_weights
+        weighted = modes[1:].astype(np.float64) * root_weights
         return {
             **(self.warp.mesh()._asdict() if isinstance(self.warp, PiecewiseAffineWarp) else {}),
-            "rows": rows,
-            "lines": lines.ravel(),
-            "slopes": at_angle(slope_parts, self.theta_model) if self._turns else slope_parts[0],
-            "row_parts": parts.reshape(3, -1, n * k) if self._turns else none,
-            "slope_parts": slope_parts if self._turns else none,
+            "modes": modes,
+            "transposed_modes": transposed.ravel(),
+            "mode_gradients": at_angle(gradient_parts, self.theta_model) if self._turns else gradient_parts[0],
+            "mode_parts": parts.reshape(3, -1, n * k) if self._turns else none,
+            "mode_gradient_parts": gradient_parts if self._turns else none,
             "sqrt_weights": root_weights,
             "gram": weighted @ weighted.T,
             "ridge": self._ridge(),
@@ -131,7 +131,7 @@ class Objective:
         gain = [appearance.mean[None]] if self.method.gain else []  # its mode is the mean
         return [appearance.mean[None], appearance.modes, *added, *gain]
 
-    def _rows_of(self, appearance: AppearanceModel, illumination: AppearanceModel | None) -> np.ndarray:
+    def _modes_of(self, appearance: AppearanceModel, illumination: AppearanceModel | None) -> np.ndarray:
         """Return mean and modes projected by the parts of P (constant, cos, sin), (3, 1 + m, n, k) float32."""
         n = len(appearance.mean)
         k = self.method.n_rows
@@ -175,12 +175,12 @@ class Objective:
         return bool(self.appearance.mean[:, -1].any())
 
     @cached_property
-    def _slope_parts(self) -> np.ndarray:
+    def _mode_gradient_parts(self) -> np.ndarray:
         """Spatial gradients of mean and modes, (1 or 3, 1 + m, 2 n k) float32; empty for methods that use none.
 
-        Three parts, as of :meth:`_rows_of`, if theta_1 is free; else one at the model's angle.
+        Three parts, as of :meth:`_modes_of`, if theta_1 is free; else one at the model's angle.
         """
-        parts = self._rows_of(*(self.in_frame or (self.appearance, self.illumination)))
+        parts = self._modes_of(*(self.in_frame or (self.appearance, self.illumination)))
         parts = parts if self._turns else at_angle(parts, self.theta_model)[None]
         if not self.method.expects:
             return np.zeros((*parts.shape[:2], 0), np.float32)
@@ -204,8 +204,8 @@ class Objective:
     def mean_at(self, theta: float) -> np.ndarray:
         """Return P(theta_1) A_0, (n k,)."""
         if not self._turns:
-            return self.fields["rows"][0]
-        return np.array([1.0, np.cos(theta), np.sin(theta)]) @ self.fields["row_parts"][:, 0]
+            return self.fields["modes"][0]
+        return np.array([1.0, np.cos(theta), np.sin(theta)]) @ self.fields["mode_parts"][:, 0]
 
     def problem(self, image: EncodedImage) -> Any:
         """Return the objective at an image, in the parts that the loop calls (:class:`Problem`)."""

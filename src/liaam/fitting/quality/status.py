@@ -34,11 +34,11 @@ def status_of(
         return unseen
     if not sane or folded_share(shape, model.triangles) > FOLD_LIMIT or _largest_mode(shape, shapes) > SHAPE_LIMIT:
         return FitStatus.DIVERGED
-    if solution.flat:
+    if solution.no_texture:
         return FitStatus.NO_TEXTURE
     if not solution.converged:
         return FitStatus.MAX_ITERATIONS
-    return FitStatus.LIGHT_UNOBSERVABLE if solution.held else FitStatus.CONVERGED
+    return FitStatus.LIGHT_UNOBSERVABLE if solution.angle_fixed else FitStatus.CONVERGED
 
 
 def _status_of_unseen(linear: LinearImage, stage: FittedLevel, sane: bool) -> FitStatus | None:

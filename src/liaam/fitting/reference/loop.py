@@ -47,8 +47,8 @@ class Trace:
     angle_history: list[np.ndarray] = field(default_factory=list)
     n_iterations: int = 0
     converged: bool = False
-    held: bool = False  # an angle was not observable and kept fixed
-    flat: bool = False  # there is no texture under the model
+    angle_fixed: bool = False  # an angle was not observable
+    no_texture: bool = False  # there is none under the model
 
 
 @dataclass
@@ -114,10 +114,10 @@ class Loop:
             if ends and not controls.evaluate_last:
                 break
             self.linearise(controls, current.fresh, ends)
-            trace.held = not self.free.all()
+            trace.angle_fixed = not self.free.all()
             proposal = self.propose(controls, current.damping, ends)
-            trace.flat = not proposal.has_step
-            if ends or trace.flat:
+            trace.no_texture = not proposal.has_step
+            if ends or trace.no_texture:
                 break
             length = self.movement()
             current.lowest = min(current.lowest, self.penalised_cost())
@@ -457,7 +457,7 @@ def solve_level(
         evaluate_last=evaluate_last,
     )
     trace = loop.run(controls)
-    if n_scoring and not trace.flat:
+    if n_scoring and not trace.no_texture:
         scoring = controls._replace(
             max_iterations=n_scoring,
             early_tolerance=0.0,
@@ -518,7 +518,7 @@ def append(more: Trace, trace: Trace) -> None:
     trace.path += more.path[1:]
     trace.angle_history += more.angle_history[1:]
     trace.n_iterations += more.n_iterations
-    trace.held = more.held
+    trace.angle_fixed = more.angle_fixed
 
 
 def collect(loop: Loop, trace: Trace) -> SimpleNamespace:
@@ -542,8 +542,8 @@ def collect(loop: Loop, trace: Trace) -> SimpleNamespace:
         angle_history=np.array(trace.angle_history),
         n_iterations=trace.n_iterations,
         converged=trace.converged,
-        held=trace.held,
-        flat=trace.flat,
+        angle_fixed=trace.angle_fixed,
+        no_texture=trace.no_texture,
         prior_scale=loop.prior_scale,
         contrast=contrast(problem, problem.model_sqrt_weights, shown),
         weighted_contrast=contrast(problem, problem.masked, shown),

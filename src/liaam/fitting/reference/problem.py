@@ -11,9 +11,9 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from liaam.encoding_constants import BRIGHTNESS, LOG_FLOOR, SOFTNESS
 from liaam.fitting.reference.thresholds import THRESHOLDS
 from liaam.image_reference import CHANNELS, sample
-from liaam.photometry.encoding import BRIGHTNESS, LOG_FLOOR, SOFTNESS
 
 if TYPE_CHECKING:
     from liaam.fitting.loop.encoded_image import EncodedImage
@@ -54,8 +54,8 @@ class Problem:
         self.normalise = objective.method.normalise
         self.n = len(self.fields["errors"])
         self.k = len(self.fields["metric"][0]) // CHANNELS
-        self.rows = self.fields["rows"].astype(np.float64)
-        self.slopes = self.fields["slopes"]
+        self.modes = self.fields["modes"].astype(np.float64)  # (1 + m, n k): P(theta_1) A_0 and P(theta_1) A_i
+        self.mode_gradients = self.fields["mode_gradients"]
 
     def begin(self, p: np.ndarray, angles, lam: np.ndarray) -> None:
         """Set a state, and the model's weights."""
@@ -84,11 +84,6 @@ class Problem:
         self.angles = np.array(angles, np.float64)
         self.lam = np.array(lam, np.float64)
 
-    @property
-    def modes(self) -> np.ndarray:
-        """P(theta_1) A_i, (m, n k)."""
-        return self.rows[1:]
-
     def evaluate(self, solves: bool) -> None:
         """Compute the residual of eq 10 and its squares, with the best lambda if ``solves``."""
         self._set_metric()
@@ -116,22 +111,22 @@ class Problem:
 
     def _project_model(self) -> None:
         """P(theta_1) A_0 and P(theta_1) A_i, and their gradients, where theta_1 is free."""
-        if self.fields["row_parts"].size:
+        if self.fields["mode_parts"].size:
             factors = np.array([1.0, np.cos(self.angles[0]), np.sin(self.angles[0])])
-            self.rows = np.tensordot(factors, self.fields["row_parts"].astype(np.float64), axes=1)
-            self.slopes = np.tensordot(factors, self.fields["slope_parts"], axes=1)
+            self.modes = np.tensordot(factors, self.fields["mode_parts"].astype(np.float64), axes=1)
+            self.mode_gradients = np.tensordot(factors, self.fields["mode_gradient_parts"], axes=1)
 
     def _subtract_appearance(self) -> None:
         """Samples minus the appearance (eq 4)."""
         # An offset of all channels but the last one, which is the weight.
         offset = self.offset * self.metric[:, :-1].sum(axis=1)
         samples = self.gain * self.samples + offset
-        self.residual = samples - self._combined(self.rows).reshape(self.n, self.k)
+        self.residual = samples - self._combined(self.modes).reshape(self.n, self.k)
         self.gradients = self.gain * self.sample_slopes
 
-    def _combined(self, rows: np.ndarray) -> np.ndarray:
-        """Add the modes times lambda to the mean; ``rows`` are the mean and the modes, (1 + m, ...)."""
-        return np.concatenate([[1.0], self.lam]) @ rows
+    def _combined(self, modes: np.ndarray) -> np.ndarray:
+        """Add the modes times lambda to the mean; ``modes`` begin with the mean, (1 + m, ...)."""
+        return np.concatenate([[1.0], self.lam]) @ modes
 
     def solve_appearance(self, weighed: bool, solves: bool) -> None:
         """Solve (A'A + ridge) dl = A'r for the step of lambda, if ``solves``, and sum the squares that are left."""
@@ -141,7 +136,7 @@ class Problem:
             self.sqrt_weights = self.base_sqrt_weights.copy()
         self.masked = self.sqrt_weights * self.usable[:, None]
         ridge = self.fields["ridge"]
-        weighted = self.modes * self.masked.ravel()
+        weighted = self.modes[1:] * self.masked.ravel()
         self.gram = weighted @ weighted.T
         try:
             self.factor = np.linalg.cholesky(self.gram + np.diag(ridge))
@@ -151,7 +146,7 @@ class Problem:
         if solves:
             step = self.solve_modes(self.ar)
             self.lam += step
-            self.residual = self.residual - (step @ self.modes).reshape(self.n, self.k)
+            self.residual = self.residual - (step @ self.modes[1:]).reshape(self.n, self.k)
             self.ar = np.zeros_like(self.ar)
         self.squares = float(np.square(self.masked * self.residual).sum())
         self.weight = float(np.square(self.masked).sum())
@@ -176,7 +171,7 @@ class Problem:
         self.columns = self.angle_columns()
         J = self._weighted_jacobian(self.gradients if image_in_j else self.expected)
         E = self._weighted_jacobian(self.gradients if image_in_e else self.expected)
-        self.aj = (self.modes * masked) @ J
+        self.aj = (self.modes[1:] * masked) @ J
         hessian = E.T @ J
         hessian[n_p:, :n_p] = hessian[:n_p, n_p:].T
         hessian -= self.aj.T @ self.solve_modes(self.aj)
@@ -195,7 +190,7 @@ class Problem:
 
     def model_gradient(self) -> np.ndarray:
         """Spatial gradient of the fitted appearance, transformed to the image, (n, k, 2)."""
-        slopes = self._combined(self.slopes).reshape(self.n, 2, self.k)
+        slopes = self._combined(self.mode_gradients).reshape(self.n, 2, self.k)
         return self.warp.pulled(slopes, self.p).astype(np.float64)
 
     def angle_columns(self) -> np.ndarray:
@@ -204,8 +199,8 @@ class Problem:
         columns = []
         for d_theta_1, d_theta_2 in self.fields["directions"].T:  # by a free angle
             column = d_theta_2 * of_image.ravel()
-            if self.fields["row_parts"].size:
-                _, by_cos, by_sin = self.fields["row_parts"].astype(np.float64)
+            if self.fields["mode_parts"].size:
+                _, by_cos, by_sin = self.fields["mode_parts"].astype(np.float64)
                 c = np.cos(self.angles[0])
                 s = np.sin(self.angles[0])
                 column = column - d_theta_1 * self._combined(c * by_sin - s * by_cos)
@@ -251,7 +246,7 @@ class Problem:
 
     def _normalise(self) -> None:
         """Bring the samples to the mean and the standard deviation of the mean appearance."""
-        mean = self.rows[0].reshape(self.n, self.k)[self.counts]
+        mean = self.modes[0].reshape(self.n, self.k)[self.counts]
         seen = self.samples[self.counts]
         if not mean.size:
             self.gain = 1.0
@@ -302,7 +297,7 @@ class Problem:
         self.has_colour = ((share_of_colour >= ALL_COLOUR) & self.fields["colours"]).astype(float)
         deviation = self._log_noise(logs)
         light = np.exp(np.clip(logs, -20.0, 20.0)) * BRIGHTNESS
-        slope_variance = np.square(self.image.slope_left * deviation * light).sum(axis=1)
+        slope_variance = np.square(self.image.slope_noise_gain * deviation * light).sum(axis=1)
         slope_variance /= np.square(light.sum(axis=1) + LOG_FLOOR)
         rest = np.clip(1.0 - np.square(direction).sum(axis=1), 0.0, None)  # e^2 / (|g|^2 + e^2)
         by_slope = slope_variance * rest / SOFTNESS**2
@@ -320,7 +315,7 @@ class Problem:
 
     def _log_variance(self, deviation: np.ndarray) -> np.ndarray:
         """Variance of logarithms: the blur reduces it, but not the bias due to the logarithm's curvature."""
-        blurred = np.square(self.image.value_left * deviation)
+        blurred = np.square(self.image.value_noise_gain * deviation)
         bias = 0.5 * np.square(deviation)
         return blurred + np.square(bias)
 
@@ -374,7 +369,7 @@ class Problem:
         """Return arrays and numbers at the state, in the shapes of the core's; derivatives only where computed."""
         flat = ("residual", "base_sqrt_weights", "sqrt_weights", "masked", "variance", "weight_slope")
         spatial = ("gradients", "expected")
-        others = ("values", "usable", "rows", "metric", "noise_variance", "squares", "weight", "lam", "gram", "factor")
+        others = ("values", "usable", "modes", "metric", "noise_variance", "squares", "weight", "lam", "gram", "factor")
         optional = ("ar", "columns", "aj", "hessian", "gradient", "gain", "offset")
         arrays = {name: getattr(self, name).ravel() for name in flat}
         arrays |= {name: getattr(self, name).reshape(-1, 2) for name in spatial if hasattr(self, name)}

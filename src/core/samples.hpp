@@ -1,0 +1,30 @@
+// What a state sees (paper eq 2, 3 and 6 to 8): the image at W(x; p), projected by P(theta_2), and the appearance of the
+// model, projected by P(theta_1).
+#pragma once
+
+#include "objective.hpp"
+
+namespace liaam {
+
+struct Samples {
+    std::array<double, 2> angles{};           // theta_1 and theta_2
+    std::vector<float> metric, metric_slope;  // (k, 8): P(theta_2) and dP/dtheta_2
+    Modes modes;                              // at theta_1
+    std::vector<double> vertices;             // (v, 2): s(p)
+    std::vector<float> values;                // (n, 8): the image's channels, E(I(W(x; p)))
+    std::vector<float> projected;             // (n k): P(theta_2) E(I(W(x; p)))
+    std::vector<float> gradients;             // (2 n k): their spatial gradient by x and y, model pixels
+    std::vector<float> usable;                // (n): 0 or 1
+};
+
+// Room for samples, reused by the next.
+struct SamplingRoom {
+    Samples samples;
+    SamplePoints points;
+    std::vector<float> modes, transposed_modes, mode_gradients;  // at theta_1, where it is free
+};
+
+// Samples the image at a state. They are in the room until the next.
+const Samples& sample(const Objective& objective, const EncodedImage& image, const State& state, SamplingRoom& room);
+
+}  // namespace liaam
