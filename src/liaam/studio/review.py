@@ -17,6 +17,7 @@ from liaam.errors import LandmarkError
 from liaam.io.landmarks import Landmarks, parse_landmark_data
 from liaam.studio.folder import File, Listing, revision_of
 from liaam.studio.landmark_files import LandmarkFiles, Marks, revision_of_proposal
+from liaam.studio.origins import OWN, Origin, Origins
 from liaam.studio.safety import Refusal
 from liaam.studio.store import Store, StoredTable
 from liaam.studio.template import Templates, text_of
@@ -34,6 +35,9 @@ OPPOSITE = {done: undo for undo, (done, _) in UNDONE.items()}
 
 ACTIONS = (*OPPOSITE, *UNDONE, "accepted", "scaled", "unscaled")
 """All actions that the page may send."""
+
+CHANGES = ("placed", "accepted", "cleared")
+"""Entries of the log after which the points of a picture are others."""
 
 WRITING = ("accepted", "deleted", "undeleted", "scaled", "unscaled")
 """Actions that write landmark files."""
@@ -77,6 +81,11 @@ class ReviewLog:
         age = datetime.now(UTC) - datetime.fromisoformat(last["time"])
         return age < SAME_WORK and last["who"] == who and last["did"] == did
 
+    def last_change(self, name: str) -> str | None:
+        """Return how the points of a picture were changed last, one of :data:`CHANGES`; None if they were not."""
+        newest_first = reversed(self._entries.get(name, []))
+        return next((entry["did"] for entry in newest_first if entry["did"] in CHANGES), None)
+
     def history(self, name: str) -> list[dict[str, Any]]:
         """Return the last entries of a picture, newest first."""
         newest_first = reversed(self._entries.get(name, []))
@@ -113,8 +122,15 @@ class PictureStates:
     unchecked: StoredTable
     templates: Templates
     log: ReviewLog
+    origins: Origins
+    absent: StoredTable
+    """Indices of the points that are absent in the object that a picture shows, by picture."""
+
     slips: dict[str, tuple[str, str, list[int]]] = field(default_factory=dict)
     """:meth:`version_of` the landmarks in which a slip was found, its description, and its points, by picture."""
+
+    _unconfirmed: dict[str, tuple[Any, int]] = field(default_factory=dict)
+    """The last count of :meth:`unconfirmed`, and what it was counted for, by picture."""
 
     def ranks(self) -> dict[str, int]:
         """Rank the pictures that have only a proposal; 1 is the most useful to annotate (:func:`teaching_order`)."""
@@ -164,6 +180,8 @@ class PictureStates:
             "slip": slip,
             "slip_points": wrong_points,
             "left_out": self.log.who("left out", file.name),
+            "absent": len(self.absent_of(file, marks)),
+            "unconfirmed": self.unconfirmed(file, marks),
             "revision": marks.revision,
         }
 
@@ -198,16 +216,49 @@ class PictureStates:
             "width": width,
             "height": height,
             "bar": self.landmarks.scale_bar(file)["bar"],
+            "absent": self.absent_of(file, marks),
+            "origins": None,
         }
         if marks.landmarks is not None and marks.n_placed:
             answer["source"] = "file"
             answer["points"] = marks.points
             answer["invisible"] = list(marks.landmarks.invisible)
+            answer["origins"] = self.origins_of(file, marks)
         elif (proposal := self.proposal_of(file)) is not None:
             answer["source"] = "proposal"
             for key in ("points", "covariances", "quality", "status", "doubtful"):
                 answer[key] = proposal[key]
         return answer
+
+    def absent_of(self, file: File, marks: Marks) -> list[int]:
+        """Return the points that the object in a picture lacks; those with a position are there after all."""
+        absent = self.absent.get(file.name)
+        template = self.templates.current
+        if not absent or template is None:
+            return []
+        placed = marks.points if marks.fits(template) else [None] * len(template)
+        return [index for index in absent if index < len(template) and placed[index] is None]
+
+    def origins_of(self, file: File, marks: Marks) -> list[Origin | None]:
+        """Return the origin of each point in a picture's landmark file; None without a position."""
+        if self._were_accepted(file):
+            return [None if point is None else "accepted" for point in marks.points]
+        return self.origins.of(file.name, marks.points)
+
+    def _were_accepted(self, file: File) -> bool:
+        """Whether all points were accepted together by an earlier version, which stored no origins."""
+        return file.name not in self.origins and self.log.last_change(file.name) == "accepted"
+
+    def unconfirmed(self, file: File, marks: Marks) -> int:
+        """Count the points of a picture that no person has placed, moved or confirmed one by one."""
+        if file.name not in self.origins and not self._were_accepted(file):
+            return 0
+        counted_for = (marks, self.origins.entry(file.name))
+        known, count = self._unconfirmed.get(file.name, (None, 0))
+        if known is None or any(now is not then for now, then in zip(counted_for, known, strict=True)):
+            count = sum(origin not in (None, *OWN) for origin in self.origins_of(file, marks))
+            self._unconfirmed[file.name] = (counted_for, count)
+        return count
 
     def proposal_of(self, file: File) -> dict[str, Any] | None:
         """Return the proposal for a picture, unless it does not fit the template or was discarded."""
@@ -240,12 +291,19 @@ class PictureStates:
         return f"{marks.placement}-{self.templates.revision}"
 
     def is_done(self, file: File) -> bool:
-        """Whether all points of a picture are placed, most of them inside it."""
+        """Whether all points of a picture are placed, most of them inside it, but for absent ones."""
         template = self.templates.current
         marks = self.landmarks.of(file)
-        if template is None or not marks.fits(template) or marks.n_placed < len(template):
+        if template is None or not marks.fits(template):
+            return False
+        if marks.n_placed + len(self.absent_of(file, marks)) < len(template):
             return False
         return self._misplaced(file, marks) is None
+
+    def is_whole(self, file: File) -> bool:
+        """Whether a picture is done and lacks no point, as training and comparisons need it."""
+        template = self.templates.current
+        return self.is_done(file) and template is not None and self.landmarks.of(file).n_placed == len(template)
 
     def _error_of(self, file: File, marks: Marks) -> str | None:
         """Return what is wrong with the landmarks of a usable picture, or why the model proposed none."""
@@ -400,8 +458,9 @@ class PictureStates:
             return
         template = self.templates.needed
         if did == "accepted":
-            proposal = self.proposal_of(file) or {}
-            self.landmarks.save(file, template, proposal["points"], ())
+            points = (self.proposal_of(file) or {})["points"]
+            self.origins.save(file.name, points, ["accepted"] * len(points))
+            self.landmarks.save(file, template, points, ())
         elif did == "undeleted":
             copy = self._copy_of(revision or "")
             points = [None if x != x else (x, y) for x, y in copy.points.tolist()]  # of a missing point, x is NaN

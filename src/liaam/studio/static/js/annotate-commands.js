@@ -7,6 +7,8 @@ import { placed } from "./points.js";
 
 const NOT_MIRRORED = "The template has no mirrored points. Mirror pairs new points only: add them with Mirror on, or " +
   "load a template with left and right in its names.";
+const ALL_STAY = "All points of this contour are placed landmarks, and only semilandmarks are moved by tracing and " +
+  "spacing. Edit the template to make points between the ends semilandmarks.";
 const EDGE = 20; // css pixels; a point closer to the border of the view is scrolled into it
 
 /** @param {import("./annotate.js").Tab} tab */
@@ -63,6 +65,7 @@ export function createCommands(tab) {
   /** Work on the contour of the selected or next point, and say what work() returns. */
   function toContour(work) {
     const { wanted } = tab.tracing;
+    if (wanted && !tab.tracing.mayChange(wanted)) return void app.toast(ALL_STAY);
     if (wanted) say(work(wanted));
     else app.toast("Select a point of a contour with three points or more. The template defines the contours.");
   }
@@ -119,8 +122,8 @@ export function createCommands(tab) {
       if (tracing.on) return tracing.whole ? tracing.finish() : tracing.turn(false);
       tab.drawing?.turn(false);
       toContour((contour) => {
+        tracing.turn(contour); // first, since undo brings back what is selected now
         marking.select([]);
-        tracing.turn(contour);
         return tracing.prompt;
       });
     },
@@ -155,6 +158,22 @@ export function createCommands(tab) {
       say("Flipped left and right");
     },
 
+    /** Confirm the selected point where it is, and show the next to be confirmed. */
+    confirm() {
+      if (tab.drawing) return;
+      const index = marking.confirm();
+      if (index < 0) return void app.toast("Select a single point with a position to confirm it.");
+      say(`${marking.names[index]} confirmed`);
+      if (marking.active !== index) reveal(marking.active);
+    },
+
+    toggleAbsent() {
+      if (tab.drawing) return;
+      const what = called(marking.names, marking.chosen);
+      const isAbsent = marking.toggleAbsent();
+      if (isAbsent !== null) say(`${what} ${isAbsent ? "absent: this object does not have it" : "missing"}`);
+    },
+
     toggleInvisible: () => toChosen(() => (marking.toggleInvisible() ? "invisible" : "visible")),
 
     removeChosen: () => toChosen(() => {
@@ -172,9 +191,9 @@ export function createCommands(tab) {
       if (tab.tracing.on) return tab.tracing.finish();
       if (marking.state.source === "layout") // left as it is
         return void (warned === tab.name ? goOnAfter(tab.saving.markUnchecked) : warn(UNTOUCHED));
+      const isSlip = state.picture(tab.name)?.slip && marking.state === marking.book.seen;
       marking.accept();
       const left = marking.missing;
-      const isSlip = state.picture(tab.name)?.slip && marking.state === marking.book.seen;
       if (!left.length || warned === tab.name) return void (isSlip ? goOnAfter(passSlip) : goNext());
       marking.select([left[0]]);
       return warn(missingText(marking.names, left)); // once, since points may be left out on purpose

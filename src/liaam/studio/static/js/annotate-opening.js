@@ -2,7 +2,7 @@
 
 import { createFirstScreen } from "./first-screen.js";
 import { History } from "./history.js";
-import { layoutIn, meanLayout, nextMissing, sameMarks } from "./points.js";
+import { layoutIn, meanLayout, sameMarks } from "./points.js";
 import { h, icon } from "./ui.js";
 
 const UNREACHABLE = {
@@ -94,7 +94,7 @@ export function createOpening(tab, begins) {
     // If points are placed one after another, continue with the first missing one.
     const { source } = marking.state;
     const places = source === "none" || (source === "file" && begins() === "click");
-    const missing = places ? nextMissing(marking.points) : -1;
+    const missing = places ? marking.nextMissing() : -1;
     marking.select(missing < 0 ? [] : [missing]);
     cover.hidden = true;
     tab.refresh();
@@ -175,13 +175,14 @@ export class FirstMarks {
 
   forget(name) { this.shapes.delete(name); }
 
-  async of(name, { points, invisible, source, width, height, bar = null }) {
+  async of(name, { points, invisible, absent = [], origins = null, source, width, height, bar = null }) {
     const { names } = this.state.project.template;
     const fits = points.length === names.length; // a file may belong to another template
-    if (fits && (source === "file" || source === "proposal")) return { points, invisible: invisible ?? [], source, bar };
+    const given = { points, invisible: invisible ?? [], absent, origins, source, bar };
+    if (fits && (source === "file" || source === "proposal")) return given;
     const layout = this.begins() === "click" ? null : await this.layout(name, width, height);
     const own = layout ? { points: layout, source: "layout" } : { points: names.map(() => null), source: "none" };
-    return { ...own, invisible: [], bar };
+    return { ...own, invisible: [], absent: fits ? absent : [], origins: null, bar };
   }
 
   /** Mean of the done pictures, or else the template's layout; null if there is neither. */

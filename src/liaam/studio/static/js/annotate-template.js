@@ -18,7 +18,7 @@ export function createTemplates(tab) {
   const kept = keptDraft(state.project.id);
   const onselect = () => { panel.mark(); viewer.redraw(); };
   const doc = new Drafting({ viewer, onchange: changed, onselect, say: tab.say });
-  const panel = createTemplatePanel({ drafting: doc, onload: load, ondone: done, onleave: stop });
+  const panel = createTemplatePanel({ drafting: doc, onload: load, onsliders: loadSliders, ondone: done, onleave: stop });
   let editing = false;
   let saving = false; // whether this page is changing the template
   let known = JSON.stringify(tab.template); // the template that is shown
@@ -73,12 +73,19 @@ export function createTemplates(tab) {
     start(null, null);
   }
 
-  async function load(file) {
+  async function loadSliders(file) {
+    if (doc.loadSliders(await file.text())) return;
+    toast(`${file.name} is no sliders file for these points: choose a table of the numbers before, slide and after.`, "bad");
+  }
+
+  /** kinds: "landmark" if all points are. */
+  async function load(file, kind = null) {
     const { width, height } = viewer;
     const template = await api.upload(api.url("template/file", { name: file.name }), file);
     const points = layoutIn(template.points, width, height, 1); // unchanged if the file belongs to this picture
     if (!points) return toast(`${file.name} has no points: choose another file.`, "bad");
-    return doc.load(file.name, template, points.map((p) => p && rounded(p)));
+    const kinds = kind ? template.names.map(() => kind) : template.kinds;
+    return doc.load(file.name, template, points.map((p) => p && rounded(p)), kinds);
   }
 
   async function done() {
@@ -190,9 +197,9 @@ export function createTemplates(tab) {
   addEventListener("beforeunload", (event) => { if (isUnsaved()) event.preventDefault(); });
 
   const keys = {
-    n: () => doc.startPath(), c: () => doc.close(), x: () => doc.toggleMirror(), p: () => doc.addInTheMiddle(),
+    n: () => doc.togglePath(), c: () => doc.close(), x: () => doc.toggleMirror(), p: () => doc.addInTheMiddle(),
     delete: () => doc.deleteChosen(), backspace: () => doc.deleteChosen(),
-    escape: () => (doc.selection.size ? doc.select([]) : doc.startPath()),
+    escape: () => (doc.selection.size ? doc.select([]) : doc.endPath()),
   };
 
   return {
@@ -201,9 +208,9 @@ export function createTemplates(tab) {
     get editing() { return editing; },
     get prompt() {
       if (doc.layingOut) return "Move the points into place: drag the frame's handles, then single points";
-      if (!doc.started) return "Click the first point of your template on this picture";
-      return doc.draft.path < 0 ? "Click the first point of the next path"
-        : "Click the next point of this path – C closes it, N starts another";
+      if (doc.draft.path >= 0) return "Click the next point of this curve – N ends it, C closes it";
+      if (!doc.started) return "Click the first landmark of your template on this picture, or press N to draw a curve";
+      return "Click the next landmark – N draws a curve";
     },
     key: (event) => runKey(event, keys),
   };

@@ -12,7 +12,6 @@ import { createAssist } from "./assist.js";
 import { drawGesture, drawHint, drawMarking, loupeOver } from "./drawing.js";
 import { PointTool } from "./gestures.js";
 import { Marking } from "./marking.js";
-import { nextMissing } from "./points.js";
 import { createPointsPanel } from "./points-panel.js";
 import { createReview } from "./review.js";
 import { ScaleBar } from "./scale-bar.js";
@@ -159,7 +158,7 @@ export class Tab {
 
   /** A point was placed: select the next missing one. */
   placed(index) {
-    const next = nextMissing(this.marking.points, index);
+    const next = this.marking.nextMissing(index);
     this.marking.select([next < 0 ? index : next]);
     this.sayPlace(index, next);
   }

@@ -14,9 +14,7 @@ export async function askName() {
   const why = "The history of each picture says who placed and checked its points. This browser remembers the name; " +
     "it is saved with your changes in the folder.";
   const actions = [{ label: "Save", kind: "primary", value: "save", testid: "who-save" }];
-  const answer = dialog("Your name", h("div.column", why, input), actions);
-  input.select();
-  if ((await answer) === null) return null;
+  if ((await dialog("Your name", h("div.column", why, input), actions)) === null) return null;
   localStorage.setItem(KEY, input.value.trim());
   return whoAmI();
 }

@@ -57,9 +57,7 @@ export async function makeSet(app) {
     choice("own", "Other points", "A template of its own, such as hand beside face. Not every picture needs both.", { checked: true }),
     choice("same", "The same points, another observer", same, { disabled: !template }));
   const make = { label: "Make the set", kind: "primary", value: "make", checks: true, testid: "set-make" };
-  const answer = dialog("New set of landmarks", body, [{ label: "Cancel", value: null }, make]);
-  name.focus();
-  if ((await answer) !== "make") return;
+  if ((await dialog("New set of landmarks", body, [{ label: "Cancel", value: null }, make])) !== "make") return;
   const asked = { name: name.value, same: body.querySelector("input:checked").value === "same" };
   go(app, (await state.send((folder) => api.post(api.url("sets"), { ...asked, folder }))).name);
 }
