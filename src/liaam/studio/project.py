@@ -27,6 +27,7 @@ from liaam.io.images import PICTURE_SUFFIXES
 from liaam.io.landmarks import Landmarks, collection_text, parse_landmark_data
 from liaam.io.table_writer import columns_text
 from liaam.morphometry import Specimen, measure
+from liaam.studio import contract
 from liaam.studio.folder import File, Folder, Listing, checked_folder, plain_name, revision_of, sets_in
 from liaam.studio.landmark_files import LandmarkFiles, parse_bar
 from liaam.studio.origins import Origins, origins_after, own_points, parse_origins
@@ -91,7 +92,7 @@ class Overview:
     """All pictures of a project at one scan of the folder."""
 
     stamp: str
-    pictures: list[dict[str, Any]]  # the pictures as JSON for the page, in natural order
+    pictures: list[contract.Picture]  # in natural order
     done: dict[str, str]  # revision of the landmarks of each done picture that is not left out of training, by name
     unread: list[str]  # names of the pictures whose files have not been read yet
 
@@ -400,16 +401,17 @@ class Project:
         with self._lock:
             return self._landmarks.of(self._find(name)).landmarks
 
-    def marks(self, name: str) -> dict[str, Any]:
+    def marks(self, name: str) -> contract.Marks:
         """Return the landmarks of a picture as JSON for the page: from its file, from a proposal, or none."""
         with self._lock:
             self.templates.finish()
             return self._states.marks_json(self._find(name))
 
-    def save_marks(self, name: str, data: Any) -> dict[str, Any]:
+    def save_marks(self, name: str, data: Any) -> contract.Saved:
         """Save the landmarks of a picture if its file has not changed since the page read it.
 
-        The data are JSON with ``points``, ``invisible`` and the ``revision`` of the file; optionally
+        The data are those of :class:`liaam.studio.contract.SaveMarks`: ``points``, ``invisible`` and the ``revision``
+        of the file; optionally
         ``template``, the revision of the template of the points, to check; ``unchecked``, whether a picture
         without points was left at the mean shape; ``bar``, the scale bar (:func:`parse_bar`), and ``absent``, the
         indices of points that the object lacks, which stay as they are without these; ``origins``
@@ -435,7 +437,7 @@ class Project:
             has_moved = points_now != points_before or invisible != current["invisible"]
             bar = parse_bar(data["bar"]) if "bar" in data else current["bar"]
             is_scaled = bar != current["bar"]
-            origins_before = current["origins"] if has_file else [None] * len(points_before)
+            origins_before = current["origins"] or [None] * len(points_before)
             if data.get("origins") is None:
                 origins = origins_after(points_now, points_before, origins_before)
             else:
@@ -496,7 +498,7 @@ class Project:
             size = self._listing.usable_size(self._find(drawn_on))
             return self._states.apply(files, "scaled", who, bar, like=None if of_any_size else size)
 
-    def history(self, name: str) -> list[dict[str, Any]]:
+    def history(self, name: str) -> list[contract.HistoryEntry]:
         """Return the newest entries of a picture in the log."""
         with self._lock:
             return self._log.history(self._find(name).name)

@@ -15,6 +15,7 @@ import numpy as np
 
 from liaam.errors import LandmarkError
 from liaam.io.landmarks import Landmarks, parse_landmark_data
+from liaam.studio import contract
 from liaam.studio.folder import File, Listing, revision_of
 from liaam.studio.landmark_files import LandmarkFiles, Marks, revision_of_proposal
 from liaam.studio.origins import OWN, Origin, Origins
@@ -46,7 +47,7 @@ LONGEST_NAME = 60  # largest number of characters of a person's name
 SHOWN = 20  # number of entries of a picture that the page shows
 SAME_WORK = timedelta(minutes=10)  # changes of a picture by one person within this time are one entry
 
-Bar = dict[str, Any] | None  # a scale bar as the page sends it, or none
+Bar = contract.Bar | None  # a scale bar as the page sends it, or none
 Size = tuple[int, int] | None  # width and height of a picture, pixels, or none
 
 
@@ -55,14 +56,17 @@ class ReviewLog:
 
     def __init__(self, store: Store) -> None:
         self._store = store
-        self._entries: dict[str, list[dict[str, Any]]] = defaultdict(list)
+        self._entries: dict[str, list[contract.HistoryEntry]] = defaultdict(list)
         for entry in store.lines("review"):
             self._entries[entry["picture"]].append(entry)
 
     def add(self, did: str, who: str, pictures: Mapping[str, str | None]) -> None:
         """Append an entry for each picture, given with the revision of what the action was done to."""
-        facts = {"time": datetime.now(UTC).isoformat(timespec="seconds"), "who": who, "did": did}
-        entries = [{**facts, "picture": name, "revision": revision} for name, revision in pictures.items()]
+        time = datetime.now(UTC).isoformat(timespec="seconds")
+        entries: list[contract.HistoryEntry] = [
+            {"time": time, "who": who, "did": did, "picture": name, "revision": revision}
+            for name, revision in pictures.items()
+        ]
         self._store.append("review", entries)
         for entry in entries:
             self._entries[entry["picture"]].append(entry)
@@ -86,12 +90,12 @@ class ReviewLog:
         newest_first = reversed(self._entries.get(name, []))
         return next((entry["did"] for entry in newest_first if entry["did"] in CHANGES), None)
 
-    def history(self, name: str) -> list[dict[str, Any]]:
+    def history(self, name: str) -> list[contract.HistoryEntry]:
         """Return the last entries of a picture, newest first."""
         newest_first = reversed(self._entries.get(name, []))
         return list(islice(newest_first, SHOWN))
 
-    def standing(self, name: str, did: str) -> dict[str, Any] | None:
+    def standing(self, name: str, did: str) -> contract.HistoryEntry | None:
         """Return the last entry of an action, unless it was undone later."""
         for entry in reversed(self._entries.get(name, [])):
             if entry["did"] == did:
@@ -143,7 +147,7 @@ class PictureStates:
                 waiting[file.name] = proposal
         return {name: rank for rank, name in enumerate(teaching_order(waiting), 1)}
 
-    def as_json(self, file: File, ranks: Mapping[str, int] | None) -> dict[str, Any]:
+    def as_json(self, file: File, ranks: Mapping[str, int] | None) -> contract.Picture:
         """Return one picture as JSON for the page; without ``ranks``, one whose files have not been read yet."""
         if ranks is None:
             return {"name": file.name, "tag": file.tag, "state": "reading", "placed": 0, "doubtful": False}
@@ -158,7 +162,7 @@ class PictureStates:
         proposal = None
         if fault is None and not marks.n_placed:
             proposal = self.proposal_of(file)
-        state = "broken" if fault is not None else self._state_of(file, marks, proposal)
+        state: contract.Progress = "broken" if fault is not None else self._state_of(file, marks, proposal)
         checked_by = slip = None
         wrong_points: list[int] = []
         if state == "done":
@@ -185,7 +189,7 @@ class PictureStates:
             "revision": marks.revision,
         }
 
-    def _state_of(self, file: File, marks: Marks, proposal: Mapping[str, Any] | None) -> str:
+    def _state_of(self, file: File, marks: Marks, proposal: Mapping[str, Any] | None) -> contract.Progress:
         """Return the state of a picture that can be read, by which the page groups pictures."""
         if marks.n_placed:
             return "done" if self.is_done(file) else "partial"
@@ -195,13 +199,13 @@ class PictureStates:
             return "unchecked"
         return "new"
 
-    def marks_json(self, file: File) -> dict[str, Any]:
+    def marks_json(self, file: File) -> contract.Marks:
         """Return the landmarks of a picture as JSON for the page: from its file, from a proposal, or none."""
         width, height = self.listing.usable_size(file)
         template = self.templates.current
         marks = self.landmarks.of(file)
         n_points = 0 if template is None else len(template)
-        answer: dict[str, Any] = {
+        answer: contract.Marks = {
             "points": [None] * n_points,
             "invisible": [],
             "revision": marks.revision,
@@ -421,7 +425,7 @@ class PictureStates:
         last = self.log.standing(file.name, done)
         if last is None or (done == "checked" and last["revision"] != marks.placement):
             raise Refusal(409, why_not)
-        if done == "deleted" and len(self._copy_of(last["revision"])) != len(self.templates.needed):
+        if done == "deleted" and len(self._copy_of(last["revision"] or "")) != len(self.templates.needed):
             raise Refusal(409, "the deleted landmarks belong to an earlier template")
         return last["revision"]
 
@@ -459,7 +463,8 @@ class PictureStates:
         template = self.templates.needed
         if did == "accepted":
             points = (self.proposal_of(file) or {})["points"]
-            self.origins.save(file.name, points, ["accepted"] * len(points))
+            accepted: list[Origin | None] = ["accepted"] * len(points)
+            self.origins.save(file.name, points, accepted)
             self.landmarks.save(file, template, points, ())
         elif did == "undeleted":
             copy = self._copy_of(revision or "")

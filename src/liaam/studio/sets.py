@@ -14,6 +14,7 @@ from liaam.io.files import count_of
 from liaam.io.images import PICTURE_SUFFIXES
 from liaam.io.table_writer import columns_text
 from liaam.morphometry import Specimen, measure, measurement_error
+from liaam.studio import contract
 from liaam.studio.folder import ADDED, SET_NAME, disk_errors, plain_name
 from liaam.studio.project import Project
 from liaam.studio.safety import Refusal
@@ -63,7 +64,7 @@ def others(project: Project, picture: str) -> dict[str, Any]:
     return done
 
 
-def agreement(project: Project) -> dict[str, Any]:
+def agreement(project: Project) -> contract.Agreement:
     """Return how far observers are apart in the pictures that at least two have done: standard deviations.
 
     Observers are replicates (:func:`liaam.morphometry.measurement_error`). Points and pictures with the largest

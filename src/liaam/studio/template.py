@@ -24,6 +24,7 @@ from liaam.io.landmarks import Contour, Landmarks
 from liaam.io.landmarks.formats import writer_of
 from liaam.model.shape import mirror_order
 from liaam.morphometry.curves import semilandmarks
+from liaam.studio import contract
 from liaam.studio.folder import Listing, revision_of, status_of
 from liaam.studio.safety import Refusal, refusing
 from liaam.studio.store import Store, StoredTable
@@ -63,7 +64,7 @@ class Template:
     def __len__(self) -> int:
         return len(self.names)
 
-    def as_json(self) -> dict[str, Any]:
+    def as_json(self) -> contract.Template:
         """Return the template as JSON for :func:`parse_template`."""
         return json.loads(json.dumps(asdict(self)))  # lists instead of tuples
 
@@ -268,7 +269,7 @@ class Templates:
         template = self.current
         return None if template is None else self._revision or revision_of(json.dumps(template.as_json()).encode())
 
-    def as_json(self) -> dict[str, Any] | None:
+    def as_json(self) -> contract.Template | None:
         """Return the template as JSON for the page, with its ``revision``."""
         template = self.current
         return None if template is None else {**template.as_json(), "revision": self.revision}

@@ -100,7 +100,7 @@ export function createTemplates(tab) {
     if (lost && !(await confirm("Change the template?", text, "Change the template"))) return;
     panel.setBusy(true);
     try {
-      await save(template, mapping, draft.points, { isFresh, isUnmoved });
+      await save(template, mapping, draft.points, { isFresh, isUnmoved, isLoaded: Boolean(draft.loaded) });
       kept.set(null);
     } catch (error) {
       panel.tell(error.message);
@@ -110,8 +110,9 @@ export function createTemplates(tab) {
     }
   }
 
-  /** isFresh: the points are those of this picture, too, unless they are where they were loaded (isUnmoved). */
-  async function save(template, mapping, points, { isFresh, isUnmoved }) {
+  /** isFresh: the points are those of this picture, too, unless they are where they were loaded (isUnmoved). Those that
+   *  were loaded (isLoaded) and moved together were not placed one by one. */
+  async function save(template, mapping, points, { isFresh, isUnmoved, isLoaded }) {
     const isNew = !tab.template;
     // Editing the template places new points on this picture, but not those that were missing.
     await tab.saver.flush();
@@ -129,8 +130,10 @@ export function createTemplates(tab) {
       const marks = await tab.saving.fetchMarks(tab.name);
       leave();
       await tab.opening.take(tab.name, marks);
-      if (isFresh && !isUnmoved && marks.source !== "file") marking.change({ points }, "template", null, true);
-      else if (before?.source === "file") {
+      if (isFresh && !isUnmoved && marks.source !== "file") {
+        const origins = points.map((point) => point && (isLoaded ? "accepted" : "placed"));
+        marking.change({ points, origins }, "template");
+      } else if (before?.source === "file") {
         const origins = mapping ?? indicesOf(points);
         const isMissing = (i) => origins[i] !== null && !before.points[origins[i]];
         marking.commit(points.map((point, i) => (isMissing(i) ? null : point)), "edit the template");

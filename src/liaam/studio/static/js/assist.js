@@ -14,8 +14,9 @@ const AUTO_KEY = "liaam-studio:auto-train";
 const countOf = (pictures, ...states) => pictures.filter(({ state }) => states.includes(state)).length;
 const openList = (of) => /** @type {HTMLSelectElement} */ (document.querySelector(of)).showPicker();
 
-/** The pictures that a training uses, and those of them whose points look wrong. */
-const forTraining = (pictures) => pictures.filter(({ state, left_out: who }) => state === "done" && !who);
+/** The pictures that a training uses, which needs all points, and those of them whose points look wrong. */
+const forTraining = (pictures) =>
+  pictures.filter(({ state, left_out: who, absent }) => state === "done" && !who && !absent);
 const slipped = (pictures) => forTraining(pictures).filter(({ slip }) => slip);
 
 /** Whether to train automatically. `failedAt`: the `situation` in which training last failed or was stopped. */
@@ -218,7 +219,7 @@ export function createAssist(app, commands) {
     const { pictures, model, training } = project;
     const usable = pictures.length - countOf(pictures, "broken");
     const left = Object.keys(model?.left_out ?? {}).length;
-    count.textContent = `${countOf(pictures, "done")} of ${usable} done${left ? `, ${left} left out` : ""}`;
+    count.textContent = `${countOf(pictures, "done") - left} of ${usable} done${left ? `, ${left} left out` : ""}`;
     const done = forTraining(pictures).length;
     element.hidden = !project.template;
     offered.hidden = !project.offered || model?.source !== "face";

@@ -192,7 +192,7 @@ export class Drafting extends Editable {
   load(file, template, points, kinds = template.kinds) {
     this.select([]);
     const draft = drafts.draftOf({ ...template, kinds }, points);
-    this.apply({ ...draft, origins: template.names.map(() => null), layout: { file, points } }, "load");
+    this.apply({ ...draft, origins: template.names.map(() => null), layout: { file, points }, loaded: true }, "load");
     this.say(`${several(template.names.length, "point")} loaded. Move them into place`);
   }
 

@@ -68,10 +68,14 @@ export class Marking extends Editable {
     this.invisible = new Set(this.state?.invisible);
   }
 
-  /** options: those of originsAfter, and context: what the next click depended on before the step, if not the present. */
+  /** @typedef {{alone?: number, fresh?: string, changed?: string | null, accepts?: boolean, context?: any}} Options
+   *  Those of originsAfter, and what the next click depended on before the step, if that is not the present. */
+
+  /** @param {any} points; @param {string} what; @param {string | null} key; @param {Options} options */
   commit(points, what, key = null, options = {}) { this.change({ points }, what, key, options); }
 
-  /** One undo step. It accepts a proposal, unless it changes the scale bar, and the mean shape if a point moves. */
+  /** One undo step. It accepts a proposal, unless it changes the scale bar, and the mean shape if a point moves.
+   *  @param {any} change; @param {string} what; @param {string | null} key; @param {Options} options */
   change(change, what, key = null, { context = this.contextBefore, ...options } = {}) {
     const before = this.state;
     const { points, invisible, absent = [], bar = null } = { ...before, ...change };

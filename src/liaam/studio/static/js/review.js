@@ -1,6 +1,6 @@
 // Review of the open picture and of the folder: checks, history, accuracy of the models, and tables of all pictures.
 
-import { percent } from "./annotate-words.js";
+import { percent, several } from "./annotate-words.js";
 import { act, askName, whoAmI } from "./bulk.js";
 import { createAgreement } from "./sets.js";
 import { button, dialog, h, listOf, menu, saveFile } from "./ui.js";
@@ -11,14 +11,14 @@ const DID = {
   restored: "restored proposed points", deleted: "deleted the landmarks", undeleted: "restored the landmarks",
   scaled: "set the scale, with those of other pictures", unscaled: "took that scale back",
 };
-const EXPORTS = { pts: ".pts files (zip)", coco: "COCO keypoints", tps: "tpsDig (.tps)", csv: "Table (.csv)", measure: "Measurements (.csv)…" };
+const EXPORTS = { pts: ".pts files (zip)", coco: "COCO keypoints", tps: "tpsDig (.tps)", csv: "Table (.csv)", sliders: "Sliders (.csv)", measure: "Measurements (.csv)…" };
 export const sentence = ({ who, did }) => `${who || "Someone"} ${DID[did]}`;
 
 export function accuracyText(versions) {
   const { held_out: count } = versions.at(-1);
   const others = versions.some(({ same }) => !same) ? " Pale bars: measured on other pictures." : "";
   const on = count === 1 ? "on 1 picture" : `median of ${count} pictures`;
-  const what = "Distance of fitted from placed points, in percent of the object's size";
+  const what = "Distance of fitted points from those that a person placed, moved or confirmed, in percent of the object's size";
   return `${what}: ${on} held out from training.${others}`;
 }
 
@@ -72,9 +72,11 @@ export function createReview(tab) {
   }
 
   function show() {
-    const { checked, state: progress } = state.picture() ?? {};
+    const { checked, state: progress, unconfirmed } = /** @type {any} */ (state.picture() ?? {});
     element.hidden = !state.project.template;
-    now.textContent = checked ? `Checked by ${checked}` : progress === "done" ? "Not checked yet" : "";
+    const seen = unconfirmed ? `${several(unconfirmed, "point")} not confirmed` : "Not checked yet";
+    now.textContent = checked ? `Checked by ${checked}` : progress === "done" ? seen : "";
+    now.title = unconfirmed ? "Accepted as proposed. Y confirms the selected point, for accuracy and agreement" : "";
     check.hidden = progress !== "done";
     check.lastChild.textContent = checked ? "Withdraw" : "Mark as checked";
     name.textContent = whoAmI() || "Your name…";

@@ -106,8 +106,12 @@ export function createAgreement(tab) {
 
 /** Show how far observers are apart, and the pictures and points where most. @param {App} app */
 export async function showAgreement({ api, state }) {
-  const { observers, sd, percent: share, repeatability, points, pictures, file, table: text } =
+  /** @type {Agreement} */
+  const { observers, sd, percent: share, repeatability, points, pictures, unconfirmed, file, table: text } =
     await api.get(api.url("agreement"));
+  const ignored = unconfirmed.length > 0 && h("p.small.warn-text", { testid: "agreement-unconfirmed" },
+    `${several(unconfirmed.length, "picture")} ${unconfirmed.length === 1 ? "does" : "do"} not count, since points were ` +
+    `accepted as they were proposed: ${unconfirmed.slice(0, SHOWN).join(", ")}. Move or confirm (Y) each of them.`);
   const pixels = (value) => `${value.toFixed(2)} px`;
   const table = (title, head, rows) => h("section.agreement-table", h("h3", title), h("table",
     h("thead", h("tr", head.map((what) => h("th", { scope: "col" }, what)))), h("tbody", rows.slice(0, SHOWN))));
@@ -125,7 +129,7 @@ export async function showAgreement({ api, state }) {
     h("div.agreement-tables",
       table("Points, worst first", ["Point", "Deviation", "of size"], points.map(pointRow)),
       table("Pictures, worst first", ["Picture", "Deviation"], pictures.map(pictureRow))),
-    h("p.small.muted", "Deviation: standard deviation of an observer from the mean of all. Repeatability: share of the variance of shapes that is between specimens, 1 if observers agree."));
+    ignored, h("p.small.muted", "Deviation: standard deviation of an observer from the mean of all. Repeatability: share of the variance of shapes that is between specimens, 1 if observers agree."));
   const save = { label: "Save the table", value: "save", testid: "agreement-save" };
   const close = { label: "Close", kind: "primary", value: null };
   if ((await dialog("Agreement of observers", body, [save, close], { wide: true })) === "save")
