@@ -19,7 +19,6 @@ from starlette.middleware import Middleware
 from starlette.requests import Request
 from starlette.responses import JSONResponse, Response, StreamingResponse
 from starlette.routing import Mount, Route
-from starlette.staticfiles import StaticFiles
 from starlette.types import Receive, Scope, Send
 
 from liaam import __version__
@@ -42,6 +41,7 @@ from liaam.studio.routes import Events, attachment, checked_size, light_of, mayb
 from liaam.studio.safety import FILES, FITS, GUEST, HEADERS, UPLOADS, Guard, Refusal
 from liaam.studio.sets import agreement, make_set, observers, others
 from liaam.studio.settings import StudioSettings
+from liaam.studio.static_files import Page
 from liaam.studio.store import folder_locked
 from liaam.studio.training import Trainer
 
@@ -287,6 +287,8 @@ class Studio:
         asked = request.path_params
         picture = self.uploads.source(asked["id"]) if "id" in asked else self.project.source(asked["name"])
         headers = {"etag": f'"{picture.tag}-{kind}"', "cache-control": "private, no-cache"}
+        if media == "image/jpeg" and request.query_params.get("tag") == picture.tag:
+            headers |= KEPT  # at this address, which names the content of the file, it never changes
         tags = [tag.strip().removeprefix("W/") for tag in request.headers.get("if-none-match", "").split(",")]
         if headers["etag"] in tags:
             return Response(status_code=304, headers=headers)
@@ -351,9 +353,8 @@ def make_app(studio: Studio) -> Starlette:
 
 
 def _app_of(studio: Studio, sets: Sequence[Mount] = (), middleware: Sequence[Middleware] = ()) -> Starlette:
-    static = Mount("/", StaticFiles(directory=studio.settings.static, html=True))
     faults = {LiaamError: studio.on_fault, HTTPException: _on_http_fault, Exception: _on_bug}
-    routes = [*studio.routes(), *live.routes(studio.live), *sets, static]
+    routes = [*studio.routes(), *live.routes(studio.live), *sets, *Page(studio.settings.static).routes()]
     return Starlette(routes=routes, middleware=middleware, exception_handlers=faults)
 
 
