@@ -123,6 +123,14 @@ def test_a_picture_is_done_without_the_points_that_its_object_lacks(small):
     assert small.marks("p1.png")["absent"] == [] and len(small.annotated()) == 1
 
 
+def test_an_accepted_proposal_has_no_absent_points(small):
+    small.add_proposals({"p1.png": proposal()})
+    save(small, "p1.png", [None] * 3, absent=[1])
+    small.review({"pictures": ["p1.png"], "did": "accepted"})
+    assert small.marks("p1.png")["points"] == [POINTS[0], None, POINTS[2]]
+    assert (small.marks("p1.png")["absent"], states(small)["p1.png"]) == ([1], "done")
+
+
 def test_absent_points_are_stored_before_any_is_placed_and_go_along_with_the_template(small):
     save(small, "p1.png", [None] * 3, absent=[0, 2])
     assert states(small)["p1.png"] == "new" and not (small.root / "p1.ljson").exists()

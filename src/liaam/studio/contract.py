@@ -40,7 +40,7 @@ class Picture(TypedDict):
     slip_points: Annotated[NotRequired[list[int]], "Indices of these points."]
     left_out: Annotated[NotRequired[str | None], "Who left it out of training."]
     absent: Annotated[NotRequired[int], "Number of points that the object lacks, so that no training uses the picture."]
-    unconfirmed: Annotated[NotRequired[int], "Number of points that nobody placed, moved or confirmed one by one."]
+    unconfirmed: Annotated[NotRequired[int], "Number of points that no person placed, moved or confirmed one by one."]
     revision: Annotated[NotRequired[str | None], "Of the landmark file; null if there is none."]
 
 
@@ -205,7 +205,7 @@ class Project(TypedDict):
     version: str
     pictures: list[Picture]
     template: Template | None
-    offered: Annotated[bool, "Whether a model offers the template, and nobody has accepted it."]
+    offered: Annotated[bool, "Whether a model offers the template, and it was not accepted yet."]
     model: Model | None
     checked: Annotated[bool, "Whether slips were looked for in the landmarks as they are."]
     training: Training

@@ -30,7 +30,7 @@ from liaam.morphometry import Specimen, measure
 from liaam.studio import contract
 from liaam.studio.folder import File, Folder, Listing, checked_folder, plain_name, revision_of, sets_in
 from liaam.studio.landmark_files import LandmarkFiles, parse_bar
-from liaam.studio.origins import Origins, origins_after, own_points, parse_origins
+from liaam.studio.origins import Origin, Origins, origins_after, own_points, parse_origins
 from liaam.studio.pictures import PictureSource, source_of
 from liaam.studio.review import PictureStates, ReviewLog, parse_who
 from liaam.studio.safety import Refusal
@@ -61,7 +61,9 @@ EXPORTS = {
     "tps": ".tps",
     "csv": ".csv",
     "sliders": "-sliders.csv",
-}  # ends of the names of files, by kind
+}
+"""Ends of the names of exported files, by kind."""
+
 UNKNOWN_SIZE = (640, 480)  # width and height that a template is read for where no picture can be read
 
 
@@ -95,6 +97,41 @@ class Overview:
     pictures: list[contract.Picture]  # in natural order
     done: dict[str, str]  # revision of the landmarks of each done picture that is not left out of training, by name
     unread: list[str]  # names of the pictures whose files have not been read yet
+
+
+@dataclass(frozen=True)
+class _Wanted:
+    """The marks of a picture as a request wants them, with those that it leaves as they are."""
+
+    points: list[contract.Point]
+    invisible: list[int]
+    absent: list[int]
+    origins: list[Origin | None]
+    bar: contract.Bar | None
+
+    @property
+    def has_points(self) -> bool:
+        """Whether any point has a position."""
+        return any(self.points)
+
+    @classmethod
+    def parse(cls, data: Mapping[str, Any], current: contract.Marks, n: int) -> "_Wanted":
+        """Parse and check the marks of ``n`` points in a request."""
+        points: list[contract.Point] = [point and [*point] for point in parse_points(data.get("points"), n)]
+        invisible = parse_indices(data.get("invisible", []), n, "invisible")
+        absent = parse_indices(data.get("absent", current["absent"]), n, "absent")
+        if data.get("origins") is not None:
+            origins = parse_origins(data["origins"], points)
+        else:
+            before = current["points"] if current["source"] == "file" else [None] * n
+            origins = origins_after(points, before, current["origins"] or [None] * len(before))
+        return cls(
+            points=points,
+            invisible=sorted(index for index in invisible if points[index] is not None),
+            absent=sorted(index for index in absent if points[index] is None),
+            origins=origins,
+            bar=parse_bar(data["bar"]) if "bar" in data else current["bar"],
+        )
 
 
 class Project:
@@ -410,14 +447,11 @@ class Project:
     def save_marks(self, name: str, data: Any) -> contract.Saved:
         """Save the landmarks of a picture if its file has not changed since the page read it.
 
-        The data are those of :class:`liaam.studio.contract.SaveMarks`: ``points``, ``invisible`` and the ``revision``
-        of the file; optionally
-        ``template``, the revision of the template of the points, to check; ``unchecked``, whether a picture
-        without points was left at the mean shape; ``bar``, the scale bar (:func:`parse_bar`), and ``absent``, the
-        indices of points that the object lacks, which stay as they are without these; ``origins``
-        (:mod:`liaam.studio.origins`), without which changed points were placed; and ``who``, the name of the person,
-        for the log. Landmarks equal to those in the file are accepted with any revision, since an earlier answer may
-        have been lost.
+        The data are those of :class:`liaam.studio.contract.SaveMarks`. ``template`` is the revision of the template of
+        the points, to check; ``unchecked`` says whether a picture without points was left at the mean shape. The scale
+        bar and the absent points stay as they are without ``bar`` and ``absent``. Without ``origins``, points that have
+        changed were placed. ``who`` is the name of the person, for the log. Landmarks equal to those in the file are
+        accepted with any revision, since an earlier answer may have been lost.
         """
         data = self.checked(data, "points, invisible and revision")
         who = parse_who(data.get("who"))
@@ -427,42 +461,30 @@ class Project:
             template = self.templates.needed
             if "template" in data:
                 self.templates.check(data["template"], f"the landmarks of {name}")
-            points = parse_points(data.get("points"), len(template))
-            invisible = parse_indices(data.get("invisible", []), len(template), "invisible")
-            invisible = sorted(index for index in invisible if points[index] is not None)
             current = self._states.marks_json(file)
-            has_file = current["source"] == "file"
-            points_before = current["points"] if has_file else [None] * len(template)
-            points_now = [None if point is None else list(point) for point in points]
-            has_moved = points_now != points_before or invisible != current["invisible"]
-            bar = parse_bar(data["bar"]) if "bar" in data else current["bar"]
-            is_scaled = bar != current["bar"]
-            origins_before = current["origins"] or [None] * len(points_before)
-            if data.get("origins") is None:
-                origins = origins_after(points_now, points_before, origins_before)
-            else:
-                origins = parse_origins(data["origins"], points_now)
-            absent = parse_indices(data.get("absent", current["absent"]), len(template), "absent")
-            absent = sorted(index for index in absent if points[index] is None)
+            wanted = _Wanted.parse(data, current, len(template))
+            points_before = current["points"] if current["source"] == "file" else [None] * len(template)
+            has_moved = wanted.points != points_before or wanted.invisible != current["invisible"]
+            is_scaled = wanted.bar != current["bar"]
             if (has_moved or is_scaled) and data.get("revision") != current["revision"]:
                 clash = f"the landmarks of {name} were changed elsewhere in the meantime: check them"
                 gone = f"the landmark file of {name} was deleted in the meantime: save it again, or let it be"
                 raise Refusal(409, gone if current["revision"] is None else clash, current=current)
             if is_scaled:
-                self._landmarks.set_bar(file, bar)
-            if origins != origins_before and any(points):
-                self._origins.save(file.name, points_now, origins)
-            if absent != current["absent"]:
-                self._absent.save({file.name: absent or None})
+                self._landmarks.set_bar(file, wanted.bar)
+            if wanted.has_points and wanted.origins != current["origins"]:
+                self._origins.save(file.name, wanted.points, wanted.origins)  # first, as it belongs to what is written
+            if wanted.absent != current["absent"]:
+                self._absent.save({file.name: wanted.absent or None})
             if has_moved:
                 self.templates.keep()  # the first save fixes a template that was taken from a file
             if has_moved or (is_scaled and self._landmarks.of(file).n_placed):  # landmark files state the scale
-                self._landmarks.save(file, template, points, invisible)
+                self._landmarks.save(file, template, wanted.points, wanted.invisible)
             if has_moved:
                 with suppress(LiaamError):  # the landmarks are saved
-                    did = "placed" if any(points) else "cleared"
+                    did = "placed" if wanted.has_points else "cleared"
                     self._log.add_change(who, file.name, did, self._landmarks.of(file).revision)
-            if "unchecked" in data and not any(points):
+            if "unchecked" in data and not wanted.has_points:
                 self._set_unchecked(file, bool(data["unchecked"]))
             revision = self._landmarks.of(file).revision
             return {"revision": revision, "picture": self._states.as_json(file, self._states.ranks())}

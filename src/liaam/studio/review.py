@@ -462,7 +462,9 @@ class PictureStates:
             return
         template = self.templates.needed
         if did == "accepted":
-            points = (self.proposal_of(file) or {})["points"]
+            absent = self.absent.get(file.name, ())
+            proposed = (self.proposal_of(file) or {})["points"]
+            points = [None if index in absent else point for index, point in enumerate(proposed)]
             accepted: list[Origin | None] = ["accepted"] * len(points)
             self.origins.save(file.name, points, accepted)
             self.landmarks.save(file, template, points, ())

@@ -68,8 +68,8 @@ def agreement(project: Project) -> contract.Agreement:
     """Return how far observers are apart in the pictures that at least two have done: standard deviations.
 
     Observers are replicates (:func:`liaam.morphometry.measurement_error`). Points and pictures with the largest
-    deviations come first. ``table`` is the text of a table with more. Whoever has accepted points as they were proposed
-    has not observed them: such pictures of an observer do not count, and ``unconfirmed`` are their names.
+    deviations come first. ``table`` is the text of a table with more. Pictures in which an observer has accepted points
+    as they were proposed do not count for that observer; ``unconfirmed`` are their names.
     """
     placed: dict[str, dict[str, np.ndarray]] = {}
     unconfirmed: set[str] = set()

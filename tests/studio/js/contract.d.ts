@@ -34,7 +34,7 @@ interface Picture {
   left_out?: string | null;
   /** Number of points that the object lacks, so that no training uses the picture. */
   absent?: number;
-  /** Number of points that nobody placed, moved or confirmed one by one. */
+  /** Number of points that no person placed, moved or confirmed one by one. */
   unconfirmed?: number;
   /** Of the landmark file; null if there is none. */
   revision?: string | null;
@@ -200,7 +200,7 @@ interface Project {
   version: string;
   pictures: Picture[];
   template: Template | null;
-  /** Whether a model offers the template, and nobody has accepted it. */
+  /** Whether a model offers the template, and it was not accepted yet. */
   offered: boolean;
   model: Model | null;
   /** Whether slips were looked for in the landmarks as they are. */

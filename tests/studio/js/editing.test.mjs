@@ -270,6 +270,14 @@ test("else with the mean of others that are done; each is asked for once, and on
   assert.deepEqual(asked.slice(3).sort(), ["b", "c"]);
 });
 
+test("what a picture begins with lacks the absent points", async () => {
+  const absent = [1];
+  const shown = await first().first.of("a", { ...DONE, source: "proposal", absent });
+  assert.deepEqual([shown.points[1], shown.absent], [null, absent]);
+  const layout = await first().first.of("a", { ...EMPTY_MARKS, absent });
+  assert.deepEqual([layout.source, layout.points[1], layout.absent], ["layout", null, absent]);
+});
+
 test("or with nothing, where the points are clicked or there is no layout", async () => {
   assert.equal((await first({ begins: "click" }).first.of("a", EMPTY_MARKS)).source, "none");
   const bare = { ...TEMPLATE, points: null };

@@ -296,7 +296,8 @@ const STEP = {
     for (const i of NAMES.keys()) {
       const stays = before.points[i] && (!indices.includes(i) || (KINDS[i] === "landmark" && before.origins[i] !== "proposed"));
       if (stays) assert.deepEqual(marking.points[i], before.points[i], `tracing moved ${NAMES[i]}`);
-      if (indices.includes(i)) assert.ok(marking.points[i], `tracing did not place ${NAMES[i]}`);
+      if (before.absent.includes(i)) assert.equal(marking.points[i], null, `tracing placed ${NAMES[i]}, which is absent`);
+      else if (indices.includes(i)) assert.ok(marking.points[i], `tracing did not place ${NAMES[i]}`);
       else assert.deepEqual(marking.points[i], before.points[i]);
     }
     const traced = copy(marking.points);
@@ -311,6 +312,22 @@ const STEP = {
     expected.select([next < 0 ? indices.at(-1) : next]);
   },
 };
+
+test("points of the last done picture before this one are copied as proposed, in one step", async () => {
+  const [server, storage] = [new Server(), new Storage()];
+  server.put(PICTURES[0], { points: PROPOSED, invisible: [], origins: NAMES.map(() => "placed"), revision: null });
+  const tab = await openTab(server, storage, PICTURES[1]);
+  Object.assign(tab.state, { order: PICTURES });
+  await tab.commands.copyPrevious();
+  assert.match(tab.toasts[0], /No picture before/);
+  tab.state.pictures[0].state = "done";
+  tab.press([50, 50]); // the first point
+  await tab.commands.copyPrevious();
+  assert.deepEqual([tab.marking.points, new Set(tab.marking.origins)], [PROPOSED, new Set(["proposed"])]);
+  tab.commands.travel("undo");
+  assert.deepEqual(tab.marking.points, [[50, 50], ...none().slice(1)]);
+  await tab.saver.flush();
+});
 
 /** Weights of the steps; the others are of the whole session. */
 const WEIGHTS = { click: 12, drag: 6, choose: 4, undo: 7, redo: 4, clear: 2, hide: 1, absent: 1, confirm: 2, accept: 1, trace: 2 };

@@ -181,6 +181,20 @@ export function createCommands(tab) {
       return "cleared";
     }),
 
+    /** Take the points of the nearest done picture before this one, as in a series; they are then as proposed. */
+    async copyPrevious() {
+      if (tab.drawing) return;
+      const { name } = tab;
+      const before = state.order.slice(0, Math.max(state.order.indexOf(name), 0));
+      const from = before.findLast((each) => state.picture(each)?.state === "done");
+      if (!from) return void app.toast("No picture before this one in the list is done.");
+      const marks = await tab.saving.fetchMarks(from);
+      if (tab.name !== name || !commands.marks || marks.points.length !== marking.points.length) return;
+      const take = (point, i) => (marking.absent.includes(i) ? null : (point ?? marking.points[i]));
+      marking.change({ points: marks.points.map(take) }, `copy from ${from}`, null, { fresh: "proposed", changed: "proposed" });
+      say(`Points copied from ${from}`);
+    },
+
     placeChosen() {
       const index = marking.placeChosen(viewer);
       if (index >= 0) tab.sayPlace(index);

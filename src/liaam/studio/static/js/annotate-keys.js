@@ -14,6 +14,7 @@ export const SHORTCUTS = [
   { keys: "Shift click", what: "Add to the selection (Shift drag: select with a box)" },
   { keys: "Ctrl+A Escape", what: "Select all, none" },
   { keys: "P", what: "Place the missing point at its expected position" },
+  { keys: "Shift+P", what: "Copy the points of the last done picture above this one" },
   { keys: "Delete", what: "Clear the point's position" },
   { keys: "V", what: "Mark the point as visible or invisible" },
   { keys: "Y", what: "Confirm a proposed point where it is, and go to the next one" },
@@ -42,7 +43,8 @@ export function createKeys(tab) {
     r: () => { tab.tool.magnifies = !tab.tool.magnifies; },
   };
   const marks = {
-    v: commands.toggleInvisible, u: commands.toggleAbsent, y: commands.confirm, x: commands.toggleMirrored, m: commands.flip, p: commands.placeChosen,
+    v: commands.toggleInvisible, u: commands.toggleAbsent, y: commands.confirm, x: commands.toggleMirrored, m: commands.flip,
+    p: ({ shiftKey }) => (shiftKey ? commands.copyPrevious() : commands.placeChosen()),
     s: commands.ruler, delete: commands.removeChosen, backspace: commands.removeChosen,
     c: ({ shiftKey }) => (shiftKey ? commands.space() : commands.trace()),
   };

@@ -125,8 +125,8 @@ export class Marking extends Editable {
     if (this.suggested || this.proposed) this.change({}, "accept", null, { accepts: true });
   }
 
-  /** Confirm the selected point where it is, and select the next one that nobody has placed, moved or confirmed. Return
-   *  the index of the confirmed point; -1 if not exactly one point with a position is selected. */
+  /** Confirm the selected point where it is, and select the next one that no person has placed, moved or confirmed.
+   *  Return the index of the confirmed point; -1 if not exactly one point with a position is selected. */
   confirm() {
     const index = this.active;
     if (this.selection.size !== 1 || !this.points[index]) return -1;

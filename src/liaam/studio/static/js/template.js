@@ -197,7 +197,8 @@ export function withSliders(draft, text) {
   const rows = text.trim().split(/\r?\n/).map((line) => line.split(/[\s,;]+/).map((cell) => cell.replaceAll('"', "")));
   const numbers = rows.map((row) => row.slice(-3).map(Number));
   const sliders = Number.isNaN(numbers[0][1]) ? numbers.slice(1) : numbers; // without a heading
-  const isOne = (row) => row.length === 3 && row.every((n) => Number.isInteger(n) && n > 0 && n <= draft.names.length);
+  const isPoint = (number) => Number.isInteger(number) && number > 0 && number <= draft.names.length;
+  const isOne = (row) => new Set(row).size === 3 && row.every(isPoint);
   if (!sliders.length || !sliders.every(isOne)) return null;
   const sliding = new Set(sliders.map(([, point]) => point - 1));
   const kept = newPath(draft).contours.filter(({ indices }) => !indices.some((i) => sliding.has(i)));

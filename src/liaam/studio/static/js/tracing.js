@@ -83,8 +83,12 @@ export class Tracing extends Editable {
   }
 
   along(line, { indices, closed }, fixed) {
-    const points = this.marking.state.points.slice();
-    spread(line, indices.length, closed, fixed).forEach((point, place) => { points[indices[place]] = rounded(point); });
+    const { absent, state } = this.marking;
+    const points = state.points.slice();
+    spread(line, indices.length, closed, fixed).forEach((point, place) => {
+      const index = indices[place];
+      if (!absent.includes(index)) points[index] = rounded(point);
+    });
     return points;
   }
 
