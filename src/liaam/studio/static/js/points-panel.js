@@ -42,12 +42,10 @@ export function createPointsPanel(tab) {
   };
   return {
     list: list.element, tally, edit, mark,
-    elements: [
-      h("section.panel.grow.point-panel",
-        h("div.row", h("h2.panel-title", "Points"), tally, confirm, space, hide, absent, remove), list.element),
-      h("section.panel.side-foot",
-        h("div.row.begin-with", h("span.small.muted.grow", "Start with"), start.element), h("div.row", edit, more)),
-    ],
+    points: h("section.panel.grow.point-panel",
+      h("div.row.point-head", h("h2.panel-title", "Points"), tally, confirm, space, hide, absent, remove), list.element),
+    foot: h("section.panel.side-foot",
+      h("div.row.begin-with", h("span.small.muted.grow", "Start with"), start.element), h("div.row", edit, more)),
     /** Start of pictures without points: "layout" or "click". */
     get start() { return start.value; },
     render(marking) {

@@ -1,6 +1,7 @@
 // The panel beside the picture while the template is edited: instructions, points, paths, and Done.
 
 import { several } from "./annotate-words.js";
+import { fileOf } from "./api.js";
 import * as drafts from "./template.js";
 import { button, consume, fileField, h, icon, iconButton, menu, press } from "./ui.js";
 
@@ -30,7 +31,7 @@ export function createTemplatePanel({ drafting, onload, onsliders, ondone, onlea
   const intro = h("div.column.template-intro");
   const file = fileField((chosen) => onload(chosen), { id: "template-file", testid: "template-load", tabindex: null });
   const loadPreset = async (set) =>
-    onload(new File([await (await fetch(`presets/${set}.ljson`)).blob()], `${set}.ljson`),
+    onload(new File([await (await fetch(fileOf(`presets/${set}.ljson`))).blob()], `${set}.ljson`),
       OF_LANDMARKS.includes(set) ? "landmark" : null);
   const tool = (label, face, onclick, more = {}) => button(label, { icon: face, small: true, onclick, ...more });
   const path = tool("Draw a curve", "path", () => drafting.togglePath(), {
