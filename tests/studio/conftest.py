@@ -120,3 +120,11 @@ def serve() -> Iterator[Callable[..., Running]]:
         one.client.close()
         one.stop()
         one.studio.close()
+
+
+@pytest.fixture(autouse=True, scope="session")
+def state_folder(tmp_path_factory) -> Iterator[None]:
+    """Keep tokens of studios that tests start out of the user's state folder."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv("XDG_STATE_HOME", str(tmp_path_factory.mktemp("state")))
+        yield

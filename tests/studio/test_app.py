@@ -129,7 +129,7 @@ def test_landmarks_are_saved_and_other_pages_told(folder, serve, listen):
     client = running.client
     template = {"names": ["a", "b", "c"], "contours": [{"indices": [0, 1, 2], "closed": True}], "mirror": None}
     saved = client.put("/api/template", json=template).json()
-    assert saved == {**template, "points": None, "revision": saved["revision"]}
+    assert saved == {**template, "points": None, "kinds": ["landmark"] * 3, "revision": saved["revision"]}
     assert page.event("project") == {}
     marks = {"points": [[1, 2], [30, 2], None], "invisible": [], "revision": None}
     answer = client.put("/api/pictures/p1.png/landmarks", json=marks).json()

@@ -256,6 +256,28 @@ def test_pictures_that_do_not_serve_are_left_out(setting):
     assert "multiply 12-bit values by 16" in models.current.facts["left_out"]["p2.png"]
 
 
+def test_pictures_whose_points_fold_the_mesh_are_left_out_with_the_reason(setting):
+    project, models, _, trainer = setting(4, 4)
+    write_landmarks(project.root / "p2.ljson", Landmarks(project.landmarks("p2.png").points[::-1]))
+    trainer.start()
+    assert trainer.wait(240).state == "done"
+    assert models.current.model.n_all_images == 3
+    assert list(models.current.facts["left_out"]) == ["p2.png"]
+    assert "its points fold the mesh" in models.current.facts["left_out"]["p2.png"]
+    assert shown(models.current, project)["left_out"].keys() == {"p2.png"}
+    assert shown(models.current, project)["stale"] == 0  # it is no reason to train again
+
+
+def test_accuracy_counts_no_points_that_were_accepted_as_they_were_proposed(setting):
+    project, _, _, trainer = setting(6, 4)
+    for i in range(1, 5):
+        marks = project.marks(f"p{i}.png")
+        project.save_marks(f"p{i}.png", {**marks, "origins": ["accepted"] * len(marks["points"])})
+    trainer.start()
+    assert trainer.wait(240).state == "done"
+    assert trainer.versions.as_json(project.templates.order) == []  # nothing to measure on
+
+
 def test_grey_pictures_are_learnt_from_and_named(setting):
     from liaam.io import read_image
 

@@ -156,6 +156,19 @@ def test_other_addresses_with_the_token_do_not(method, path, query):
     assert (asked.status, asked.inside) == (401, [])
 
 
+def test_a_ticket_opens_the_page_once_and_nothing_else():
+    ticket = SETTINGS.tickets.new()
+    query = f"token={ticket}".encode()
+    assert ask(HOST, path="/api/x", query=query).status == 401
+    assert ask(("host", "evil.example"), path="/", query=query).status == 421
+    assert ask(HOST, ("cookie", f"liaam-studio-8765={ticket}")).status == 401
+    assert ask(HOST, ("authorization", f"Bearer {ticket}")).status == 401
+    asked = ask(HOST, path="/", query=query)
+    assert asked.status == 303 and ticket not in asked.headers["set-cookie"]
+    assert asked.headers["set-cookie"] == "liaam-studio-8765=secret; HttpOnly; Path=/; SameSite=strict"
+    assert ask(HOST, path="/", query=query).status == 401
+
+
 def test_an_address_may_hold_twenty_fields():
     assert ask(HOST, path="/", query=b"&".join([b"a=b"] * 19) + b"&token=secret").status == 303
 

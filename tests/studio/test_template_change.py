@@ -20,6 +20,7 @@ def test_the_template_comes_from_the_first_landmark_file(small):
         "contours": [{"indices": [0, 1, 2], "closed": False}],
         "mirror": [1, 0, 2],
         "points": POINTS,
+        "kinds": ["landmark", "semilandmark", "landmark"],
     }
     assert states(project)["p2.png"] == "done"
     assert not (small.root / STATE).exists()

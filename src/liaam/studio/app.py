@@ -9,7 +9,7 @@ from collections.abc import Callable, Sequence
 from contextlib import ExitStack, suppress
 from dataclasses import asdict
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 from anyio import CapacityLimiter
 from anyio.to_thread import run_sync
@@ -19,7 +19,6 @@ from starlette.middleware import Middleware
 from starlette.requests import Request
 from starlette.responses import JSONResponse, Response, StreamingResponse
 from starlette.routing import Mount, Route
-from starlette.staticfiles import StaticFiles
 from starlette.types import Receive, Scope, Send
 
 from liaam import __version__
@@ -30,7 +29,7 @@ from liaam.io.landmarks import LANDMARK_SUFFIXES
 from liaam.model import load_model
 from liaam.photometry import CameraModel
 from liaam.relighting.lamp import AMBIENT
-from liaam.studio import live
+from liaam.studio import contract, live
 from liaam.studio.background import Background
 from liaam.studio.fits import LAYER_SIZE, Fits, truth_of
 from liaam.studio.folder import checked_folder, plain_name, status_of
@@ -42,11 +41,11 @@ from liaam.studio.routes import Events, attachment, checked_size, light_of, mayb
 from liaam.studio.safety import FILES, FITS, GUEST, HEADERS, UPLOADS, Guard, Refusal
 from liaam.studio.sets import agreement, make_set, observers, others
 from liaam.studio.settings import StudioSettings
+from liaam.studio.static_files import Page
 from liaam.studio.store import folder_locked
 from liaam.studio.training import Trainer
 
 IMAGE_SIZE, CHROMA_SIZE = 2048, 640  # default longest sides in pixels
-SHOWN_OF_METHOD = ("name", "summary", "needs_colour")
 KEPT = {"cache-control": "private, max-age=86400, immutable"}  # headers of answers that never change
 OVERVIEW_SECONDS = 0.2  # how long a request for the project may read files; the rest is read in the background
 
@@ -162,7 +161,7 @@ class Studio:
             route("GET", FITS + "/{id}/export", self._export_fit, limiter=fits),
         ]
 
-    def _overview(self, request: Request) -> dict[str, Any]:
+    def _overview(self, request: Request) -> contract.Project | contract.Unchanged:
         project, training, model = self.project, self.training, self.models.current
         stamp = request.query_params.get("stamp", "")
         # Read before the data: a change in between shows up in the next request.
@@ -185,18 +184,25 @@ class Studio:
             "offered": project.templates.is_offered,
             "model": model_json(self.models.current, overview.done, overview.unread),
             "checked": self.background.has_checked(overview.done),
-            "training": asdict(training.state),
+            "training": cast(contract.Training, asdict(training.state)),
             "versions": training.versions.as_json(project.templates.order),
-            "methods": [{key: getattr(each, key) for key in SHOWN_OF_METHOD} for each in METHODS.values()],
+            "methods": [
+                {"name": each.name, "summary": each.summary, "needs_colour": each.needs_colour}
+                for each in METHODS.values()
+            ],
             "default_method": DEFAULT_METHOD,
             "default_ambient": AMBIENT,
             "fitting": self.background.progress,
-            "formats": {"pictures": PICTURE_SUFFIXES, "landmarks": LANDMARK_SUFFIXES, "videos": VIDEO_SUFFIXES},
+            "formats": {
+                "pictures": [*PICTURE_SUFFIXES],
+                "landmarks": [*LANDMARK_SUFFIXES],
+                "videos": [*VIDEO_SUFFIXES],
+            },
             "limits": {"upload_bytes": self.settings.upload_bytes, "pixels": self.settings.pixels},
             "problems": project.problems,
         }
 
-    def _save_landmarks(self, request: Request, data: Any) -> dict[str, Any]:
+    def _save_landmarks(self, request: Request, data: Any) -> contract.Saved:
         name = request.path_params["name"]
         answer = self.project.save_marks(name, data)
         self.events.publish("landmarks", {"name": name, "revision": answer["revision"]})
@@ -216,10 +222,10 @@ class Studio:
         asked = request.query_params
         return attachment(*self.project.measurements(asked.get("measures", ""), asked.get("scale", "")))
 
-    def _save_template(self, request: Request, data: Any) -> dict[str, Any]:
+    def _save_template(self, request: Request, data: Any) -> contract.Template | None:
         try:
             self.project.save_template(data)
-            template = self.project.templates.as_json() or {}
+            template = self.project.templates.as_json()
         finally:  # even if this change is refused, since an earlier one may have been finished
             self.training.follow_template()
         self.events.publish("project", {})
@@ -281,6 +287,8 @@ class Studio:
         asked = request.path_params
         picture = self.uploads.source(asked["id"]) if "id" in asked else self.project.source(asked["name"])
         headers = {"etag": f'"{picture.tag}-{kind}"', "cache-control": "private, no-cache"}
+        if media == "image/jpeg" and request.query_params.get("tag") == picture.tag:
+            headers |= KEPT  # at this address, which names the content of the file, it never changes
         tags = [tag.strip().removeprefix("W/") for tag in request.headers.get("if-none-match", "").split(",")]
         if headers["etag"] in tags:
             return Response(status_code=304, headers=headers)
@@ -345,9 +353,8 @@ def make_app(studio: Studio) -> Starlette:
 
 
 def _app_of(studio: Studio, sets: Sequence[Mount] = (), middleware: Sequence[Middleware] = ()) -> Starlette:
-    static = Mount("/", StaticFiles(directory=studio.settings.static, html=True))
     faults = {LiaamError: studio.on_fault, HTTPException: _on_http_fault, Exception: _on_bug}
-    routes = [*studio.routes(), *live.routes(studio.live), *sets, static]
+    routes = [*studio.routes(), *live.routes(studio.live), *sets, *Page(studio.settings.static).routes()]
     return Starlette(routes=routes, middleware=middleware, exception_handlers=faults)
 
 

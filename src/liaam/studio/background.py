@@ -22,6 +22,7 @@ from liaam.io import Contour, Landmarks
 from liaam.model import AAM, load_model
 from liaam.model.shape import diagonal_of
 from liaam.models import FACE
+from liaam.studio import contract
 from liaam.studio.fits import WARM_UP, example
 from liaam.studio.model_store import ModelInUse, ModelStore
 from liaam.studio.pictures import file_tag
@@ -48,7 +49,7 @@ class Background:
 
     def __init__(self, project: Project, models: ModelStore, trainer: Trainer, publish: Publish) -> None:
         self.project, self.models, self.trainer = project, models, trainer
-        self.progress: dict[str, int] | None = None  # of the pictures that are being fitted
+        self.progress: contract.Counted | None = None  # of the pictures that are being fitted
         self._publish = publish
         self.woken = threading.Event()  # set to have the folder looked at now
         self._stopped = threading.Event()

@@ -21,6 +21,7 @@ from liaam.errors import LandmarkError
 from liaam.io.atomic import write_bytes_atomically, write_text_atomically
 from liaam.io.files import read_bytes, some_names
 from liaam.io.landmarks import Landmarks, parse_landmark_data
+from liaam.studio import contract
 from liaam.studio.folder import OWN_SUFFIXES, File, Listing, Signature, disk_errors, revision_of
 from liaam.studio.safety import Refusal
 from liaam.studio.store import Store, StoredTable
@@ -182,11 +183,11 @@ class LandmarkFiles:
         scale = None if landmarks is None else landmarks.scale
         return self.bars.of(picture) or {"tag": picture.tag, "bar": None, "scale": scale}
 
-    def set_bar(self, picture: File, bar: dict[str, Any] | None) -> None:
+    def set_bar(self, picture: File, bar: contract.Bar | None) -> None:
         """Set the scale bar of a picture; None removes it. The next :meth:`save` writes the scale."""
         self.bars.save({picture.name: {"tag": picture.tag, "bar": bar, "scale": None}})
 
-    def share_bar(self, pictures: Sequence[File], bar: dict[str, Any] | None) -> None:
+    def share_bar(self, pictures: Sequence[File], bar: contract.Bar | None) -> None:
         """Set a scale bar that was drawn on another picture; None gives pictures the scale that they had before."""
         before = {each: self.scale_bar(each) for each in pictures}
         shared = {each.name: {"tag": each.tag, "bar": bar, "scale": None, "before": before[each]} for each in pictures}
@@ -249,7 +250,7 @@ def revision_of_proposal(proposal: Mapping[str, Any]) -> str:
     return revision_of(json.dumps(proposal, sort_keys=True).encode())
 
 
-def parse_bar(data: Any) -> dict[str, Any] | None:
+def parse_bar(data: Any) -> contract.Bar | None:
     """Parse and check a scale bar from JSON: ``ends``, ``length`` and ``unit``, or null."""
     if data is None:
         return None

@@ -12,6 +12,7 @@ import numpy as np
 from liaam.errors import LiaamError, ModelFileError
 from liaam.fitting.methods import methods_of
 from liaam.model import AAM, load_model
+from liaam.studio import contract
 from liaam.studio.project import Project
 from liaam.studio.safety import Refusal
 from liaam.studio.store import Store
@@ -95,7 +96,7 @@ class Versions:
                 return list(version["errors"])
         return []
 
-    def as_json(self, order: str) -> list[dict[str, Any]]:
+    def as_json(self, order: str) -> list[contract.Version]:
         """Return the newest versions with errors, and with an order of the points, as JSON.
 
         ``same`` is whether the held-out pictures are those of the newest, so that errors can be compared.
@@ -141,7 +142,9 @@ def load_dropped_model(data: bytes, name: str, points: int) -> AAM:
     return model
 
 
-def model_json(current: ModelInUse | None, done: Mapping[str, str], unread: Collection[str] = ()) -> dict | None:
+def model_json(
+    current: ModelInUse | None, done: Mapping[str, str], unread: Collection[str] = ()
+) -> contract.Model | None:
     """Return the current model as JSON for the page.
 
     ``done`` are the revisions of the landmarks of pictures for training, by name; ``unread`` names of pictures whose
@@ -165,10 +168,10 @@ def model_json(current: ModelInUse | None, done: Mapping[str, str], unread: Coll
         "trained": facts["trained"],
         "stale": len(done) - len(unchanged) + len(lost),
         "colour": model.is_colour,
-        "methods": methods_of(model),
+        "methods": [*methods_of(model)],
         "triangles": model.triangles.tolist(),
         "theta_deg": float(np.rad2deg(model.theta)),
-        "contours": [{"indices": list(indices), "closed": closed} for indices, closed in model.contours],
+        "contours": [{"indices": [*indices], "closed": closed} for indices, closed in model.contours],
         "source": facts["source"],
         # Without pictures that have changed since: the next training may use them.
         "left_out": {name: why for name, why in left_out.items() if name in unchanged},

@@ -5,6 +5,7 @@ depends only on those before it: :mod:`~liaam.studio.folder`, :mod:`~liaam.studi
 :mod:`~liaam.studio.landmark_files`, :mod:`~liaam.studio.template` and :mod:`~liaam.studio.review`.
 """
 
+import csv
 import io
 import math
 import secrets
@@ -12,7 +13,7 @@ import threading
 import time
 import zipfile
 from collections import deque
-from collections.abc import Container, Mapping
+from collections.abc import Container, Mapping, Sequence
 from contextlib import nullcontext, suppress
 from dataclasses import dataclass, replace
 from itertools import zip_longest
@@ -26,14 +27,25 @@ from liaam.io.images import PICTURE_SUFFIXES
 from liaam.io.landmarks import Landmarks, collection_text, parse_landmark_data
 from liaam.io.table_writer import columns_text
 from liaam.morphometry import Specimen, measure
+from liaam.studio import contract
 from liaam.studio.folder import File, Folder, Listing, checked_folder, plain_name, revision_of, sets_in
 from liaam.studio.landmark_files import LandmarkFiles, parse_bar
+from liaam.studio.origins import Origin, Origins, origins_after, own_points, parse_origins
 from liaam.studio.pictures import PictureSource, source_of
 from liaam.studio.review import PictureStates, ReviewLog, parse_who
 from liaam.studio.safety import Refusal
 from liaam.studio.settings import StudioSettings
 from liaam.studio.store import Store, StoredTable
-from liaam.studio.template import Template, Templates, parse_indices, parse_points, parse_template, template_of, text_of
+from liaam.studio.template import (
+    Template,
+    Templates,
+    parse_indices,
+    parse_points,
+    parse_template,
+    sliders_text,
+    template_of,
+    text_of,
+)
 
 PART_SECONDS = 0.02  # how long files are read at a time, while requests wait
 REST_SECONDS = 0.3  # files are read more slowly until so long after a request, so that the page opens soon
@@ -43,7 +55,15 @@ PAUSE_SECONDS = 0.1 * PART_SECONDS
 READ_AT_ONCE = 100  # number of pictures whose files an overview reads in any case
 LONG = 2000  # number of pictures above which an overview reads no more files than these
 
-EXPORTS = {"pts": "-pts.zip", "coco": ".json", "tps": ".tps", "csv": ".csv"}  # ends of the names of files, by kind
+EXPORTS = {
+    "pts": "-pts.zip",
+    "coco": ".json",
+    "tps": ".tps",
+    "csv": ".csv",
+    "sliders": "-sliders.csv",
+}
+"""Ends of the names of exported files, by kind."""
+
 UNKNOWN_SIZE = (640, 480)  # width and height that a template is read for where no picture can be read
 
 
@@ -54,6 +74,7 @@ class Annotated:
     name: str
     path: Path
     points: np.ndarray  # (n, 2) float64, pixels
+    own: np.ndarray  # (n,) bool: points that a person has placed, moved or confirmed one by one
     revision: str  # :meth:`PictureStates.version_of` the landmarks
     slip: str | None = None  # description of what seems to be wrong
 
@@ -64,6 +85,7 @@ class Placed:
 
     file: File
     landmarks: Landmarks  # with the picture's scale and the template's names
+    origins: list[str | None]  # of the points (:mod:`liaam.studio.origins`)
     size: tuple[int, int]  # width and height
 
 
@@ -72,9 +94,44 @@ class Overview:
     """All pictures of a project at one scan of the folder."""
 
     stamp: str
-    pictures: list[dict[str, Any]]  # the pictures as JSON for the page, in natural order
+    pictures: list[contract.Picture]  # in natural order
     done: dict[str, str]  # revision of the landmarks of each done picture that is not left out of training, by name
     unread: list[str]  # names of the pictures whose files have not been read yet
+
+
+@dataclass(frozen=True)
+class _Wanted:
+    """The marks of a picture as a request wants them, with those that it leaves as they are."""
+
+    points: list[contract.Point]
+    invisible: list[int]
+    absent: list[int]
+    origins: list[Origin | None]
+    bar: contract.Bar | None
+
+    @property
+    def has_points(self) -> bool:
+        """Whether any point has a position."""
+        return any(self.points)
+
+    @classmethod
+    def parse(cls, data: Mapping[str, Any], current: contract.Marks, n: int) -> "_Wanted":
+        """Parse and check the marks of ``n`` points in a request."""
+        points: list[contract.Point] = [point and [*point] for point in parse_points(data.get("points"), n)]
+        invisible = parse_indices(data.get("invisible", []), n, "invisible")
+        absent = parse_indices(data.get("absent", current["absent"]), n, "absent")
+        if data.get("origins") is not None:
+            origins = parse_origins(data["origins"], points)
+        else:
+            before = current["points"] if current["source"] == "file" else [None] * n
+            origins = origins_after(points, before, current["origins"] or [None] * len(before))
+        return cls(
+            points=points,
+            invisible=sorted(index for index in invisible if points[index] is not None),
+            absent=sorted(index for index in absent if points[index] is None),
+            origins=origins,
+            bar=parse_bar(data["bar"]) if "bar" in data else current["bar"],
+        )
 
 
 class Project:
@@ -107,7 +164,11 @@ class Project:
         self._proposals = StoredTable(self.store, "proposal")
         # Pictures left at the mean shape have no landmark file, so no training uses them.
         self._unchecked = StoredTable(self.store, "unchecked")
-        self.templates = Templates(self._listing, self.store, self._landmarks, self._proposals, self._lock)
+        self._absent = StoredTable(self.store, "absent")
+        self._origins = Origins(self.store)
+        self.templates = Templates(
+            self._listing, self.store, self._landmarks, self._proposals, self._absent, self._lock
+        )
         self._log = ReviewLog(self.store)
         self._states = PictureStates(
             listing=self._listing,
@@ -117,6 +178,8 @@ class Project:
             unchecked=self._unchecked,
             templates=self.templates,
             log=self._log,
+            origins=self._origins,
+            absent=self._absent,
         )
         self._rescan()
 
@@ -194,7 +257,7 @@ class Project:
             return Overview(
                 stamp=stamp,
                 pictures=[self._states.as_json(file, ranks if file.name in read else None) for file in files],
-                done={item.name: item.revision for item in self.annotated(read)},
+                done=self._revisions(read),
                 unread=[file.name for file in files if file.name not in read],
             )
 
@@ -240,17 +303,18 @@ class Project:
             if not self._landmarks.of(file).n_placed:
                 self._listing.mark_unreadable(file, str(fault))
 
-    def annotated(self, among: Container[str] | None = None) -> list[Annotated]:
-        """Return the done pictures that are not left out of training.
+    def _revisions(self, among: Container[str]) -> dict[str, str]:
+        """Return the revisions of :meth:`annotated` pictures, of those with these names at the last scan."""
+        files = [file for file in self._listing.pictures if file.name in among and self._is_for_training(file)]
+        return {file.name: self._states.version_of(self._landmarks.of(file)) for file in files}
 
-        With ``among``, of the pictures with these names at the last scan; else the folder is scanned.
-        """
+    def annotated(self) -> list[Annotated]:
+        """Return the pictures that have all points and are not left out of training."""
         annotated = []
         with self._lock:
-            if among is None:
-                self._rescan(strict=True)
+            self._rescan(strict=True)
             for file in self._listing.pictures:
-                if (among is None or file.name in among) and self._is_for_training(file):
+                if self._is_for_training(file):
                     marks = self._landmarks.of(file)
                     assert marks.landmarks is not None
                     slip, _ = self._states.slip_of(file)
@@ -259,6 +323,7 @@ class Project:
                             name=file.name,
                             path=self.root / file.name,
                             points=marks.landmarks.points,
+                            own=own_points(self._states.origins_of(file, marks)),
                             revision=self._states.version_of(marks),
                             slip=slip,
                         )
@@ -266,16 +331,18 @@ class Project:
         return annotated
 
     def _is_for_training(self, file: File) -> bool:
-        """Return whether a picture can be read, is done, and is not left out of training."""
+        """Return whether a picture can be read, has all points, and is not left out of training."""
         is_unreadable = isinstance(self._listing.size_of(file), str)  # why it cannot be read
-        return not is_unreadable and self._states.is_done(file) and self._log.who("left out", file.name) is None
+        return not is_unreadable and self._states.is_whole(file) and self._log.who("left out", file.name) is None
 
     def export(self, kind: str) -> tuple[str, bytes]:
         """Return the name and the content of a file with the landmarks of all pictures, one of :data:`EXPORTS`."""
         if kind not in EXPORTS:
             raise Refusal(422, f"landmarks cannot be exported as '{kind[:40]}': choose one of {', '.join(EXPORTS)}")
-        pictures = self.placed("export")
         name = plain_name(self.title) + EXPORTS[kind]
+        if kind == "sliders":
+            return name, sliders_text(self.templates.needed).encode()
+        pictures = self.placed("export")
         if kind == "pts":
             stream = io.BytesIO()
             with zipfile.ZipFile(stream, "w", zipfile.ZIP_DEFLATED) as archive:
@@ -284,7 +351,10 @@ class Project:
             return name, stream.getvalue()
         collection = {picture.file.name: picture.landmarks for picture in pictures}
         sizes = {picture.file.name: picture.size for picture in pictures}
-        return name, collection_text(name, collection, sizes).encode()
+        text = collection_text(name, collection, sizes)
+        if kind == "csv":
+            text = _with_column(text, "origin", [origin or "" for picture in pictures for origin in picture.origins])
+        return name, text.encode()
 
     def measurements(self, measures: str, scale: str) -> tuple[str, bytes]:
         """Return the name and the content of a table of measurements, as ``liaam measure`` writes them."""
@@ -309,7 +379,7 @@ class Project:
                 if template and marks.landmarks and marks.fits(template) and not isinstance(size, str):
                     scale = self._landmarks.scale_of(file)
                     landmarks = replace(marks.landmarks, scale=scale, names=template.names)
-                    pictures.append(Placed(file, landmarks, size))
+                    pictures.append(Placed(file, landmarks, [*self._states.origins_of(file, marks)], size))
         if not pictures:
             raise Refusal(422, f"no picture has landmarks yet: place the points of one, then {to}")
         return pictures
@@ -346,6 +416,12 @@ class Project:
         """Set the revision of the landmarks, the slip in them and its points, by picture."""
         self._states.slips = slips
 
+    def own_complete(self) -> tuple[dict[str, np.ndarray], list[str]]:
+        """Return the points of the pictures of :meth:`annotated` that are all a person's own, and the other names."""
+        done = self.annotated()
+        own = {item.name: item.points for item in done if item.own.all()}
+        return own, [item.name for item in done if item.name not in own]
+
     def _find(self, name: str) -> File:
         """Find a picture in the listing; scan the folder again if the picture or its files have changed."""
         self._asked = time.monotonic()
@@ -362,19 +438,19 @@ class Project:
         with self._lock:
             return self._landmarks.of(self._find(name)).landmarks
 
-    def marks(self, name: str) -> dict[str, Any]:
+    def marks(self, name: str) -> contract.Marks:
         """Return the landmarks of a picture as JSON for the page: from its file, from a proposal, or none."""
         with self._lock:
             self.templates.finish()
             return self._states.marks_json(self._find(name))
 
-    def save_marks(self, name: str, data: Any) -> dict[str, Any]:
+    def save_marks(self, name: str, data: Any) -> contract.Saved:
         """Save the landmarks of a picture if its file has not changed since the page read it.
 
-        The data are JSON with ``points``, ``invisible`` and the ``revision`` of the file; optionally
-        ``template``, the revision of the template of the points, to check; ``unchecked``, whether a picture
-        without points was left at the mean shape; ``bar``, the scale bar (:func:`parse_bar`), which stays as it is
-        without it; and ``who``, the name of the person, for the log. Landmarks equal to those in the file are
+        The data are those of :class:`liaam.studio.contract.SaveMarks`. ``template`` is the revision of the template of
+        the points, to check; ``unchecked`` says whether a picture without points was left at the mean shape. The scale
+        bar and the absent points stay as they are without ``bar`` and ``absent``. Without ``origins``, points that have
+        changed were placed. ``who`` is the name of the person, for the log. Landmarks equal to those in the file are
         accepted with any revision, since an earlier answer may have been lost.
         """
         data = self.checked(data, "points, invisible and revision")
@@ -385,31 +461,30 @@ class Project:
             template = self.templates.needed
             if "template" in data:
                 self.templates.check(data["template"], f"the landmarks of {name}")
-            points = parse_points(data.get("points"), len(template))
-            invisible = parse_indices(data.get("invisible", []), len(template), "invisible")
-            invisible = sorted(index for index in invisible if points[index] is not None)
             current = self._states.marks_json(file)
-            has_file = current["source"] == "file"
-            points_before = current["points"] if has_file else [None] * len(template)
-            points_now = [None if point is None else list(point) for point in points]
-            has_moved = points_now != points_before or invisible != current["invisible"]
-            bar = parse_bar(data["bar"]) if "bar" in data else current["bar"]
-            is_scaled = bar != current["bar"]
+            wanted = _Wanted.parse(data, current, len(template))
+            points_before = current["points"] if current["source"] == "file" else [None] * len(template)
+            has_moved = wanted.points != points_before or wanted.invisible != current["invisible"]
+            is_scaled = wanted.bar != current["bar"]
             if (has_moved or is_scaled) and data.get("revision") != current["revision"]:
                 clash = f"the landmarks of {name} were changed elsewhere in the meantime: check them"
                 gone = f"the landmark file of {name} was deleted in the meantime: save it again, or let it be"
                 raise Refusal(409, gone if current["revision"] is None else clash, current=current)
             if is_scaled:
-                self._landmarks.set_bar(file, bar)
+                self._landmarks.set_bar(file, wanted.bar)
+            if wanted.has_points and wanted.origins != current["origins"]:
+                self._origins.save(file.name, wanted.points, wanted.origins)  # first, as it belongs to what is written
+            if wanted.absent != current["absent"]:
+                self._absent.save({file.name: wanted.absent or None})
             if has_moved:
                 self.templates.keep()  # the first save fixes a template that was taken from a file
             if has_moved or (is_scaled and self._landmarks.of(file).n_placed):  # landmark files state the scale
-                self._landmarks.save(file, template, points, invisible)
+                self._landmarks.save(file, template, wanted.points, wanted.invisible)
             if has_moved:
                 with suppress(LiaamError):  # the landmarks are saved
-                    did = "placed" if any(points) else "cleared"
+                    did = "placed" if wanted.has_points else "cleared"
                     self._log.add_change(who, file.name, did, self._landmarks.of(file).revision)
-            if "unchecked" in data and not any(points):
+            if "unchecked" in data and not wanted.has_points:
                 self._set_unchecked(file, bool(data["unchecked"]))
             revision = self._landmarks.of(file).revision
             return {"revision": revision, "picture": self._states.as_json(file, self._states.ranks())}
@@ -445,7 +520,7 @@ class Project:
             size = self._listing.usable_size(self._find(drawn_on))
             return self._states.apply(files, "scaled", who, bar, like=None if of_any_size else size)
 
-    def history(self, name: str) -> list[dict[str, Any]]:
+    def history(self, name: str) -> list[contract.HistoryEntry]:
         """Return the newest entries of a picture in the log."""
         with self._lock:
             return self._log.history(self._find(name).name)
@@ -481,3 +556,13 @@ class Project:
                 file = self._listing.files.get(name)
                 tagged[name] = {"tag": None if file is None else file.tag, **proposal}
             self._proposals.save(tagged)
+
+
+def _with_column(text: str, title: str, values: Sequence[str]) -> str:
+    """Return a table in CSV with another column."""
+    rows = list(csv.reader(io.StringIO(text, newline="")))
+    buffer = io.StringIO(newline="")
+    writer = csv.writer(buffer)
+    writer.writerow([*rows[0], title])
+    writer.writerows([*row, value] for row, value in zip(rows[1:], values, strict=True))
+    return buffer.getvalue()

@@ -15,8 +15,10 @@ import numpy as np
 
 from liaam.errors import LandmarkError
 from liaam.io.landmarks import Landmarks, parse_landmark_data
+from liaam.studio import contract
 from liaam.studio.folder import File, Listing, revision_of
 from liaam.studio.landmark_files import LandmarkFiles, Marks, revision_of_proposal
+from liaam.studio.origins import OWN, Origin, Origins
 from liaam.studio.safety import Refusal
 from liaam.studio.store import Store, StoredTable
 from liaam.studio.template import Templates, text_of
@@ -35,6 +37,9 @@ OPPOSITE = {done: undo for undo, (done, _) in UNDONE.items()}
 ACTIONS = (*OPPOSITE, *UNDONE, "accepted", "scaled", "unscaled")
 """All actions that the page may send."""
 
+CHANGES = ("placed", "accepted", "cleared")
+"""Entries of the log after which the points of a picture are others."""
+
 WRITING = ("accepted", "deleted", "undeleted", "scaled", "unscaled")
 """Actions that write landmark files."""
 
@@ -42,7 +47,7 @@ LONGEST_NAME = 60  # largest number of characters of a person's name
 SHOWN = 20  # number of entries of a picture that the page shows
 SAME_WORK = timedelta(minutes=10)  # changes of a picture by one person within this time are one entry
 
-Bar = dict[str, Any] | None  # a scale bar as the page sends it, or none
+Bar = contract.Bar | None  # a scale bar as the page sends it, or none
 Size = tuple[int, int] | None  # width and height of a picture, pixels, or none
 
 
@@ -51,14 +56,17 @@ class ReviewLog:
 
     def __init__(self, store: Store) -> None:
         self._store = store
-        self._entries: dict[str, list[dict[str, Any]]] = defaultdict(list)
+        self._entries: dict[str, list[contract.HistoryEntry]] = defaultdict(list)
         for entry in store.lines("review"):
             self._entries[entry["picture"]].append(entry)
 
     def add(self, did: str, who: str, pictures: Mapping[str, str | None]) -> None:
         """Append an entry for each picture, given with the revision of what the action was done to."""
-        facts = {"time": datetime.now(UTC).isoformat(timespec="seconds"), "who": who, "did": did}
-        entries = [{**facts, "picture": name, "revision": revision} for name, revision in pictures.items()]
+        time = datetime.now(UTC).isoformat(timespec="seconds")
+        entries: list[contract.HistoryEntry] = [
+            {"time": time, "who": who, "did": did, "picture": name, "revision": revision}
+            for name, revision in pictures.items()
+        ]
         self._store.append("review", entries)
         for entry in entries:
             self._entries[entry["picture"]].append(entry)
@@ -77,12 +85,17 @@ class ReviewLog:
         age = datetime.now(UTC) - datetime.fromisoformat(last["time"])
         return age < SAME_WORK and last["who"] == who and last["did"] == did
 
-    def history(self, name: str) -> list[dict[str, Any]]:
+    def last_change(self, name: str) -> str | None:
+        """Return how the points of a picture were changed last, one of :data:`CHANGES`; None if they were not."""
+        newest_first = reversed(self._entries.get(name, []))
+        return next((entry["did"] for entry in newest_first if entry["did"] in CHANGES), None)
+
+    def history(self, name: str) -> list[contract.HistoryEntry]:
         """Return the last entries of a picture, newest first."""
         newest_first = reversed(self._entries.get(name, []))
         return list(islice(newest_first, SHOWN))
 
-    def standing(self, name: str, did: str) -> dict[str, Any] | None:
+    def standing(self, name: str, did: str) -> contract.HistoryEntry | None:
         """Return the last entry of an action, unless it was undone later."""
         for entry in reversed(self._entries.get(name, [])):
             if entry["did"] == did:
@@ -113,8 +126,15 @@ class PictureStates:
     unchecked: StoredTable
     templates: Templates
     log: ReviewLog
+    origins: Origins
+    absent: StoredTable
+    """Indices of the points that are absent in the object that a picture shows, by picture."""
+
     slips: dict[str, tuple[str, str, list[int]]] = field(default_factory=dict)
     """:meth:`version_of` the landmarks in which a slip was found, its description, and its points, by picture."""
+
+    _unconfirmed: dict[str, tuple[Any, int]] = field(default_factory=dict)
+    """The last count of :meth:`unconfirmed`, and what it was counted for, by picture."""
 
     def ranks(self) -> dict[str, int]:
         """Rank the pictures that have only a proposal; 1 is the most useful to annotate (:func:`teaching_order`)."""
@@ -127,7 +147,7 @@ class PictureStates:
                 waiting[file.name] = proposal
         return {name: rank for rank, name in enumerate(teaching_order(waiting), 1)}
 
-    def as_json(self, file: File, ranks: Mapping[str, int] | None) -> dict[str, Any]:
+    def as_json(self, file: File, ranks: Mapping[str, int] | None) -> contract.Picture:
         """Return one picture as JSON for the page; without ``ranks``, one whose files have not been read yet."""
         if ranks is None:
             return {"name": file.name, "tag": file.tag, "state": "reading", "placed": 0, "doubtful": False}
@@ -142,7 +162,7 @@ class PictureStates:
         proposal = None
         if fault is None and not marks.n_placed:
             proposal = self.proposal_of(file)
-        state = "broken" if fault is not None else self._state_of(file, marks, proposal)
+        state: contract.Progress = "broken" if fault is not None else self._state_of(file, marks, proposal)
         checked_by = slip = None
         wrong_points: list[int] = []
         if state == "done":
@@ -164,10 +184,12 @@ class PictureStates:
             "slip": slip,
             "slip_points": wrong_points,
             "left_out": self.log.who("left out", file.name),
+            "absent": len(self.absent_of(file, marks)),
+            "unconfirmed": self.unconfirmed(file, marks),
             "revision": marks.revision,
         }
 
-    def _state_of(self, file: File, marks: Marks, proposal: Mapping[str, Any] | None) -> str:
+    def _state_of(self, file: File, marks: Marks, proposal: Mapping[str, Any] | None) -> contract.Progress:
         """Return the state of a picture that can be read, by which the page groups pictures."""
         if marks.n_placed:
             return "done" if self.is_done(file) else "partial"
@@ -177,13 +199,13 @@ class PictureStates:
             return "unchecked"
         return "new"
 
-    def marks_json(self, file: File) -> dict[str, Any]:
+    def marks_json(self, file: File) -> contract.Marks:
         """Return the landmarks of a picture as JSON for the page: from its file, from a proposal, or none."""
         width, height = self.listing.usable_size(file)
         template = self.templates.current
         marks = self.landmarks.of(file)
         n_points = 0 if template is None else len(template)
-        answer: dict[str, Any] = {
+        answer: contract.Marks = {
             "points": [None] * n_points,
             "invisible": [],
             "revision": marks.revision,
@@ -198,16 +220,49 @@ class PictureStates:
             "width": width,
             "height": height,
             "bar": self.landmarks.scale_bar(file)["bar"],
+            "absent": self.absent_of(file, marks),
+            "origins": None,
         }
         if marks.landmarks is not None and marks.n_placed:
             answer["source"] = "file"
             answer["points"] = marks.points
             answer["invisible"] = list(marks.landmarks.invisible)
+            answer["origins"] = self.origins_of(file, marks)
         elif (proposal := self.proposal_of(file)) is not None:
             answer["source"] = "proposal"
             for key in ("points", "covariances", "quality", "status", "doubtful"):
                 answer[key] = proposal[key]
         return answer
+
+    def absent_of(self, file: File, marks: Marks) -> list[int]:
+        """Return the points that the object in a picture lacks; those with a position are there after all."""
+        absent = self.absent.get(file.name)
+        template = self.templates.current
+        if not absent or template is None:
+            return []
+        placed = marks.points if marks.fits(template) else [None] * len(template)
+        return [index for index in absent if index < len(template) and placed[index] is None]
+
+    def origins_of(self, file: File, marks: Marks) -> list[Origin | None]:
+        """Return the origin of each point in a picture's landmark file; None without a position."""
+        if self._were_accepted(file):
+            return [None if point is None else "accepted" for point in marks.points]
+        return self.origins.of(file.name, marks.points)
+
+    def _were_accepted(self, file: File) -> bool:
+        """Whether all points were accepted together by an earlier version, which stored no origins."""
+        return file.name not in self.origins and self.log.last_change(file.name) == "accepted"
+
+    def unconfirmed(self, file: File, marks: Marks) -> int:
+        """Count the points of a picture that no person has placed, moved or confirmed one by one."""
+        if file.name not in self.origins and not self._were_accepted(file):
+            return 0
+        counted_for = (marks, self.origins.entry(file.name))
+        known, count = self._unconfirmed.get(file.name, (None, 0))
+        if known is None or any(now is not then for now, then in zip(counted_for, known, strict=True)):
+            count = sum(origin not in (None, *OWN) for origin in self.origins_of(file, marks))
+            self._unconfirmed[file.name] = (counted_for, count)
+        return count
 
     def proposal_of(self, file: File) -> dict[str, Any] | None:
         """Return the proposal for a picture, unless it does not fit the template or was discarded."""
@@ -240,12 +295,19 @@ class PictureStates:
         return f"{marks.placement}-{self.templates.revision}"
 
     def is_done(self, file: File) -> bool:
-        """Whether all points of a picture are placed, most of them inside it."""
+        """Whether all points of a picture are placed, most of them inside it, but for absent ones."""
         template = self.templates.current
         marks = self.landmarks.of(file)
-        if template is None or not marks.fits(template) or marks.n_placed < len(template):
+        if template is None or not marks.fits(template):
+            return False
+        if marks.n_placed + len(self.absent_of(file, marks)) < len(template):
             return False
         return self._misplaced(file, marks) is None
+
+    def is_whole(self, file: File) -> bool:
+        """Whether a picture is done and lacks no point, as training and comparisons need it."""
+        template = self.templates.current
+        return self.is_done(file) and template is not None and self.landmarks.of(file).n_placed == len(template)
 
     def _error_of(self, file: File, marks: Marks) -> str | None:
         """Return what is wrong with the landmarks of a usable picture, or why the model proposed none."""
@@ -363,7 +425,7 @@ class PictureStates:
         last = self.log.standing(file.name, done)
         if last is None or (done == "checked" and last["revision"] != marks.placement):
             raise Refusal(409, why_not)
-        if done == "deleted" and len(self._copy_of(last["revision"])) != len(self.templates.needed):
+        if done == "deleted" and len(self._copy_of(last["revision"] or "")) != len(self.templates.needed):
             raise Refusal(409, "the deleted landmarks belong to an earlier template")
         return last["revision"]
 
@@ -400,8 +462,12 @@ class PictureStates:
             return
         template = self.templates.needed
         if did == "accepted":
-            proposal = self.proposal_of(file) or {}
-            self.landmarks.save(file, template, proposal["points"], ())
+            absent = self.absent.get(file.name, ())
+            proposed = (self.proposal_of(file) or {})["points"]
+            points = [None if index in absent else point for index, point in enumerate(proposed)]
+            accepted: list[Origin | None] = ["accepted"] * len(points)
+            self.origins.save(file.name, points, accepted)
+            self.landmarks.save(file, template, points, ())
         elif did == "undeleted":
             copy = self._copy_of(revision or "")
             points = [None if x != x else (x, y) for x, y in copy.points.tolist()]  # of a missing point, x is NaN

@@ -86,7 +86,7 @@ class Guard:
         request = Request(scope)
         refusal, given = self._refusal(request.headers), request.query_params.getlist("token")
         is_page = scope["method"] == "GET" and scope["path"] == "/"
-        if refusal is None and is_page and len(given) == 1 and self._is_token(given[0]):
+        if refusal is None and is_page and self._may_open(given):
             answer: Response = RedirectResponse("/", 303)
             answer.set_cookie(self.settings.cookie, self.settings.token, httponly=True, samesite="strict")
             await answer(scope, receive, send)
@@ -115,6 +115,10 @@ class Guard:
         if any(site not in ("same-origin", "none") for site in headers.getlist("sec-fetch-site")):
             return Refusal(403, "the request comes from another site: type or paste the studio's address instead")
         return None
+
+    def _may_open(self, given: list[str]) -> bool:
+        """Whether an address opens the page: with the token, or a ticket, once."""
+        return len(given) == 1 and (self._is_token(given[0]) or self.settings.tickets.take(given[0]))
 
     def _is_token(self, text: str) -> bool:
         return hmac.compare_digest(text.encode(errors="replace"), self.settings.token.encode())

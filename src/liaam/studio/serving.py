@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any
 
 from liaam.errors import LiaamError, installing
 from liaam.studio.settings import DEFAULT_PORT, LOOPBACK, StudioSettings
+from liaam.studio.tokens import lasting_token, new_token
 from liaam.workers import one_blas_thread
 
 if TYPE_CHECKING:
@@ -68,7 +69,9 @@ def serve(
     _return_freed_memory()
     listener = open_port(host, port)
     with listener, one_blas_thread():
-        settings = StudioSettings(host=host, port=listener.getsockname()[1], face=face)
+        # Pages of an earlier start go on with a lasting token. Over a network it would travel unencrypted.
+        token = lasting_token(folder) if host in LOOPBACK else new_token()
+        settings = StudioSettings(host=host, port=listener.getsockname()[1], token=token, face=face)
         studio = Studio(folder, model, settings)
         server = make_server(studio)
         studio.background.start()
@@ -192,4 +195,4 @@ def _welcome(settings: StudioSettings, open_browser: bool, say: Callable[[str], 
     say(f"liaam studio: {shown.address}")
     say("Press Ctrl-C to stop it")
     if open_browser:
-        threading.Thread(target=webbrowser.open, args=(shown.address,), daemon=True).start()
+        threading.Thread(target=webbrowser.open, args=(shown.ticket_address(),), daemon=True).start()

@@ -10,9 +10,11 @@ from typing import Any
 import numpy as np
 
 from liaam.formatting import finite_or_none
+from liaam.io.files import count_of
 from liaam.io.images import PICTURE_SUFFIXES
 from liaam.io.table_writer import columns_text
 from liaam.morphometry import Specimen, measure, measurement_error
+from liaam.studio import contract
 from liaam.studio.folder import ADDED, SET_NAME, disk_errors, plain_name
 from liaam.studio.project import Project
 from liaam.studio.safety import Refusal
@@ -62,19 +64,27 @@ def others(project: Project, picture: str) -> dict[str, Any]:
     return done
 
 
-def agreement(project: Project) -> dict[str, Any]:
+def agreement(project: Project) -> contract.Agreement:
     """Return how far observers are apart in the pictures that at least two have done: standard deviations.
 
     Observers are replicates (:func:`liaam.morphometry.measurement_error`). Points and pictures with the largest
-    deviations come first. ``table`` is the text of a table with more.
+    deviations come first. ``table`` is the text of a table with more. Pictures in which an observer has accepted points
+    as they were proposed do not count for that observer; ``unconfirmed`` are their names.
     """
     placed: dict[str, dict[str, np.ndarray]] = {}
+    unconfirmed: set[str] = set()
     for name in observers(project):
-        for item in project.of_set(name).annotated():
-            placed.setdefault(item.name, {})[name] = item.points
+        own, not_own = project.of_set(name).own_complete()
+        unconfirmed.update(not_own)
+        for picture, points in own.items():
+            placed.setdefault(picture, {})[name] = points
     pictures = {picture: values for picture, values in placed.items() if len(values) > 1}
     if not pictures:
-        raise Refusal(422, "no picture is done in two sets of the same points yet: let another observer place them")
+        remedy = "let another observer place them"
+        if unconfirmed:
+            some = count_of(len(unconfirmed), "picture")
+            remedy = f"in {some}, points were accepted as they were proposed; move or confirm each"
+        raise Refusal(422, f"no picture was placed in two sets of the same points yet: {remedy}")
     every = [(picture, points) for picture, values in pictures.items() for points in values.values()]
     names = project.templates.needed.names
     specimens = [Specimen(f"{picture}#{i}", points, names=names) for i, (picture, points) in enumerate(every)]
@@ -90,6 +100,7 @@ def agreement(project: Project) -> dict[str, Any]:
         "repeatability": finite_or_none(table["repeatability"][0]),
         "points": sorted(points, key=lambda row: -row[1]),
         "pictures": sorted(spread.items(), key=lambda item: -item[1]),
+        "unconfirmed": sorted(unconfirmed - pictures.keys()),
         "file": f"{plain_name(project.title)}-agreement.csv",
         "table": columns_text(table),
     }

@@ -1,8 +1,9 @@
 """Settings of the studio: its address, its token, and its limits."""
 
-import secrets
 from dataclasses import dataclass, field
 from pathlib import Path
+
+from liaam.studio.tokens import Tickets, new_token
 
 LOOPBACK = ("127.0.0.1", "localhost", "::1")  # names and addresses of the loopback
 DEFAULT_PORT = 8765
@@ -15,8 +16,10 @@ class StudioSettings:
 
     host: str = "127.0.0.1"  # address to listen on
     port: int = DEFAULT_PORT
-    token: str = field(default_factory=lambda: secrets.token_urlsafe(24), repr=False)
+    token: str = field(default_factory=new_token, repr=False)
     """Secret for the browser; part of the address that ``liaam studio`` prints."""
+    tickets: Tickets = field(default_factory=Tickets, repr=False, compare=False)
+    """What may be in the place of the token in the address of the page, once each."""
     json_bytes: int = 2_000_000  # maximum body of a request that is not an upload
     upload_bytes: int = 64_000_000  # maximum body of an upload
     pixels: int = 50_000_000  # maximum width times height of a picture, checked in its header before it is decoded
@@ -44,5 +47,12 @@ class StudioSettings:
     @property
     def address(self) -> str:
         """Address to open in the browser, with the token."""
+        return self._address(self.token)
+
+    def ticket_address(self) -> str:
+        """Return an address that opens the page once, for the arguments of a process."""
+        return self._address(self.tickets.new())
+
+    def _address(self, token: str) -> str:
         host = f"[{self.host}]" if ":" in self.host else self.host
-        return f"http://{host}:{self.port}/?token={self.token}"
+        return f"http://{host}:{self.port}/?token={token}"

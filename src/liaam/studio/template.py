@@ -23,6 +23,8 @@ from liaam.errors import LiaamError
 from liaam.io.landmarks import Contour, Landmarks
 from liaam.io.landmarks.formats import writer_of
 from liaam.model.shape import mirror_order
+from liaam.morphometry.curves import semilandmarks
+from liaam.studio import contract
 from liaam.studio.folder import Listing, revision_of, status_of
 from liaam.studio.safety import Refusal, refusing
 from liaam.studio.store import Store, StoredTable
@@ -39,6 +41,10 @@ _ALIKE = 0.05
 because the user sees the result and can correct it."""
 
 _TWINS = {"left": "right", "right": "left", "l": "r", "r": "l"}
+LANDMARK, SEMILANDMARK = "landmark", "semilandmark"
+KINDS = (LANDMARK, SEMILANDMARK)
+"""Kinds of points. Semilandmarks slide along a curve: tracing and spacing it move them, and no landmarks."""
+
 _WORD = re.compile(r"[A-Z]?[a-z]+|[A-Z]+(?![a-z])|[^A-Za-z]+")
 
 
@@ -50,11 +56,15 @@ class Template:
     contours: tuple[Contour, ...] = ()
     mirror: tuple[int, ...] | None = None  # index of each point's twin (itself on the axis); None without symmetry
     points: tuple[tuple[float, float], ...] | None = None  # typical layout, in any units
+    kinds: tuple[str, ...] = ()  # :data:`KINDS` of the points; if none are given, all are landmarks
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "kinds", self.kinds or (LANDMARK,) * len(self.names))
 
     def __len__(self) -> int:
         return len(self.names)
 
-    def as_json(self) -> dict[str, Any]:
+    def as_json(self) -> contract.Template:
         """Return the template as JSON for :func:`parse_template`."""
         return json.loads(json.dumps(asdict(self)))  # lists instead of tuples
 
@@ -95,7 +105,20 @@ def parse_template(data: Any, most: int) -> Template:
         if len(indices) < 2:
             raise Refusal(422, f"contour {i} has fewer than 2 points: add one, or remove the contour")
         lines.append(Contour(tuple(indices), item["closed"]))
-    return Template(names, tuple(lines), mirror, layout)  # type: ignore[arg-type]
+    return Template(names, tuple(lines), mirror, layout, _parse_kinds(data.get("kinds"), names, lines))  # type: ignore[arg-type]
+
+
+def _parse_kinds(data: Any, names: Sequence[str], contours: Sequence[Contour]) -> tuple[str, ...]:
+    """Check the kinds of points; without any, as in templates of earlier versions, all are landmarks."""
+    if data is None:
+        return (LANDMARK,) * len(names)
+    if not isinstance(data, list) or len(data) != len(names) or not all(kind in [*KINDS] for kind in data):
+        raise Refusal(422, f"the kinds of points are not valid: send one of {', '.join(KINDS)} for each")
+    on_curve = {index for contour in contours for index in contour.indices}
+    alone = next((name for i, name in enumerate(names) if data[i] == SEMILANDMARK and i not in on_curve), None)
+    if alone is not None:
+        raise Refusal(422, f"'{alone}' is a semilandmark, but on no contour: make it a landmark, or add it to one")
+    return tuple(data)
 
 
 def parse_points(data: Any, n: int) -> tuple[tuple[float, float] | None, ...]:
@@ -126,7 +149,25 @@ def template_of(landmarks: Landmarks) -> Template:
     complete = not landmarks.missing.any()
     points = tuple((round(x, 3), round(y, 3)) for x, y in landmarks.points.tolist()) if complete else None
     twins = mirror_by_names(names) or (mirror_by_place(landmarks.points) if complete else None)
-    return Template(names, landmarks.contours, twins, points)
+    chain, sliding = semilandmarks(landmarks.contours)
+    slides = set(chain[sliding].tolist())
+    kinds = tuple(SEMILANDMARK if index in slides else LANDMARK for index in range(n))
+    return Template(names, landmarks.contours, twins, points, kinds)
+
+
+def sliders_text(template: Template) -> str:
+    """Return the sliders of a template as geomorph reads them: rows of the points before, sliding and after, from 1."""
+    rows = []
+    for contour in template.contours:
+        n = len(contour.indices)
+        for place, index in enumerate(contour.indices):
+            has_neighbours = contour.closed or 0 < place < n - 1
+            if template.kinds[index] == SEMILANDMARK and has_neighbours:
+                before, after = contour.indices[place - 1], contour.indices[(place + 1) % n]
+                rows.append(f"{before + 1},{index + 1},{after + 1}")
+    if not rows:
+        raise Refusal(422, "no point of the template is a semilandmark: draw a curve in the template first")
+    return "\n".join(["before,slide,after", *rows, ""])
 
 
 def mirror_by_names(names: Sequence[str]) -> tuple[int, ...] | None:
@@ -175,6 +216,7 @@ class Templates:
     _store: Store
     _landmarks: "LandmarkFiles"
     _proposals: StoredTable
+    _absent: StoredTable
     _lock: threading.RLock
     offered: Template | None = None
     offered_by: str = ""
@@ -227,7 +269,7 @@ class Templates:
         template = self.current
         return None if template is None else self._revision or revision_of(json.dumps(template.as_json()).encode())
 
-    def as_json(self) -> dict[str, Any] | None:
+    def as_json(self) -> contract.Template | None:
         """Return the template as JSON for the page, with its ``revision``."""
         template = self.current
         return None if template is None else {**template.as_json(), "revision": self.revision}
@@ -273,7 +315,8 @@ class Templates:
         order = secrets.token_hex(8) if moved else self.order
         stored = {**template.as_json(), "revision": secrets.token_hex(8), "order": order}
         files = [] if old is None else self._rewritten(template, len(old), mapping, moved)
-        change = {"template": stored, "files": files, "moved": moved}  # applying it twice has no further effect
+        # Applying it twice has no further effect, since the mapping is applied as it is removed.
+        change = {"template": stored, "files": files, "moved": moved, "mapping": None if old is None else mapping}
         self.is_pending = True
         self._store.put("change", {"": change})  # from here on the change will be finished, even after a crash
         self.finish()
@@ -289,6 +332,7 @@ class Templates:
                 with self._store.transaction():
                     if change["moved"]:
                         self._proposals.forget()
+                        self._map_absent(change.get("mapping"))
                     self._store.put("template", {"": change["template"]})
                     self._store.put("change", {"": None})
                 self._take(change["template"])
@@ -301,6 +345,14 @@ class Templates:
             text = f"a change of the template cannot be finished yet ({why}): fix this, and the studio will finish it"
             self._store.note("change", text)
             raise Refusal(fault.status if isinstance(fault, Refusal) else status_of(cause), text) from fault
+
+    def _map_absent(self, mapping: Sequence[int | None] | None) -> None:
+        """Give the points that pictures lack their new indices."""
+        if mapping is not None:
+            moved = {}
+            for name, absent in self._absent.items():
+                moved[name] = [index for index, old in enumerate(mapping) if old in absent] or None
+            self._absent.save(moved)
 
     def _rewritten(self, template: Template, n: int, mapping: Sequence[Any], moved: bool) -> list[dict[str, Any]]:
         files = []

@@ -27,7 +27,8 @@ from liaam.fitting import Fitter
 from liaam.io import read_image
 from liaam.io.landmarks import Contour, Landmarks
 from liaam.model import AAM, load_model
-from liaam.model.shape import diagonal_of
+from liaam.model.mesh import folded_share
+from liaam.model.shape import align, diagonal_of
 from liaam.photometry.encoding import refuse_unscaled
 from liaam.studio.model_store import MODEL_FILE, ModelStore, Versions
 from liaam.studio.project import Annotated, Project
@@ -35,6 +36,9 @@ from liaam.studio.safety import Refusal
 from liaam.workers import fresh_interpreters, obey_parent
 
 LEAST = 3  # minimum number of pictures for training
+LEAST_OWN = 0.5
+"""Least fraction of a held-out picture's points that a person has placed, moved or confirmed. Only these are measured;
+if they were fewer, those would be measured that a model had placed badly, and hardly any others."""
 
 Publish = Callable[[str, Any], None]  # sends an event of a kind to the pages
 
@@ -92,7 +96,8 @@ class Trainer:
             if len(template) < 3:
                 raise Refusal(422, f"the template has {len(template)} points, but a shape needs at least 3: add some")
             path, name = self.project.store.path(MODEL_FILE), self.project.title
-            held_out = choose_held_out(used, self.versions.held_out(order))
+            truths = [item.name for item in done if item.name in used and item.own.mean() >= LEAST_OWN]
+            held_out = choose_held_out(truths, self.versions.held_out(order), len(used))
             job = TrainingJob(done, template.contours, template.names, order, path, name, held_out, wrong)
             self._order, self._stopped, self.is_measuring = job.order, False, False
             context = fresh_interpreters()
@@ -184,14 +189,34 @@ class Trainer:
         self._publish("training", asdict(state))
 
 
-def choose_held_out(names: Sequence[str], before: Sequence[str]) -> tuple[str, ...]:
+def choose_held_out(names: Sequence[str], before: Sequence[str], n_all: int | None = None) -> tuple[str, ...]:
     """Choose 1, 2, 4 or 8 pictures to measure a model on, at most a quarter of all, where possible those of ``before``.
 
     The others are in an order that does not depend on the set, so that they stay the same when pictures are added.
+    ``n_all`` is the number of pictures that the model is trained on, by default that of those with these names.
     """
-    count = next((n for n in (8, 4, 2, 1) if 4 * n <= len(names)), 0)
+    n_all = len(names) if n_all is None else n_all
+    count = next((n for n in (8, 4, 2, 1) if 4 * n <= n_all and n <= len(names)), 0)
     order = sorted(names, key=lambda name: (name not in before, hashlib.sha256(name.encode()).digest()))
     return tuple(order[:count])
+
+
+def folded(model: AAM, used: Sequence[Annotated]) -> dict[str, str]:
+    """Return why training has left out pictures that it was given, by name: their points fold the mesh."""
+    n_folded = len(used) - model.n_all_images
+    if n_folded <= 0:
+        return {}
+    shares = {item.name: min(_folded_share(kind, item.points) for kind in (model, *model.others)) for item in used}
+    worst = sorted(shares, key=lambda name: -shares[name])[:n_folded]
+    what = "its points fold the mesh ({:.0%} of its area is flipped)"
+    remedy = "look for points that are misplaced, exchanged or mirrored"
+    return {name: f"{what.format(shares[name])}: {remedy}" for name in worst}
+
+
+def _folded_share(model: AAM, points: np.ndarray) -> float:
+    """Return the fraction of a model's mesh that points (n, 2) flip."""
+    mean = model.shape_model.mean.reshape(-1, 2)
+    return float(folded_share(align(points, mean)(points), model.triangles))
 
 
 def _work(job: TrainingJob, pipe: Any) -> None:
@@ -208,13 +233,13 @@ def _work(job: TrainingJob, pipe: Any) -> None:
             without = f", without {', '.join(left_out)}" if left_out else ""
             summary = f"trained on {model.n_all_images} pictures{without}{warned}"
             with suppress(LiaamError, MemoryError):  # such as too few pictures without those
-                rest, _ = _train(job, pipe.send, left_out, job.held_out, "measuring", leave_out=False, lamps=None)
+                rest, _ = _train(job, pipe.send, dict(left_out), job.held_out, "measuring", leave_out=False, lamps=None)
                 fitter, errors = Fitter(rest), {}  # relative to the diagonal of the points
                 for item in job.done:
                     if item.name in job.held_out:
                         with suppress(LiaamError, MemoryError):
                             landmarks = fitter.fit(item.path).landmarks
-                            error = point_error(landmarks, item.points) / diagonal_of(item.points)
+                            error = point_error(landmarks[item.own], item.points[item.own]) / diagonal_of(item.points)
                             if np.isfinite(error):
                                 errors[item.name] = round(error, 5)
                 pipe.send(("measured", errors))
@@ -260,6 +285,7 @@ def _train(
                 warnings.simplefilter("always", UserWarning)
                 # Smooth shapes work best with few annotated pictures.
                 model = train(items, prior="smooth", methods="all", name=job.name, progress=progress, **options)
+            left_out |= folded(model, used)
             return model, "".join(f"; {warning.message}" for warning in caught)
         except (ImageError, TrainingError):
             if not faults or len(items) - len(faults) < LEAST:

@@ -72,7 +72,7 @@ def serve(tmp_path) -> Iterator[Callable[..., Server]]:
         arguments = arguments if face else (*arguments, "--no-face")
         log = tmp_path / f"studio-{len(running)}.log"
         try:
-            running.append(start_forked(folder, *arguments, errors=log))
+            running.append(start_forked(folder, *arguments, errors=log, state=tmp_path / "state"))
         except RuntimeError as fault:
             pytest.fail(f"{fault} {log.read_text()}")
         return running[-1]

@@ -37,23 +37,25 @@ class Forked:
         self.output.close()
 
 
-def start_forked(folder: Path, *arguments: str, errors: Path) -> Server:
-    """Run ``liaam studio`` on a folder, as :func:`benchmarks.studio.start` does."""
+def start_forked(folder: Path, *arguments: str, errors: Path, state: Path) -> Server:
+    """Run ``liaam studio`` on a folder, as :func:`benchmarks.studio.start` does, with the user's ``state`` folder."""
     reader, writer = FORKING.Pipe(duplex=False)
-    process = FORKING.Process(target=_run, args=(["studio", str(folder), "--no-browser", *arguments], writer, errors))
+    command = ["studio", str(folder), "--no-browser", *arguments]
+    process = FORKING.Process(target=_run, args=(command, writer, errors, state))
     process.start()
     writer.close()
     output = os.fdopen(os.dup(reader.fileno()), encoding="utf-8")
     return Server(Forked(process, output), announced(output))
 
 
-def _run(arguments: list[str], output, errors: Path) -> None:
+def _run(arguments: list[str], output, errors: Path, state: Path) -> None:
     """Be ``liaam`` in a new process, with other standard streams than the process that it is forked from."""
     with errors.open("w") as file:
         os.dup2(output.fileno(), 1)
         os.dup2(file.fileno(), 2)
     sys.stdout, sys.stderr = (open(number, "w", buffering=1, closefd=False) for number in (1, 2))  # noqa: SIM115
     os.environ["COLUMNS"] = "300"
+    os.environ["XDG_STATE_HOME"] = str(state)
     signal.signal(signal.SIGINT, signal.default_int_handler)
     sys.argv = ["liaam", *arguments]
     if "LIAAM_DELAY" in os.environ:

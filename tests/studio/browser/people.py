@@ -18,7 +18,7 @@ NAMES = [f"portrait-{i + 1:02d}.png" for i in range(3)]
 """Pictures of the fixture ``marked``."""
 
 PATHS = [(7, False), (4, True), (4, True), (3, False), (3, False), (4, True), (4, False)]
-"""How many of them make a path, and whether it is closed."""
+"""How many of them make a curve, and whether it is closed."""
 
 
 def client(page, where) -> list[float]:
@@ -92,17 +92,16 @@ def saved(page) -> None:
 
 
 def make_template(page, truth: np.ndarray) -> None:
-    """Click the template on the first picture, path by path, and say that it is done."""
+    """Click the template on the first picture, curve by curve, and say that it is done."""
     wait_for(page, "() => window.liaamStudio.annotate?.source() === 'template'")
     first = 0
-    for k, (count, closed) in enumerate(PATHS):
+    for count, closed in PATHS:
+        page.locator("[data-testid=template-new-path]").click()
         for point in truth[first : first + count]:
             page.mouse.click(*client(page, point.tolist()))
         first += count
-        if closed:
-            page.locator("[data-testid=template-close-path]").click()
-        elif k < len(PATHS) - 1:
-            page.locator("[data-testid=template-new-path]").click()
+        end = "template-close-path" if closed else "template-new-path"
+        page.locator(f"[data-testid={end}]").click()
     page.locator("[data-testid=template-done]").click()
     wait_for(page, "() => window.liaamStudio.annotate.source() === 'file'")
     saved(page)

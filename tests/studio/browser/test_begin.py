@@ -11,6 +11,7 @@ from test_fit_tab import PIXEL, dropped, hook
 from test_layout import CLIPPED, SIZES
 
 from liaam.io import write_image
+from liaam.studio.settings import STATIC
 from liaam.training import train
 
 pytestmark = pytest.mark.slow
@@ -87,6 +88,31 @@ def test_the_first_screen_is_a_face_whose_light_follows_the_pointer(serve, page,
     page.locator("[data-testid=tab-annotate]").click()
     page.locator("[data-testid=first-camera]").click()
     page.locator("[data-testid=tab-live][aria-selected=true]").wait_for()
+
+
+def test_a_dropped_portrait_is_shown_under_a_lamp_and_its_landmarks_are_a_click_away(serve, page, empty, artefacts):
+    page.goto(serve(empty, face=True).address)
+    page.wait_for_selector("[role=tab][aria-selected=true]")
+    wait_for(page, "() => window.liaamStudio?.state.project?.model?.source === 'face'")
+    drop_anywhere(page, "me.jpg", (STATIC / "first" / "face.jpg").read_bytes())
+    wait_for(page, RELIT)
+    shoot(page, artefacts, "29-portrait")
+    assert not (empty / "me.jpg").exists()
+    page.locator("[data-testid=fit-place]").click()
+    page.locator("[data-testid=tab-annotate][aria-selected=true]").wait_for()
+    wait_for(page, "() => window.liaamStudio.annotate.source() === 'proposal'")
+    assert (empty / "me.jpg").exists()
+
+
+def test_a_dropped_picture_of_anything_else_is_added(serve, page, empty, rng):
+    page.goto(serve(empty, face=True).address)
+    page.wait_for_selector("[role=tab][aria-selected=true]")
+    wait_for(page, "() => window.liaamStudio?.state.project?.model?.source === 'face'")
+    write_image(empty.parent / "noise.png", rng.integers(0, 256, (120, 160, 3)).astype(np.uint8))
+    drop_anywhere(page, "noise.png", (empty.parent / "noise.png").read_bytes())
+    page.locator(".toast", has_text="1 picture added.").wait_for()
+    page.locator("[data-testid=tab-annotate][aria-selected=true]").wait_for()
+    assert (empty / "noise.png").exists()
 
 
 def test_a_dropped_model_fits_pictures_without_a_template(serve, page, folder, model_bytes, artefacts):

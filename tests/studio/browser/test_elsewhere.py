@@ -76,7 +76,7 @@ DROP = """([text, name]) => {
 
 
 @pytest.mark.parametrize("width", [1280, 390])
-def test_a_page_of_a_restarted_studio_asks_for_the_new_address(serve, page, marked, width):
+def test_a_page_of_a_restarted_studio_asks_for_the_new_address(serve, page, marked, tmp_path, width):
     page.set_viewport_size({"width": width, "height": 720})
     first = serve(marked, "--port", "0")
     page.goto(first.address)
@@ -84,12 +84,26 @@ def test_a_page_of_a_restarted_studio_asks_for_the_new_address(serve, page, mark
     first.kill()
     notice = page.locator("[data-testid=connection]")
     notice.get_by_text("not reachable").wait_for()
+    shutil.rmtree(tmp_path / "state")  # with the token that both starts would have
     second = serve(marked, "--port", port_of(first))
     notice.get_by_text("The studio was restarted: open its new address").wait_for()
     assert notice.evaluate("it => it.scrollWidth <= it.clientWidth && it.getBoundingClientRect().right <= innerWidth")
     other = page.context.new_page()
     other.goto(second.address)  # the browser then has the new token
     notice.wait_for(state="hidden")
+
+
+def test_a_page_goes_on_by_itself_when_the_studio_is_started_again(serve, page, marked):
+    first = serve(marked, "--port", "0")
+    page.goto(first.address)
+    open_picture(page, NAMES[1])
+    kill(first, page)
+    drag(page, client(page, 2), [v + 30 for v in client(page, 2)])
+    mine = points_of(page)
+    serve(marked, "--port", port_of(first))
+    page.locator("[data-testid=connection]").wait_for(state="hidden")
+    saved(page)
+    assert np.abs(read_landmarks(marked / "portrait-02.ljson").points - mine).max() < 0.02
 
 
 def test_unsaved_marks_reach_a_studio_on_another_port(serve, page, marked, tmp_path):

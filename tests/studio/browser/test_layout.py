@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from people import NAMES, annotate, client, opened, points_of, saved, shoot, violations, wait_for
 
+from liaam.io import Landmarks, write_landmarks
 from liaam.training import train
 
 pytestmark = pytest.mark.slow
@@ -119,6 +120,48 @@ def test_axe_finds_no_violation(sized):
     sized.locator("dialog").wait_for()
     found["keys"] = violations(sized)
     assert not any(found.values()), json.dumps(found, indent=1)
+
+
+PLACES = """() => Object.fromEntries([
+    ...document.querySelectorAll(".annotate-side :is(button, select, summary, input, p, .point-list)"),
+    ...document.querySelectorAll(":is(.annotate-toolbar, .top, .strip-head) :is(button, select, input)")]
+  .filter((element) => element.checkVisibility({ visibilityProperty: true }) && element.textContent !== "")
+  .map((element) => [element.dataset.testid ?? element.getAttribute("aria-label") ?? element.textContent, element])
+  .map(([name, element]) => [name, element.getBoundingClientRect()])
+  .map(([name, { left, top, height }]) => [name, [left, top, height]]))"""
+
+
+def test_nothing_moves_between_pictures_and_the_main_button_and_ten_points_are_in_view(
+    open_page, serve, folder, portraits
+):
+    for i, scene in enumerate(portraits[:4]):
+        points = scene.landmarks[:14]
+        points = points if i else np.where(np.arange(14)[:, None] == 3, np.nan, points)  # one is missing
+        write_landmarks(folder / f"portrait-{i + 1:02d}.ljson", Landmarks(points))
+    page = open_page(1280, 720)
+    page.add_init_script("localStorage.setItem('liaam-studio:auto-train', 'off')")
+    page.goto(serve(folder).address)
+    wait_for(page, "() => window.liaamStudio?.annotate?.source()")
+    before = {}
+    for name in [f"portrait-{i + 1:02d}.png" for i in range(12)]:
+        page.evaluate("name => window.liaamStudio.state.select(name)", name)
+        opened(page, name)
+        places = page.evaluate(PLACES)
+        moved = {what: (before[what], place) for what, place in places.items() if before.get(what, place) != place}
+        assert moved == {}, name
+        before |= places
+        button = page.locator("[data-testid=accept-next]").bounding_box()
+        assert button["y"] >= 0
+        assert button["y"] + button["height"] <= 720
+        for index in range(10):
+            point = page.locator(f".point[data-index='{index}']").bounding_box()
+            inside = page.locator(".point-list").bounding_box()
+            assert point["y"] >= inside["y"] and point["y"] + point["height"] <= min(
+                inside["y"] + inside["height"], 720
+            )
+    side = page.locator(".annotate-side")
+    side.evaluate("side => side.scrollTo(0, side.scrollHeight)")  # to the template's buttons
+    assert page.locator("[data-testid=accept-next]").bounding_box() == button
 
 
 class Fingers:

@@ -622,9 +622,46 @@ test("an address that names no picture is no fault", () => {
 
 // Templates ---------------------------------------------------------------------------------------------------------
 
-const clicks = (list, options) => list.reduce((draft, xy) => template.addPoint(draft, xy, options), template.EMPTY);
+/** Clicks while a curve is being drawn. */
+const clicks = (list, options) =>
+  list.reduce((draft, xy) => template.addPoint(draft, xy, options), template.startPath(template.EMPTY));
 
-test("clicks make points and go on with the path", () => {
+test("a click adds a landmark by itself, until a curve is drawn", () => {
+  const single = [[0, 0], [1, 0], [1, 1]].reduce((draft, xy) => template.addPoint(draft, xy), template.EMPTY);
+  assert.deepEqual([single.contours, single.kinds], [[], ["landmark", "landmark", "landmark"]]);
+  const twins = template.addPoint(single, [2, 2], { axis: 10 });
+  assert.deepEqual([twins.contours, twins.mirror], [[], [0, 1, 2, 4, 3]]);
+  const curve = [[5, 5], [6, 6], [7, 5], [8, 4]].reduce((draft, xy) => template.addPoint(draft, xy), template.startPath(single));
+  const ended = template.newPath(curve);
+  assert.deepEqual(ended.contours, [{ indices: [3, 4, 5, 6], closed: false }]);
+  assert.deepEqual(ended.kinds.slice(3), ["landmark", "semilandmark", "semilandmark", "landmark"]);
+  assert.deepEqual(template.addPoint(ended, [9, 9]).contours, ended.contours);
+  assert.deepEqual(template.templateOf(curve).kinds, ended.kinds); // also if it was not ended
+});
+
+test("a point's kind is changed, and goes along when points are deleted, moved or taken off their curve", () => {
+  const draft = template.newPath(clicks([[0, 0], [1, 0], [2, 0], [3, 0]]));
+  const changed = template.changeKind(draft, 1);
+  assert.deepEqual(changed.kinds, ["landmark", "landmark", "semilandmark", "landmark"]);
+  assert.deepEqual(template.reorder(changed, 2, 0).kinds, ["semilandmark", "landmark", "landmark", "landmark"]);
+  assert.deepEqual(template.deletePoints(changed, [0]).kinds, ["landmark", "semilandmark", "landmark"]);
+  assert.deepEqual(template.removePath(changed, 0).kinds, Array(4).fill("landmark"));
+  const single = template.addPoint(changed, [9, 9]);
+  assert.equal(template.changeKind(single, 4).kinds[4], "landmark"); // on no curve it cannot slide
+});
+
+test("a sliders file gives semilandmarks and their curves, whatever the order of its rows", () => {
+  const draft = { ...template.EMPTY, names: ["a", "b", "c", "d", "e", "f", "g"], kinds: Array(7).fill("landmark") };
+  const open = template.withSliders(draft, 'before,slide,after\n"3","4","5"\n"1","2","3"\n"2","3","4"\n');
+  assert.deepEqual(open.contours, [{ indices: [0, 1, 2, 3, 4], closed: false }]);
+  assert.deepEqual([1, 2, 3].map((i) => template.slides(open, i)), [true, true, true]);
+  assert.deepEqual([0, 4, 5].map((i) => template.slides(open, i)), [false, false, false]);
+  assert.deepEqual(template.withSliders(draft, "4 1 2\n1 2 3\n2 3 4\n3 4 1").contours, [{ indices: [3, 0, 1, 2], closed: true }]);
+  assert.deepEqual(template.withSliders(draft, "1 2 3\n2 3 4\n3 4 1").contours, [{ indices: [0, 1, 2, 3], closed: true }]);
+  for (const text of ["", "x,y\n1,2", "1 2 9", "before slide after"]) assert.equal(template.withSliders(draft, text), null, text);
+});
+
+test("clicks make points and go on with the curve that is drawn", () => {
   const draft = clicks([
     [0, 0],
     [1, 0],
@@ -633,9 +670,11 @@ test("clicks make points and go on with the path", () => {
   assert.deepEqual(draft.names, ["point 1", "point 2", "point 3"]);
   const closed = template.newPath(draft, true);
   assert.deepEqual(closed.contours, [{ indices: [0, 1, 2], closed: true }]);
-  const next = template.addPoint(closed, [5, 5]);
+  assert.deepEqual(closed.kinds, ["landmark", "semilandmark", "semilandmark"]);
+  const next = template.addPoint(template.startPath(closed), [5, 5]);
   assert.deepEqual(next.contours[1], { indices: [3], closed: false });
-  assert.deepEqual(template.templateOf(next).contours.length, 1); // a lone point is no path
+  assert.deepEqual(template.templateOf(next).contours.length, 1); // a lone point is no curve
+  assert.equal(template.templateOf(next).kinds[3], "landmark");
   assert.equal(template.templateOf(next).mirror, null);
 });
 

@@ -81,11 +81,13 @@ const CONTOURS = [
   { indices: [11, 12], closed: false },
 ];
 const N = 14; // the last two are in no contour to trace
+const SLIDING = [1, 2, 3, 5, 6, 8, 9, 10];
+const KINDS = Array.from({ length: N }, (_, i) => (SLIDING.includes(i) ? "semilandmark" : "landmark"));
 
 /** A picture with these points, and nothing else. */
 function begin(points = {}, { source = "file", active = -1 } = {}) {
   const all = Array.from({ length: N }, (_, i) => points[i] ?? null);
-  const template = { names: all.map((_, i) => `p${i}`), contours: CONTOURS, mirror: null, points: null };
+  const template = { names: all.map((_, i) => `p${i}`), kinds: KINDS, contours: CONTOURS, mirror: null, points: null };
   const marking = new Marking({ template: () => template });
   marking.open({ history: new History({ points: all, invisible: [], source, bar: null }) });
   if (active >= 0) marking.select([active]);
@@ -205,6 +207,58 @@ test("the present points are spaced evenly, and missing ones among them are plac
   tracing.space(CONTOURS[0]);
   assert.deepEqual(marking.state.points.slice(0, 5), [[0, 0], [10, 0], [20, 0], [30, 0], [40, 0]]);
   assert.equal(marking.history.past.length, 1);
+});
+
+test("tracing and spacing move semilandmarks only: a landmark that a person has placed stays", () => {
+  const { marking, tracing } = begin({ 0: [0, 0], 1: [9, 9], 4: [40, 0] });
+  tracing.turn(CONTOURS[0]);
+  for (const x of [300, 400]) click(tracing, [x, 300]);
+  tracing.finish();
+  assert.deepEqual([0, 4].map((i) => marking.state.points[i]), [[0, 0], [40, 0]]);
+  assert.notDeepEqual(marking.state.points[1], [9, 9]);
+  const before = marking.state.points;
+  marking.template.kinds = Array(N).fill("landmark");
+  try {
+    tracing.space(CONTOURS[0]);
+    assert.equal(marking.state.points, before);
+    assert.equal(tracing.mayChange(CONTOURS[0]), false);
+  } finally {
+    marking.template.kinds = KINDS;
+  }
+});
+
+test("what a person traces is the person's own, and what is spaced through proposed points is not", () => {
+  const { marking, tracing } = begin({ 0: [0, 0], 4: [40, 0] }, { source: "proposal" });
+  tracing.turn(CONTOURS[0]);
+  for (const x of [10, 50]) click(tracing, [x, 8]);
+  tracing.finish();
+  assert.deepEqual(marking.origins.slice(0, 5), Array(5).fill("placed"));
+  const other = begin({ 7: [0, 0], 8: [10, 0], 9: [10, 10] }, { source: "proposal" });
+  other.tracing.space(CONTOURS[2]);
+  assert.deepEqual(other.marking.origins.slice(7, 11), Array(4).fill("proposed"));
+});
+
+test("undo of a traced contour brings back the points, and the point that was to be placed next", () => {
+  const { marking, tracing } = begin({}, { active: 2 });
+  tracing.turn(CONTOURS[0]);
+  marking.select([]); // as the command does
+  for (const x of [0, 40]) click(tracing, [x, 0]);
+  tracing.finish();
+  marking.travel("undo");
+  assert.deepEqual([marking.active, marking.placing, marking.points[2], tracing.on], [2, true, null, false]);
+});
+
+test("undo before the first place leaves tracing and undoes the step before it", () => {
+  const { marking, tracing } = begin({}, { active: 13 });
+  const gesture = marking.adding([5, 5]);
+  gesture.up();
+  tracing.turn(CONTOURS[0]);
+  click(tracing, [1, 1]);
+  assert.equal(tracing.travel("undo"), "place on the contour");
+  assert.equal(tracing.on, true);
+  tracing.travel("undo");
+  assert.deepEqual([tracing.on, marking.points[13], marking.active], [false, null, 13]);
+  assert.equal(tracing.travel("undo"), null);
 });
 
 test("two points do not show how a contour runs", () => {

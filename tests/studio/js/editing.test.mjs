@@ -11,6 +11,7 @@ import { FirstMarks } from "./modules/annotate-opening.js";
 import { History } from "./modules/history.js";
 import { Marking } from "./modules/marking.js";
 import { layoutIn } from "./modules/points.js";
+import { ScaleBar } from "./modules/scale-bar.js";
 import { axisOf, EMPTY } from "./modules/template.js";
 
 const NAMES = ["left", "right", "tip"];
@@ -59,7 +60,7 @@ test("what was suggested is the person's after the first step, and undo gives it
   assert.equal(made.suggested, true);
   assert.equal(made.stateOf(0), "proposed");
   made.accept();
-  assert.deepEqual([made.state.source, made.stateOf(0), told], ["file", "placed", ["change"]]);
+  assert.deepEqual([made.state.source, made.stateOf(0), told], ["file", "accepted", ["change"]]);
   assert.equal(made.travel("undo"), "accept");
   assert.equal(made.state.source, "proposal");
   assert.equal(made.travel("undo"), null);
@@ -150,6 +151,91 @@ test("nothing is edited while no picture is open, or all is hidden", () => {
   assert.deepEqual([made.editable, made.points, made.suggested, made.placing], [false, [], false, false]);
 });
 
+test("undo selects the point that the next click placed, and redo the one after it", () => {
+  const { made } = marking({ points: [null, null, null] });
+  made.onplaced = (index) => made.select([made.nextMissing(index)]);
+  made.select([0]);
+  for (const xy of [[1, 1], [2, 2]]) made.adding(xy).up();
+  assert.equal(made.active, 2);
+  made.travel("undo");
+  assert.deepEqual([made.active, made.placing, [...made.selection]], [1, true, [1]]);
+  made.adding([3, 3]).up();
+  assert.deepEqual(made.points, [[1, 1], [3, 3], null]);
+  made.travel("undo");
+  made.travel("undo");
+  assert.equal(made.active, 0);
+  made.travel("redo");
+  assert.equal(made.active, 1); // as before it was undone
+});
+
+test("each point says whether a person placed, moved or confirmed it, or accepted it with others", () => {
+  const { made } = marking({ source: "proposal" });
+  made.select([0]);
+  made.commit([[5, 5], ...TRIANGLE.slice(1)], "move");
+  assert.deepEqual([made.origins, made.proposed], [["moved", "proposed", "proposed"], 2]);
+  made.select([1]);
+  assert.equal(made.confirm(), 1);
+  assert.deepEqual([made.origins, made.active], [["moved", "confirmed", "proposed"], 2]);
+  made.accept();
+  assert.deepEqual([made.origins, made.stateOf(2), made.proposed], [["moved", "confirmed", "accepted"], "accepted", 0]);
+  made.travel("undo");
+  assert.equal(made.origins[2], "proposed");
+  assert.deepEqual(marking().made.origins, ["placed", "placed", "placed"]); // a file that says nothing
+});
+
+test("points that move together are not placed one by one, nor is the twin that moves along", () => {
+  const { made } = marking({ source: "layout" });
+  const shifted = TRIANGLE.map(([x, y]) => [x + 3, y]);
+  made.commit(shifted, "move"); // by its frame
+  assert.deepEqual([made.state.source, made.origins], ["file", ["proposed", "proposed", "proposed"]]);
+  made.select([0, 1]);
+  made.commit([[1, 1], [2, 2], shifted[2]], "move");
+  assert.deepEqual(made.origins, ["proposed", "proposed", "proposed"]);
+  made.mirrored = true;
+  made.select([0]);
+  made.commit([[0, 3], [4, 4], shifted[2]], "move");
+  assert.deepEqual(made.origins, ["moved", "proposed", "proposed"]);
+});
+
+test("a flip exchanges origins as it does points, and by keys a point is placed as proposed", () => {
+  const { made } = marking({ source: "proposal", points: [TRIANGLE[0], TRIANGLE[1], null] });
+  made.select([0]);
+  made.commit([[5, 5], TRIANGLE[1], null], "move");
+  made.flip();
+  assert.deepEqual(made.origins, ["proposed", "moved", null]);
+  made.placeChosen({ width: 100, height: 60 });
+  assert.equal(made.origins[2], "proposed");
+});
+
+test("an absent point is not waited for, until it is placed after all", () => {
+  const { made } = marking({ points: [TRIANGLE[0], null, null] });
+  made.select([1]);
+  assert.equal(made.toggleAbsent(), true);
+  assert.deepEqual([made.missing, made.stateOf(1), made.active, words.tallyOf(made)], [[2], "absent", 2, "1 of 3, 1 absent"]);
+  made.select([1]);
+  made.adding([7, 7]).up();
+  assert.deepEqual([made.state.absent, made.stateOf(1)], [[], "placed"]);
+  made.select([1]);
+  made.toggleAbsent();
+  assert.deepEqual([made.points[1], made.absent], [null, [1]]);
+  made.select([1]);
+  assert.equal(made.toggleAbsent(), false);
+  assert.deepEqual(made.missing, [1, 2]);
+});
+
+test("an end of a scale bar that is being drawn is undone first, then drawing ends", () => {
+  const { made } = marking({ points: [TRIANGLE[0], null, TRIANGLE[2]] });
+  made.select([1]);
+  made.adding([30, 20]).up();
+  const ruler = new ScaleBar(made, { onchange() {}, onpreview() {} });
+  ruler.turn(true);
+  ruler.adding([1, 1]).up();
+  assert.equal(ruler.travel("undo"), "an end of the scale bar");
+  assert.deepEqual([ruler.on, ruler.ends, made.points[1]], [true, [null, null], [30, 20]]);
+  ruler.travel("undo");
+  assert.deepEqual([ruler.on, made.points[1], made.active], [false, null, 1]);
+});
+
 // What a picture begins with ----------------------------------------------------------------------------------------
 
 function first({ begins = "layout", marks = {}, pictures = [], template = TEMPLATE } = {}) {
@@ -182,6 +268,14 @@ test("else with the mean of others that are done; each is asked for once, and on
   one.forget("b");
   await one.of("a", EMPTY_MARKS);
   assert.deepEqual(asked.slice(3).sort(), ["b", "c"]);
+});
+
+test("what a picture begins with lacks the absent points", async () => {
+  const absent = [1];
+  const shown = await first().first.of("a", { ...DONE, source: "proposal", absent });
+  assert.deepEqual([shown.points[1], shown.absent], [null, absent]);
+  const layout = await first().first.of("a", { ...EMPTY_MARKS, absent });
+  assert.deepEqual([layout.source, layout.points[1], layout.absent], ["layout", null, absent]);
 });
 
 test("or with nothing, where the points are clicked or there is no layout", async () => {
@@ -259,10 +353,12 @@ test("a click adds a point at its end, and shows it before", () => {
 
 test("a click on the path's first point closes it, with Shift the path runs through a point", () => {
   const { made, click } = drafting();
+  made.togglePath();
   TRIANGLE.forEach(click);
   assert.equal(made.press(1, MOUSE), false);
   assert.equal(made.press(0, MOUSE), true);
   assert.deepEqual(made.draft.contours, [{ indices: [0, 1, 2], closed: true }]);
+  made.togglePath();
   click([50, 50]);
   assert.equal(made.press(1, { shiftKey: true }), true);
   assert.deepEqual(made.draft.contours[1].indices, [3, 1]);

@@ -4,9 +4,9 @@ import assert from "node:assert/strict";
 import { test } from "node:test";
 
 import { namesFor, summary } from "./modules/adding.js";
-import { outcome } from "./modules/bulk.js";
+import { outcome, whoAmI } from "./modules/bulk.js";
 import { percent } from "./modules/annotate-words.js";
-import { accuracyText, sentence } from "./modules/review.js";
+import { accuracyText, measuresWith, measureText, sentence } from "./modules/review.js";
 import { between, describe, FILTERS, foldersOf, matching, openIn } from "./modules/strip-filters.js";
 import { acceptable } from "./modules/wall.js";
 
@@ -96,4 +96,30 @@ test("the wall accepts sure proposals, and opens slips and what is not done", ()
   ];
   assert.deepEqual(acceptable(all, 0.9), ["sure"]);
   assert.deepEqual(openIn(all).map(({ name }) => name), ["slip", "doubtful", "low", "sure"]);
+});
+
+test("the measure of the selected points is added, and told with their names", () => {
+  assert.equal(measuresWith("", []), "distance:1-2");
+  assert.equal(measuresWith("distance:1-2", [2, 3, 4]), "distance:1-2 angle:3-4-5");
+  assert.equal(measuresWith(" area:1-2-3-4  distance:1-2 ", [0, 1]), "area:1-2-3-4 distance:1-2");
+  const names = ["fork of L2", "tip", "base"];
+  assert.equal(measureText("angle:1-2-3", names), "angle: fork of L2 – tip – base");
+  for (const other of ["distance:tip-base", "distance:1-9", "nonsense"]) assert.equal(measureText(other, names), other);
+});
+
+test("an observer's set logs under its name, other sets under that of the browser", (t) => {
+  const before = globalThis.localStorage;
+  t.after(() => { globalThis.localStorage = before; });
+  const stored = { "liaam-studio:who": "Ben", "liaam-studio:who:carl": "Carla" };
+  globalThis.localStorage = /** @type {any} */ ({ getItem: (key) => stored[key] ?? null });
+  assert.equal(whoAmI({ set: "", observers: ["", "anna"] }), "Ben");
+  assert.equal(whoAmI({ set: "anna", observers: ["", "anna"] }), "anna");
+  assert.equal(whoAmI({ set: "carl", observers: ["", "carl"] }), "Carla");
+  assert.equal(whoAmI({ set: "hand", observers: ["hand"] }), "Ben"); // other points, not another observer
+});
+
+test("done pictures say what they lack, and the filter finds those with points that nobody looked at", () => {
+  assert.equal(describe({ name: "a", state: "done", absent: 2 }, {}), "done, 2 absent");
+  const all = [{ name: "a", state: "done", unconfirmed: 3 }, { name: "b", state: "done", unconfirmed: 0 }];
+  assert.deepEqual(all.filter(FILTERS.unconfirmed.has).map(({ name }) => name), ["a"]);
 });

@@ -7,6 +7,7 @@ import { baseOf } from "./strip-filters.js";
 import { h, icon, isTyping, toast } from "./ui.js";
 
 const AT_ONCE = 4; // files sent at a time
+const SURE = 0.5; // least quality of a fit of the face model to a portrait
 const SHOWN = 3; // reasons in the summary
 const IGNORED = /(^|\/)(\.|Thumbs\.db$|desktop\.ini$)/i;
 const UNSAVED = /^\{"kind":"liaam-studio-unsaved"/;
@@ -68,8 +69,9 @@ export function createAdding(app) {
   async function takeAll(items) {
     const { formats } = state.project;
     const wanted = items.filter(({ path }) => !IGNORED.test(path));
-    if (wanted.length === 1 && formats.pictures.includes(suffixOf(wanted[0].path)) && app.showsPictures())
-      return app.sources.take(wanted[0].file);
+    const isPicture = wanted.length === 1 && formats.pictures.includes(suffixOf(wanted[0].path));
+    if (isPicture && app.showsPictures()) return app.sources.take(wanted[0].file);
+    if (isPicture && !state.project.pictures.length && state.project.model?.source === "face") return takeFirst(wanted[0]);
     const model = wanted.find(({ path }) => suffixOf(path) === ".liaam");
     const video = wanted.find((item) => isVideo(item, formats));
     const rest = [];
@@ -82,6 +84,20 @@ export function createAdding(app) {
     if (model) await openModel(model.file);
     if (video) app.openTab("live", { file: video.file });
   }
+
+  /** The first picture of an empty folder: a portrait is shown under a lamp, and anything else is added. */
+  async function takeFirst(item) {
+    app.openTab("fit", { view: "relit" });
+    await app.sources.take(item.file);
+    const source = app.sources.current;
+    if (source?.file !== item.file) return undefined; // another one was opened meanwhile
+    if (source.quality >= SURE) return toast("Drag the lamp to move its light. Save the picture with Export.");
+    app.sources.backToFolder();
+    return add([item]);
+  }
+
+  /** Add a picture that is only shown so far. */
+  const keep = (file) => add([{ file, path: file.name }]).catch(complain);
 
   /** Add files to the folder: pictures first, since landmarks belong to them. */
   async function add(items) {
@@ -137,7 +153,7 @@ export function createAdding(app) {
     app.ui.fileField(onfiles, { accept, multiple: true }).click();
   }
 
-  return { take, choose };
+  return { take, choose, keep };
 }
 
 const carriesFiles = (event) => [...(event.dataTransfer?.types ?? [])].includes("Files");

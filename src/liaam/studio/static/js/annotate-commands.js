@@ -7,6 +7,8 @@ import { placed } from "./points.js";
 
 const NOT_MIRRORED = "The template has no mirrored points. Mirror pairs new points only: add them with Mirror on, or " +
   "load a template with left and right in its names.";
+const ALL_STAY = "All points of this contour are placed landmarks, and only semilandmarks are moved by tracing and " +
+  "spacing. Edit the template to make points between the ends semilandmarks.";
 const EDGE = 20; // css pixels; a point closer to the border of the view is scrolled into it
 
 /** @param {import("./annotate.js").Tab} tab */
@@ -63,6 +65,7 @@ export function createCommands(tab) {
   /** Work on the contour of the selected or next point, and say what work() returns. */
   function toContour(work) {
     const { wanted } = tab.tracing;
+    if (wanted && !tab.tracing.mayChange(wanted)) return void app.toast(ALL_STAY);
     if (wanted) say(work(wanted));
     else app.toast("Select a point of a contour with three points or more. The template defines the contours.");
   }
@@ -119,8 +122,8 @@ export function createCommands(tab) {
       if (tracing.on) return tracing.whole ? tracing.finish() : tracing.turn(false);
       tab.drawing?.turn(false);
       toContour((contour) => {
+        tracing.turn(contour); // first, since undo brings back what is selected now
         marking.select([]);
-        tracing.turn(contour);
         return tracing.prompt;
       });
     },
@@ -155,12 +158,42 @@ export function createCommands(tab) {
       say("Flipped left and right");
     },
 
+    /** Confirm the selected point where it is, and show the next to be confirmed. */
+    confirm() {
+      if (tab.drawing) return;
+      const index = marking.confirm();
+      if (index < 0) return void app.toast("Select a single point with a position to confirm it.");
+      say(`${marking.names[index]} confirmed`);
+      if (marking.active !== index) reveal(marking.active);
+    },
+
+    toggleAbsent() {
+      if (tab.drawing) return;
+      const what = called(marking.names, marking.chosen);
+      const isAbsent = marking.toggleAbsent();
+      if (isAbsent !== null) say(`${what} ${isAbsent ? "absent: this object does not have it" : "missing"}`);
+    },
+
     toggleInvisible: () => toChosen(() => (marking.toggleInvisible() ? "invisible" : "visible")),
 
     removeChosen: () => toChosen(() => {
       marking.removeChosen();
       return "cleared";
     }),
+
+    /** Take the points of the nearest done picture before this one, as in a series; they are then as proposed. */
+    async copyPrevious() {
+      if (tab.drawing) return;
+      const { name } = tab;
+      const before = state.order.slice(0, Math.max(state.order.indexOf(name), 0));
+      const from = before.findLast((each) => state.picture(each)?.state === "done");
+      if (!from) return void app.toast("No picture before this one in the list is done.");
+      const marks = await tab.saving.fetchMarks(from);
+      if (tab.name !== name || !commands.marks || marks.points.length !== marking.points.length) return;
+      const take = (point, i) => (marking.absent.includes(i) ? null : (point ?? marking.points[i]));
+      marking.change({ points: marks.points.map(take) }, `copy from ${from}`, null, { fresh: "proposed", changed: "proposed" });
+      say(`Points copied from ${from}`);
+    },
 
     placeChosen() {
       const index = marking.placeChosen(viewer);
@@ -172,9 +205,9 @@ export function createCommands(tab) {
       if (tab.tracing.on) return tab.tracing.finish();
       if (marking.state.source === "layout") // left as it is
         return void (warned === tab.name ? goOnAfter(tab.saving.markUnchecked) : warn(UNTOUCHED));
+      const isSlip = state.picture(tab.name)?.slip && marking.state === marking.book.seen;
       marking.accept();
       const left = marking.missing;
-      const isSlip = state.picture(tab.name)?.slip && marking.state === marking.book.seen;
       if (!left.length || warned === tab.name) return void (isSlip ? goOnAfter(passSlip) : goNext());
       marking.select([left[0]]);
       return warn(missingText(marking.names, left)); // once, since points may be left out on purpose

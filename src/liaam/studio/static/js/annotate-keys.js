@@ -14,8 +14,11 @@ export const SHORTCUTS = [
   { keys: "Shift click", what: "Add to the selection (Shift drag: select with a box)" },
   { keys: "Ctrl+A Escape", what: "Select all, none" },
   { keys: "P", what: "Place the missing point at its expected position" },
+  { keys: "Shift+P", what: "Copy the points of the last done picture above this one" },
   { keys: "Delete", what: "Clear the point's position" },
   { keys: "V", what: "Mark the point as visible or invisible" },
+  { keys: "Y", what: "Confirm a proposed point where it is, and go to the next one" },
+  { keys: "U", what: "Mark the point as absent: this object does not have it" },
   { keys: "X M", what: "Move mirrored points together; flip left and right" },
   { keys: "B S", what: "Select with a box; draw a scale bar" },
   { keys: "C", what: "Trace a contour by a few clicks; Enter ends it, Backspace removes the last place" },
@@ -24,7 +27,7 @@ export const SHORTCUTS = [
   { keys: "R", what: "Loupe where a click places a point: on, off" },
   { keys: "H", what: "Hide all points while held" },
   { keys: "Ctrl+Z Ctrl+Y", what: "Undo, redo" },
-  { keys: "N C X P", what: "In the template: new path, close path, mirror, add a point in the middle" },
+  { keys: "N C X P", what: "In the template: draw or end a curve, close it, mirror, add a point in the middle" },
 ];
 
 const CONTROLS = "button, a, label, input, summary, [role=tab]";
@@ -40,7 +43,8 @@ export function createKeys(tab) {
     r: () => { tab.tool.magnifies = !tab.tool.magnifies; },
   };
   const marks = {
-    v: commands.toggleInvisible, x: commands.toggleMirrored, m: commands.flip, p: commands.placeChosen,
+    v: commands.toggleInvisible, u: commands.toggleAbsent, y: commands.confirm, x: commands.toggleMirrored, m: commands.flip,
+    p: ({ shiftKey }) => (shiftKey ? commands.copyPrevious() : commands.placeChosen()),
     s: commands.ruler, delete: commands.removeChosen, backspace: commands.removeChosen,
     c: ({ shiftKey }) => (shiftKey ? commands.space() : commands.trace()),
   };

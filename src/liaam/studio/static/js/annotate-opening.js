@@ -2,7 +2,7 @@
 
 import { createFirstScreen } from "./first-screen.js";
 import { History } from "./history.js";
-import { layoutIn, meanLayout, nextMissing, sameMarks } from "./points.js";
+import { layoutIn, meanLayout, remove, sameMarks } from "./points.js";
 import { h, icon } from "./ui.js";
 
 const UNREACHABLE = {
@@ -77,9 +77,10 @@ export function createOpening(tab, begins) {
   async function take(name, marks, own = turn) {
     const { saver } = tab;
     const kept = (await tab.saving.inherited(name, marks)) ?? saver.pending(name);
-    const isBarOnly = kept && marks.source !== "file" && !kept.points.some(Boolean); // drawn on suggested points
-    const known = isBarOnly ? { ...marks, bar: kept.bar } : marks;
-    const shown = kept && !isBarOnly ? { ...kept, source: "file" } : await first.of(name, known);
+    // A scale bar that was drawn, or absent points that were marked, beside suggested points.
+    const isOther = kept && marks.source !== "file" && !kept.points.some(Boolean);
+    const known = isOther ? { ...marks, bar: kept.bar, absent: kept.absent ?? marks.absent } : marks;
+    const shown = kept && !isOther ? { ...kept, source: "file" } : await first.of(name, known);
     if (own !== turn) return;
     const old = books.get(name);
     const before = old?.history.state;
@@ -94,7 +95,7 @@ export function createOpening(tab, begins) {
     // If points are placed one after another, continue with the first missing one.
     const { source } = marking.state;
     const places = source === "none" || (source === "file" && begins() === "click");
-    const missing = places ? nextMissing(marking.points) : -1;
+    const missing = places ? marking.nextMissing() : -1;
     marking.select(missing < 0 ? [] : [missing]);
     cover.hidden = true;
     tab.refresh();
@@ -175,13 +176,16 @@ export class FirstMarks {
 
   forget(name) { this.shapes.delete(name); }
 
-  async of(name, { points, invisible, source, width, height, bar = null }) {
+  async of(name, { points, invisible, absent = [], origins = null, source, width, height, bar = null }) {
     const { names } = this.state.project.template;
     const fits = points.length === names.length; // a file may belong to another template
-    if (fits && (source === "file" || source === "proposal")) return { points, invisible: invisible ?? [], source, bar };
+    const lacks = fits ? absent : [];
+    const without = (all) => (lacks.length ? remove(all, lacks) : all);
+    if (fits && (source === "file" || source === "proposal"))
+      return { points: without(points), invisible: invisible ?? [], absent: lacks, origins, source, bar };
     const layout = this.begins() === "click" ? null : await this.layout(name, width, height);
-    const own = layout ? { points: layout, source: "layout" } : { points: names.map(() => null), source: "none" };
-    return { ...own, invisible: [], bar };
+    const own = layout ? { points: without(layout), source: "layout" } : { points: names.map(() => null), source: "none" };
+    return { ...own, invisible: [], absent: lacks, origins: null, bar };
   }
 
   /** Mean of the done pictures, or else the template's layout; null if there is neither. */

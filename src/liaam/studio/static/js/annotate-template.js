@@ -18,7 +18,7 @@ export function createTemplates(tab) {
   const kept = keptDraft(state.project.id);
   const onselect = () => { panel.mark(); viewer.redraw(); };
   const doc = new Drafting({ viewer, onchange: changed, onselect, say: tab.say });
-  const panel = createTemplatePanel({ drafting: doc, onload: load, ondone: done, onleave: stop });
+  const panel = createTemplatePanel({ drafting: doc, onload: load, onsliders: loadSliders, ondone: done, onleave: stop });
   let editing = false;
   let saving = false; // whether this page is changing the template
   let known = JSON.stringify(tab.template); // the template that is shown
@@ -73,12 +73,19 @@ export function createTemplates(tab) {
     start(null, null);
   }
 
-  async function load(file) {
+  async function loadSliders(file) {
+    if (doc.loadSliders(await file.text())) return;
+    toast(`${file.name} is no sliders file for these points: choose a table of the numbers before, slide and after.`, "bad");
+  }
+
+  /** kinds: "landmark" if all points are. */
+  async function load(file, kind = null) {
     const { width, height } = viewer;
     const template = await api.upload(api.url("template/file", { name: file.name }), file);
     const points = layoutIn(template.points, width, height, 1); // unchanged if the file belongs to this picture
     if (!points) return toast(`${file.name} has no points: choose another file.`, "bad");
-    return doc.load(file.name, template, points.map((p) => p && rounded(p)));
+    const kinds = kind ? template.names.map(() => kind) : template.kinds;
+    return doc.load(file.name, template, points.map((p) => p && rounded(p)), kinds);
   }
 
   async function done() {
@@ -93,7 +100,7 @@ export function createTemplates(tab) {
     if (lost && !(await confirm("Change the template?", text, "Change the template"))) return;
     panel.setBusy(true);
     try {
-      await save(template, mapping, draft.points, { isFresh, isUnmoved });
+      await save(template, mapping, draft.points, { isFresh, isUnmoved, isLoaded: Boolean(draft.loaded) });
       kept.set(null);
     } catch (error) {
       panel.tell(error.message);
@@ -103,8 +110,9 @@ export function createTemplates(tab) {
     }
   }
 
-  /** isFresh: the points are those of this picture, too, unless they are where they were loaded (isUnmoved). */
-  async function save(template, mapping, points, { isFresh, isUnmoved }) {
+  /** isFresh: the points are those of this picture, too, unless they are where they were loaded (isUnmoved). Those that
+   *  were loaded (isLoaded) and moved together were not placed one by one. */
+  async function save(template, mapping, points, { isFresh, isUnmoved, isLoaded }) {
     const isNew = !tab.template;
     // Editing the template places new points on this picture, but not those that were missing.
     await tab.saver.flush();
@@ -122,8 +130,10 @@ export function createTemplates(tab) {
       const marks = await tab.saving.fetchMarks(tab.name);
       leave();
       await tab.opening.take(tab.name, marks);
-      if (isFresh && !isUnmoved && marks.source !== "file") marking.change({ points }, "template", null, true);
-      else if (before?.source === "file") {
+      if (isFresh && !isUnmoved && marks.source !== "file") {
+        const origins = points.map((point) => point && (isLoaded ? "accepted" : "placed"));
+        marking.change({ points, origins }, "template");
+      } else if (before?.source === "file") {
         const origins = mapping ?? indicesOf(points);
         const isMissing = (i) => origins[i] !== null && !before.points[origins[i]];
         marking.commit(points.map((point, i) => (isMissing(i) ? null : point)), "edit the template");
@@ -190,9 +200,9 @@ export function createTemplates(tab) {
   addEventListener("beforeunload", (event) => { if (isUnsaved()) event.preventDefault(); });
 
   const keys = {
-    n: () => doc.startPath(), c: () => doc.close(), x: () => doc.toggleMirror(), p: () => doc.addInTheMiddle(),
+    n: () => doc.togglePath(), c: () => doc.close(), x: () => doc.toggleMirror(), p: () => doc.addInTheMiddle(),
     delete: () => doc.deleteChosen(), backspace: () => doc.deleteChosen(),
-    escape: () => (doc.selection.size ? doc.select([]) : doc.startPath()),
+    escape: () => (doc.selection.size ? doc.select([]) : doc.endPath()),
   };
 
   return {
@@ -201,9 +211,9 @@ export function createTemplates(tab) {
     get editing() { return editing; },
     get prompt() {
       if (doc.layingOut) return "Move the points into place: drag the frame's handles, then single points";
-      if (!doc.started) return "Click the first point of your template on this picture";
-      return doc.draft.path < 0 ? "Click the first point of the next path"
-        : "Click the next point of this path – C closes it, N starts another";
+      if (doc.draft.path >= 0) return "Click the next point of this curve – N ends it, C closes it";
+      if (!doc.started) return "Click the first landmark of your template on this picture, or press N to draw a curve";
+      return "Click the next landmark – N draws a curve";
     },
     key: (event) => runKey(event, keys),
   };

@@ -5,7 +5,7 @@ export const several = (number, what) => `${number} ${what}${number === 1 ? "" :
 export const percent = (fraction) => `${(100 * fraction).toFixed(fraction < 0.01 ? 2 : 1)}\u00a0%`;
 
 /** What to do next with the open picture; "" if nothing. */
-export function promptOf({ state, book, placing, names, active, missing }) {
+export function promptOf({ state, book, placing, names, active, missing, proposed = 0 }) {
   if (state.source === "proposal") {
     return book.doubtful
       ? "Placed by the model with low confidence: check every point, drag wrong ones, then press Enter"
@@ -14,25 +14,30 @@ export function promptOf({ state, book, placing, names, active, missing }) {
   if (state.source === "layout") return "Mean shape: move it into place by its frame, then drag single points";
   if (placing) return `Click ${names[active]}`;
   const are = missing.length === 1 ? "point is" : "points are";
-  return missing.length ? `${missing.length} ${are} missing: select one in the list, then click its position` : "";
+  if (missing.length) return `${missing.length} ${are} missing: select one in the list, then click its position`;
+  return proposed ? `${several(proposed, "point")} as proposed: drag wrong ones, then press Enter` : "";
 }
 
-export const tallyOf = ({ points, missing, invisible }) =>
-  `${points.length - missing.length} of ${points.length}${invisible.size ? `, ${invisible.size} invisible` : ""}`;
+export function tallyOf({ points, missing, invisible, absent = [] }) {
+  const more = { invisible: invisible.size, absent: absent.length };
+  const words = Object.entries(more).map(([what, count]) => count && `, ${count} ${what}`);
+  return [`${points.length - missing.length - absent.length} of ${points.length}`, ...words].filter(Boolean).join("");
+}
 
 const SOURCES = {
   proposal: "proposed by the model", layout: "from the mean shape", none: "none placed yet", file: "placed by you",
 };
 
-export function descriptionOf(name, { points, missing, state }) {
-  const placed = `${points.length - missing.length} of ${points.length} points, ${SOURCES[state.source]}`;
+export function descriptionOf(name, { points, state }) {
+  const placed = `${points.filter(Boolean).length} of ${points.length} points, ${SOURCES[state.source]}`;
   const keys = "Tab selects the next point, arrow keys move it. Press Escape, then Tab, to leave the picture.";
   return `${name}: ${placed}. ${keys}`;
 }
 
 /** Position of a point; `next`: the point to place next, or -1. */
-export function placeOf({ names, points, invisible }, index, next = -1) {
-  const at = points[index]?.map((v) => v.toFixed(1)).join(", ") ?? "missing";
+export function placeOf({ names, points, invisible, absent = [] }, index, next = -1) {
+  const lacking = absent.includes(index) ? "absent" : "missing";
+  const at = points[index]?.map((v) => v.toFixed(1)).join(", ") ?? lacking;
   const here = `${names[index]}, ${at}${points[index] && invisible.has(index) ? ", invisible" : ""}`;
   return next < 0 ? here : `${here}. Next: ${names[next]}`;
 }

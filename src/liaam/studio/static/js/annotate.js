@@ -12,7 +12,6 @@ import { createAssist } from "./assist.js";
 import { drawGesture, drawHint, drawMarking, loupeOver } from "./drawing.js";
 import { PointTool } from "./gestures.js";
 import { Marking } from "./marking.js";
-import { nextMissing } from "./points.js";
 import { createPointsPanel } from "./points-panel.js";
 import { createReview } from "./review.js";
 import { ScaleBar } from "./scale-bar.js";
@@ -159,7 +158,7 @@ export class Tab {
 
   /** A point was placed: select the next missing one. */
   placed(index) {
-    const next = nextMissing(this.marking.points, index);
+    const next = this.marking.nextMissing(index);
     this.marking.select([next < 0 ? index : next]);
     this.sayPlace(index, next);
   }
@@ -181,7 +180,8 @@ export class Tab {
   /** Elements of the side panel. */
   sideElements() {
     const { assist, editing, panel, templates } = this;
-    if (!editing) return [assist.element, this.review, assist.notes, ...panel.elements];
+    // The head stays in place, and the points begin at the same height for every picture.
+    if (!editing) return [assist.element, panel.points, this.review, assist.notes, panel.foot];
     // Before there is a template, notices may say why no landmark file gave one.
     return this.template ? [templates.panel] : [templates.panel, assist.notes];
   }
@@ -199,7 +199,8 @@ export class Tab {
     this.toolbar.refresh({ history: this.doc.history, editing, marking: isMarking });
     panel.edit.disabled = !isMarking || this.tracing.on;
     if (!editing) panel.render(marking);
-    assist.sure.hidden = marking.state?.source !== "layout"; // it accepts points at the mean shape as they are
+    // It accepts points at the mean shape as they are. Its place stays, so that nothing moves between pictures.
+    assist.sure.style.visibility = marking.state?.source === "layout" ? "" : "hidden";
     panel.tally.textContent = marking.book ? tallyOf(marking) : "";
     // A template is saved only with Done, so the status must not say "Saved" before.
     if (editing && templates.doc.started) this.status.show("draft", "");

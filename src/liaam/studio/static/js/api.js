@@ -25,6 +25,9 @@ export function url(...parts) {
   return `${SET}/api/${path}${text ? `?${text}` : ""}`;
 }
 
+/** Address of a file of the page, beside this module, where the browser keeps it. */
+export const fileOf = (name) => new URL(`../${name}`, import.meta.url).href;
+
 const TRIES = 10; // attempts of a request to a busy server, about half a minute
 
 /** Event "change": the number of requests that the user waits for has changed. */

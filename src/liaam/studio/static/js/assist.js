@@ -14,8 +14,9 @@ const AUTO_KEY = "liaam-studio:auto-train";
 const countOf = (pictures, ...states) => pictures.filter(({ state }) => states.includes(state)).length;
 const openList = (of) => /** @type {HTMLSelectElement} */ (document.querySelector(of)).showPicker();
 
-/** The pictures that a training uses, and those of them whose points look wrong. */
-const forTraining = (pictures) => pictures.filter(({ state, left_out: who }) => state === "done" && !who);
+/** The pictures that a training uses, which needs all points, and those of them whose points look wrong. */
+const forTraining = (pictures) =>
+  pictures.filter(({ state, left_out: who, absent }) => state === "done" && !who && !absent);
 const slipped = (pictures) => forTraining(pictures).filter(({ slip }) => slip);
 
 /** Whether to train automatically. `failedAt`: the `situation` in which training last failed or was stopped. */
@@ -117,17 +118,16 @@ export function createAssist(app, commands) {
   const progress = h("progress.progress", { "aria-label": "Training", max: 100 });
   const what = h("p.small.muted", { role: "status" });
   const cancel = button("Cancel", { small: true, kind: "ghost", testid: "training-cancel", onclick: stop });
-  const running = h("div.column.assist-running", { testid: "training-progress", hidden: true },
-    progress, h("div.row", h("div.grow", what), cancel));
+  const running = h("div.assist-running", { testid: "training-progress", hidden: true }, progress, what, cancel);
   const failure = h("p.small.error-text", { role: "alert", hidden: true });
   const train = button("Train", {
     icon: "brain", small: true, testid: "train", onclick: async () => (await mayTrain()) && start(true),
   });
   const auto = h("input", {
-    type: "checkbox", checked: localStorage.getItem(AUTO_KEY) !== "off", testid: "auto-train",
+    type: "checkbox", "aria-label": "Train automatically", checked: localStorage.getItem(AUTO_KEY) !== "off", testid: "auto-train",
     onchange: () => localStorage.setItem(AUTO_KEY, auto.checked ? "on" : "off"),
   });
-  const often = `Train when ${AUTO_FIRST} pictures are done, and again after every ${AUTO_AGAIN} more`;
+  const often = `when ${AUTO_FIRST} pictures are done, and again after every ${AUTO_AGAIN} more`;
   const next = button("Accept and continue", {
     icon: "check", kind: "primary", shortcut: "Enter", testid: "accept-next", onclick: commands.accept,
     title: "Accept these points and open the picture that helps the model most",
@@ -138,7 +138,7 @@ export function createAssist(app, commands) {
     title: "Open the next picture and leave this one unchanged",
   });
   const sure = button("The points are right…", {
-    small: true, hidden: true, testid: "confirm-layout", onclick: commands.confirmLayout,
+    small: true, testid: "confirm-layout", onclick: commands.confirmLayout,
     title: "Save the mean shape although no point was moved",
   });
   const why = h("p.small.muted", { testid: "why-next" });
@@ -154,9 +154,9 @@ export function createAssist(app, commands) {
   const offered = h("p.small.muted", { hidden: true },
     "These are the points of the face model that comes with liaam. ", other);
   const element = h("section.panel.assist", { "aria-label": "The model's help" },
-    h("div.row.assist-head", icon("spark"), count, h("span.grow"), train),
-    h("div.row.assist-go", next), h("div.row.assist-slot", pass, running), h("label.check.small", { title: often }, auto, "Train automatically"),
-    sure, failure, why, offered, end);
+    h("div.row.assist-head", icon("spark"), count, h("span.grow"),
+      h("label.check.small", { title: `Train automatically: ${often}` }, auto, "auto"), train),
+    h("div.row.assist-go", next), h("div.row.assist-pass", pass, sure), running, why, failure, offered, end);
 
   async function mayTrain() {
     const wrong = slipped(state.project.pictures);
@@ -218,7 +218,7 @@ export function createAssist(app, commands) {
     const { pictures, model, training } = project;
     const usable = pictures.length - countOf(pictures, "broken");
     const left = Object.keys(model?.left_out ?? {}).length;
-    count.textContent = `${countOf(pictures, "done")} of ${usable} done${left ? `, ${left} left out` : ""}`;
+    count.textContent = `${countOf(pictures, "done") - left} of ${usable} done${left ? `, ${left} left out` : ""}`;
     const done = forTraining(pictures).length;
     element.hidden = !project.template;
     offered.hidden = !project.offered || model?.source !== "face";

@@ -4,21 +4,23 @@ import { several } from "./annotate-words.js";
 import { button, dialog, h, iconButton, labelsOf, menu } from "./ui.js";
 
 const KEY = "liaam-studio:who";
-export const whoAmI = () => localStorage.getItem(KEY) ?? "";
+/** The set of an observer, which is named after the person; "" if the page shows no such set. @param {any} project */
+const observerOf = (project) => (project?.set && project.observers.length > 1 ? project.set : "");
+const keyOf = (project) => [KEY, observerOf(project)].filter(Boolean).join(":");
+/** The name of the person who works here: as entered, or else that of the observer's set. @param {any} project */
+export const whoAmI = (project) => localStorage.getItem(keyOf(project)) ?? observerOf(project);
 
 /** The name, asked for if it is needed and was never given; "" if it is not given, null if the dialog was closed. */
-async function myName(needed) { return needed && !whoAmI() ? askName() : whoAmI(); }
+async function myName(needed, project) { return needed && !whoAmI(project) ? askName(project) : whoAmI(project); }
 
-export async function askName() {
-  const input = h("input.text", { maxlength: "60", value: whoAmI(), "aria-label": "Your name", testid: "who" });
+export async function askName(project) {
+  const input = h("input.text", { maxlength: "60", value: whoAmI(project), "aria-label": "Your name", testid: "who" });
   const why = "The history of each picture says who placed and checked its points. This browser remembers the name; " +
     "it is saved with your changes in the folder.";
   const actions = [{ label: "Save", kind: "primary", value: "save", testid: "who-save" }];
-  const answer = dialog("Your name", h("div.column", why, input), actions);
-  input.select();
-  if ((await answer) === null) return null;
-  localStorage.setItem(KEY, input.value.trim());
-  return whoAmI();
+  if ((await dialog("Your name", h("div.column", why, input), actions)) === null) return null;
+  localStorage.setItem(keyOf(project), input.value.trim());
+  return whoAmI(project);
 }
 
 /** By name in the server's log: the label, what was done to so many pictures, and the action that undoes it. */
@@ -48,7 +50,7 @@ export function outcome(did, { changed, refused }) {
 /** Apply an action to pictures, with `more` data; resolves to the names that changed. `undo` is offered with the message. */
 export async function act({ state, api, toast, saved }, did, names, { more = {}, undo = null } = {}) {
   await saved(); // points that were just moved, or the action would be a change elsewhere to them
-  const who = await myName(did === "checked");
+  const who = await myName(did === "checked", state.project);
   if (who === null) return [];
   const answer = await state.send((folder) => api.post(api.url("review"), { folder, pictures: names, did, who, ...more }));
   toast(outcome(did, answer), answer.changed.length ? "good" : "info", answer.changed.length && undo && { label: "Undo", onclick: () => undo(answer.changed) });

@@ -24,7 +24,8 @@ export class Drafting extends Editable {
     this.isFresh = template === null; // whether there was no template at the start
     this.axis = null; // x of the mirror line while mirroring
     Object.assign(this, { selection: new Set(), active: -1, shown: null });
-    this.history = new History(template ? drafts.draftOf(template, points) : draft);
+    const kinds = draft?.kinds ?? draft?.names.map(() => "landmark"); // drafts of earlier versions have none
+    this.history = new History(template ? drafts.draftOf(template, points) : { ...draft, kinds });
   }
 
   rebase(template) {
@@ -56,7 +57,7 @@ export class Drafting extends Editable {
   }
 
   apply(next, what, key = null) {
-    this.history.push(next, what, key);
+    this.history.push(next, what, key, this.contextBefore);
     this.changed();
   }
 
@@ -107,7 +108,7 @@ export class Drafting extends Editable {
     return { ...NOTHING, move, cancel: () => { this.axis = before; } };
   }
 
-  /** Handle a press on a point: with Shift, connect the path to it; on the path's first point, close the path. */
+  /** Handle a press on a point: with Shift, connect the curve to it; on the curve's first point, close the curve. */
   press(index, event) {
     if (this.layingOut) return false;
     const path = this.draft.contours[this.draft.path]?.indices;
@@ -117,13 +118,32 @@ export class Drafting extends Editable {
     return true;
   }
 
-  close() { this.endPath(true, "close path", "Path closed"); }
-  startPath() { this.endPath(false, "new path", "The next point starts a new path"); }
+  close() { this.endPath(true, "close the curve", "Curve closed"); }
 
-  endPath(closed, what, said) {
+  /** Begin to draw a curve, or end the one that is being drawn. */
+  togglePath() {
+    if (this.draft.path >= 0) return this.endPath();
+    if (this.layingOut) return undefined;
+    this.apply(drafts.startPath(this.draft), "draw a curve");
+    return this.say("The next points are on a curve");
+  }
+
+  endPath(closed = false, what = "end the curve", said = "The next point is a landmark by itself") {
     if (this.draft.path < 0) return;
     this.apply(drafts.newPath(this.draft, closed), what);
     this.say(said);
+  }
+
+  changeKind(index) {
+    this.apply(drafts.changeKind(this.draft, index), "change the kind");
+    this.say(`${this.names[index]} is a ${this.draft.kinds[index]}`);
+  }
+
+  /** Take semilandmarks and curves from the text of a sliders file; return whether it is one for these points. */
+  loadSliders(text) {
+    const next = drafts.withSliders(this.draft, text);
+    if (next) this.apply(next, "load sliders");
+    return next !== null;
   }
 
   flip() { this.apply({ ...this.draft, points: flip(this.draft.points, this.draft.mirror) }, "flip"); }
@@ -168,10 +188,11 @@ export class Drafting extends Editable {
     return true;
   }
 
-  load(file, template, points) {
+  /** kinds: of the points, if they are not those of the template. */
+  load(file, template, points, kinds = template.kinds) {
     this.select([]);
-    const draft = drafts.draftOf(template, points);
-    this.apply({ ...draft, origins: template.names.map(() => null), layout: { file, points } }, "load");
+    const draft = drafts.draftOf({ ...template, kinds }, points);
+    this.apply({ ...draft, origins: template.names.map(() => null), layout: { file, points }, loaded: true }, "load");
     this.say(`${several(template.names.length, "point")} loaded. Move them into place`);
   }
 

@@ -13,18 +13,22 @@ const LEAST_SCALE = 2; // screen pixels per picture pixel
 
 /** Draw all points. In the loupe, the others are hollow, since they would hide what is looked at. */
 export function drawMarks(ctx, viewer, view) {
-  const { points, invisible, selection, active, hovered, suggested, radius = 4 } = view;
+  const { points, invisible, selection, active, hovered, suggested, proposed = new Set(), radius = 4 } = view;
   const colour = suggested ? COLOURS.proposed : COLOURS.placed;
   if (viewer.isLoupe) {
     discs(ctx, viewer, points.filter((_, i) => i !== active), radius);
     stroked(ctx, colour, 1.5);
     return;
   }
-  const isHollow = (i) => suggested || invisible.has(i);
+  const isHollow = (i) => suggested || invisible.has(i) || proposed.has(i);
   drawPoints(ctx, viewer, points.filter((_, i) => !isHollow(i)), { colour, radius });
   discs(ctx, viewer, points.filter((_, i) => isHollow(i)), radius);
   if (suggested) filled(ctx, "rgb(111 211 255 / 35%)"); // transparent, so that the picture can be checked through it
   stroked(ctx, colour, 1.5);
+  if (proposed.size) {
+    discs(ctx, viewer, points.filter((_, i) => proposed.has(i)), radius);
+    stroked(ctx, COLOURS.proposed, 1.5);
+  }
   discs(ctx, viewer, points.filter((_, i) => selection.has(i)), radius + 3.5);
   stroked(ctx, COLOURS.chosen, 1.8);
   discs(ctx, viewer, points.filter((_, i) => i === hovered || i === active), radius + 6.5);
@@ -185,7 +189,8 @@ export function drawMarking(ctx, viewer, tool, marking, show, wrong) {
     drawEllipses(ctx, viewer, points, marking.book.covariances, { colour: COLOURS.proposed, width: 1.1 });
   if (show.contours) drawPaths(ctx, viewer, points, marking.template.contours, suggested);
   const radius = Math.min(4, Math.max(1.8, 4 * room));
-  drawMarks(ctx, viewer, { points, invisible, selection, active, hovered: tool.hovered, suggested, radius });
+  const proposed = new Set(suggested ? [] : indicesOf(points).filter((i) => marking.origins[i] === "proposed"));
+  drawMarks(ctx, viewer, { points, invisible, selection, active, hovered: tool.hovered, suggested, proposed, radius });
   const slips = points.filter((_, i) => wrong.includes(i));
   const isClear = spacing(viewer, slips) >= CLOSE;
   discs(ctx, viewer, slips, radius + (isClear ? 5 : 2));

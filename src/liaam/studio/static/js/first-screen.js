@@ -1,5 +1,6 @@
 // The first screen, of an empty folder: a photograph of a face under a lamp that follows the pointer, and ways to begin.
 
+import { fileOf } from "./api.js";
 import { directionAt, lampHandle, pixelsOf } from "./relight.js";
 import { perFrame, button, h, icon } from "./ui.js";
 
@@ -47,7 +48,7 @@ export class Layers {
   }
 }
 
-const load = async (name) => createImageBitmap(await (await fetch(`first/${name}`)).blob());
+const load = async (name) => createImageBitmap(await (await fetch(fileOf(`first/${name}`))).blob());
 
 /** The picture with its lamp. Resolves once it is painted for the first time. */
 class RelitFace {
@@ -68,7 +69,7 @@ class RelitFace {
 
   async _load() {
     const [face, light, facts] = await Promise.all([
-      load("face.jpg"), load("light.jpg"), fetch("first/light.json").then((answer) => answer.json())]);
+      load("face.jpg"), load("light.jpg"), fetch(fileOf("first/light.json")).then((answer) => answer.json())]);
     this._face = face;
     const { width } = light;
     this._layers = new Layers(pixelsOf(light).data, facts);
@@ -130,7 +131,7 @@ class RelitFace {
 export function createFirstScreen(app) {
   const face = new RelitFace();
   const fit = async () => {
-    const file = new File([await (await fetch("first/face.jpg")).blob()], "face.jpg", { type: "image/jpeg" });
+    const file = new File([await (await fetch(fileOf("first/face.jpg"))).blob()], "face.jpg", { type: "image/jpeg" });
     app.openTab("fit", { view: "relit" });
     await app.sources.take(file);
   };
@@ -143,6 +144,9 @@ export function createFirstScreen(app) {
   show();
   window.liaamStudio.first = face;
   return h("div.first", { testid: "first" }, face.element, h("div.first-words",
-    h("h2.grow", "One photograph. Move its light."), h("div.row.first-ways", drop, camera, fitting),
+    h("h2", "Landmarks on your own pictures, placed and measured"),
+    h("p", "Drop your pictures and click the points on a few of them: a model places the rest, and you check and measure " +
+      "them all. Or drop one portrait, and move its light."),
+    h("div.row.first-ways", drop, camera, fitting),
     h("p.small.muted", "Everything stays on this machine. Photograph: Lisa DeBruine, CC0.")));
 }

@@ -31,6 +31,10 @@ export class SetupPanel {
       icon: "image", small: true, title: "Open another picture without adding it to the folder",
       onclick: () => tab.file.click(),
     });
+    this._place = button("Place its landmarks", {
+      icon: "plus", small: true, hidden: true, testid: "fit-place", title: "Add the picture to the folder, and annotate it",
+      onclick: () => app.adding.keep(tab.sources.current.file),
+    });
     this._starts = segmented("Start", STARTS, "auto", (value) => tab.setStart(value), "start");
     this._starts.element.addEventListener("click", ({ detail, target }) => {
       if (!detail || !target.value) return; // chosen by keys
@@ -60,7 +64,7 @@ export class SetupPanel {
       h("div.column.tight", this._starts.element, this._hint),
       h("div.row.fit-method", h("label.field.grow", "Method", method), this.runner), summary);
     this.element = h("section.panel", { "aria-label": "Fit" },
-      h("div.row.fit-source", this._back, this._label, open), this._needsModel, this._mismatch, this._withModel);
+      h("div.row.fit-source", this._back, this._label, open), this._place, this._needsModel, this._mismatch, this._withModel);
   }
 
   set start(value) {
@@ -73,6 +77,7 @@ export class SetupPanel {
     const { sources: { current: source }, state, mismatch } = this._tab;
     const { model } = state.project;
     this._label.textContent = this._label.title = source?.name ?? "No picture";
+    this._place.hidden = !source?.file || state.guest;
     this._back.hidden = !source || source.ofFolder || !state.current;
     this._needsModel.hidden = Boolean(model);
     this._withModel.hidden = !model;

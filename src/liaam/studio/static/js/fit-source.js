@@ -69,9 +69,11 @@ export class Source {
     this.name = name;
     this.tag = tag;
     this.id = null;
+    this.file = null; // that was dropped or chosen, if the picture is not in the folder
     this.image = null;
     this.width = this.height = 0;
-    this.method = this.fit = null; // how it is to be fitted with its upload, and that fit
+    this.method = this.fit = null; // how it is to be fitted with its upload, and that fit until it is shown
+    this.quality = null; // of that fit
     this.ready = Promise.resolve();
     this.started = performance.now();
     this.key = this.ofFolder ? `picture ${name} ${tag}` : `upload ${(uploads += 1)}`;
@@ -156,6 +158,7 @@ export class Sources extends EventTarget {
     if (file.size > limit)
       return this._say("failed", { error: new Error(`${what}: put it into the folder, or make it smaller.`) });
     const before = this.current;
+    source.file = file;
     this._wanted = source;
     this._chosen = false;
     this._say("taken", { source });
@@ -183,6 +186,7 @@ export class Sources extends EventTarget {
   async _send(source, file) {
     const { name, method } = source;
     Object.assign(source, await api.upload(api.url("uploads", { name, method }), file)); // id, width, height and fit
+    source.quality = source.fit?.quality ?? null;
     // Landmark coordinates refer to the server's size.
     if (this.current === source) this._say("ready");
   }

@@ -21,6 +21,7 @@ export class Editable {
   active = -1; // the one that was selected last
   invisible = new Set();
   shown = null; // points during a gesture
+  began = null; // the context when the gesture in progress began
 
   /** handlers: what to call when points are selected, during a gesture, and when the state has changed. */
   constructor(handlers = {}) { Object.assign(this, handlers); }
@@ -29,6 +30,11 @@ export class Editable {
   onchange() {}
 
   get editable() { return true; }
+
+  /** What the next click depends on besides the state: undo and redo restore it, too. */
+  get context() { return { selection: [...this.selection], active: this.active }; }
+  /** The context before a step: a press that selects the point which it moves belongs to the step. */
+  get contextBefore() { return this.began ?? this.context; }
 
   /** Indices of the points with a frame and handles. */
   framed() { return []; }
@@ -54,9 +60,11 @@ export class Editable {
   /** Undo or redo a step; return its description, or null if there is none. @this {any} */
   travel(way) {
     const what = way === "undo" ? this.history?.undoes : this.history?.redoes;
-    if (!this.history?.[way]()) return null;
-    this.shown = null;
+    if (!this.history?.[way](this.context)) return null;
+    const { selection = [], active = -1 } = this.history.context ?? {};
+    Object.assign(this, { shown: null, selection: new Set(selection), active });
     this.changed();
+    this.onselect();
     return what;
   }
 }
@@ -166,6 +174,7 @@ export class PointTool {
   pointer = null; // {at: css pixels, xy, type} of the last pointer that hovered, or of a point moved by keys
   magnifies = true; // whether the loupe shows where a click would place a point
   pressed = null; // position of a press that started no gesture
+  doc = null; // what the gesture in progress edits
 
   /** @param {any} viewer; @param {() => any} current; @param {{boxes?: () => boolean, onend?: () => void}} options */
   constructor(viewer, current, { boxes = () => false, onend = () => {} } = {}) {
@@ -186,7 +195,11 @@ export class PointTool {
   down(event, xy) {
     this.pressed = null;
     if (event.button > 0) return false;
+    const doc = this.current();
+    doc.began = doc.context;
     this.gesture = this.begin(event, xy);
+    this.doc = this.gesture && doc;
+    if (!this.gesture) doc.began = null;
     this.note(event, xy);
     if (this.gesture === null) this.pressed = [event.clientX, event.clientY];
     this.viewer.redraw();
@@ -235,15 +248,22 @@ export class PointTool {
     const { gesture } = this;
     this.gesture = null;
     gesture.up();
+    this.ended();
     this.onend();
     this.viewer.redraw();
   }
 
   cancel() {
     this.gesture?.cancel();
+    this.ended();
     this.gesture = null;
     this.pressed = null;
     this.viewer.redraw();
+  }
+
+  ended() {
+    if (this.doc) this.doc.began = null;
+    this.doc = null;
   }
 
   released(event) {

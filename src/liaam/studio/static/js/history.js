@@ -1,4 +1,5 @@
-// Undo and redo with snapshots. States are immutable, so a snapshot is a reference.
+// Undo and redo with snapshots. States are immutable, so a snapshot is a reference. With each state goes its context:
+// all else that the next click depends on, such as the active point. Undo and redo restore both.
 
 const LIMIT = 500; // maximum number of steps
 const BURST = 800; // milliseconds within which steps with the same key are merged
@@ -8,6 +9,7 @@ export class History {
    *  @param {{limit?: number, burst?: number, now?: () => number}} options */
   constructor(state, { limit = LIMIT, burst = BURST, now = () => performance.now() } = {}) {
     this.state = state;
+    this.context = null; // of the state that was undone or redone last
     this.limit = limit;
     this.burst = burst;
     this.now = now;
@@ -16,12 +18,13 @@ export class History {
     this.last = { key: null, time: 0 };
   }
 
-  /** Add a state. Steps with the same `key` in quick succession (held arrow keys) are merged. */
-  push(state, what = "", key = null) {
+  /** Add a state. Steps with the same `key` in quick succession (held arrow keys) are merged. context: of the state
+   *  before the step. */
+  push(state, what = "", key = null, context = null) {
     if (state === this.state) return;
     const time = this.now();
     const joins = key !== null && key === this.last.key && time - this.last.time < this.burst && this.past.length > 0;
-    if (!joins) this.past.push({ state: this.state, what });
+    if (!joins) this.past.push({ state: this.state, what, context });
     if (this.past.length > this.limit) this.past.shift();
     this.state = state;
     this.future = [];
@@ -33,14 +36,16 @@ export class History {
 
   get undoes() { return this.past.at(-1)?.what ?? ""; }
   get redoes() { return this.future.at(-1)?.what ?? ""; }
-  undo() { return this.travel(this.past, this.future); }
-  redo() { return this.travel(this.future, this.past); }
+  /** context: of the present state. */
+  undo(context = null) { return this.travel(this.past, this.future, context); }
+  redo(context = null) { return this.travel(this.future, this.past, context); }
 
-  travel(from, to) {
+  travel(from, to, now) {
     if (!from.length) return null;
-    const { state, what } = from.pop();
-    to.push({ state: this.state, what });
+    const { state, what, context } = from.pop();
+    to.push({ state: this.state, what, context: now });
     this.state = state;
+    this.context = context;
     this.last = { key: null, time: 0 };
     return state;
   }

@@ -1,12 +1,15 @@
 // The marks of the open picture while they are edited: selection, display and undo history, independent of the page.
 //
-// A *state* {points, invisible, source, bar} is an immutable value in the undo history. Source "file" is placed by the user,
-// "proposal" by the model, and "layout" is the mean of the done pictures. The last two are saved only when accepted or
-// moved. `bar` is the scale bar, or null. A *book* {history, covariances, doubtful, ...} holds everything about one picture.
+// A *state* {points, invisible, absent, origins, source, bar} is an immutable value in the undo history. Source "file" is
+// placed by the user, "proposal" by the model, and "layout" is the mean of the done pictures. The last two are saved only
+// when accepted or moved. `absent` are the points that the specimen does not have, `origins` says where each point comes
+// from (origins.js), and `bar` is the scale bar, or null. A *book* {history, covariances, doubtful, ...} holds everything
+// about one picture.
 
 import { Editable, placing } from "./gestures.js";
+import { isOwn, nextToConfirm, originsAfter, originsOf } from "./origins.js";
 import {
-  expected, flip, flipIndices, missing, nextMissing, place, placed, remove, sameBar, samePoint, samePoints, toggle,
+  expected, flip, flipIndices, leftToPlace, nextOf, place, placed, remove, sameBar, samePoint, samePoints, toggle,
   withTwins,
 } from "./points.js";
 
@@ -38,18 +41,26 @@ export class Marking extends Editable {
   }
   get chosen() { return [...this.selection].sort((a, b) => a - b); }
   get chosenPlaced() { return this.chosen.filter((i) => this.points[i]); }
-  get missing() { return missing(this.points); }
+  get absent() { return this.state?.absent ?? []; }
+  /** The points that have no position yet, and are not absent. */
+  get missing() { return leftToPlace(this.points, this.absent); }
+  /** The first of them after `index`, cyclically; -1 if there is none. */
+  nextMissing(index = -1) { return nextOf(this.missing, index); }
+  get origins() { return this.state ? originsOf(this.state) : []; }
+  /** The number of points that are still as they were proposed, in a picture that was changed since. */
+  get proposed() { return this.suggested ? 0 : this.origins.filter((origin) => origin === "proposed").length; }
 
   framed() {
     if (this.selection.size > 1) return [...this.selection].filter((i) => this.points[i]);
     return this.state?.source === "layout" ? placed(this.points) : [];
   }
 
-  /** "missing", "invisible", "proposed" or "placed". */
+  /** "missing", "absent", "invisible", "proposed", "accepted" or "placed". */
   stateOf(index) {
-    if (!this.points[index]) return "missing";
+    if (!this.points[index]) return this.absent.includes(index) ? "absent" : "missing";
     if (this.invisible.has(index)) return "invisible";
-    return this.suggested ? "proposed" : "placed";
+    const origin = this.suggested ? "proposed" : (this.origins[index] ?? "placed");
+    return isOwn(origin) ? "placed" : origin;
   }
 
   open(book) {
@@ -57,21 +68,33 @@ export class Marking extends Editable {
     this.invisible = new Set(this.state?.invisible);
   }
 
-  commit(points, what, key = null) { this.change({ points }, what, key); }
+  /** @typedef {{alone?: number, fresh?: string, changed?: string | null, accepts?: boolean, context?: any}} Options
+   *  Those of originsAfter, and what the next click depended on before the step, if that is not the present. */
 
-  /** One undo step. It accepts a proposal, unless it changes the scale bar, and the mean shape if a point moves. */
-  change(change, what, key = null, accepts = false) {
+  /** @param {any} points; @param {string} what; @param {string | null} key; @param {Options} options */
+  commit(points, what, key = null, options = {}) { this.change({ points }, what, key, options); }
+
+  /** One undo step. It accepts a proposal, unless it changes the scale bar, and the mean shape if a point moves.
+   *  @param {any} change; @param {string} what; @param {string | null} key; @param {Options} options */
+  change(change, what, key = null, { context = this.contextBefore, ...options } = {}) {
     const before = this.state;
-    const { points, invisible, bar = null } = { ...before, ...change };
+    const { points, invisible, absent = [], bar = null } = { ...before, ...change };
     this.shown = null;
-    const still = points.every((point, i) => !point || samePoint(point, before.points[i]));
-    const stays = "bar" in change || (before.source === "layout" && still && !accepts);
+    // One that is moved alone is a person's own afterwards. The twin that moves along is not, nor are several.
+    const alone = this.selection.size === 1 ? this.active : -1;
+    const origins = change.origins ?? originsAfter(before, points, { alone, ...options });
+    const isTouched = options.accepts || "origins" in change ||
+      !points.every((point, i) => !point || samePoint(point, before.points[i]));
+    const stays = "bar" in change || (before.source === "layout" && !isTouched);
     const source = stays ? before.source : "file";
-    const state = { points, invisible: invisible.filter((i) => points[i]), source, bar };
+    const state = {
+      points, invisible: invisible.filter((i) => points[i]), absent: absent.filter((i) => !points[i]), origins, source, bar,
+    };
     const same = samePoints(points, before.points) && state.invisible.join() === before.invisible.join() &&
+      state.absent.join() === (before.absent ?? []).join() && origins.join() === originsOf(before).join() &&
       sameBar(before.bar, bar);
     if (before.source === source && same) return;
-    this.history.push(state, what, key);
+    this.history.push(state, what, key, context);
     this.changed();
   }
 
@@ -97,13 +120,42 @@ export class Marking extends Editable {
     return placing(xy, (to) => { at = to; }, up, () => this.preview(null));
   }
 
+  /** Accept all points that are still as they were proposed. */
   accept() {
-    if (this.suggested) this.change({}, "accept", null, true);
+    if (this.suggested || this.proposed) this.change({}, "accept", null, { accepts: true });
+  }
+
+  /** Confirm the selected point where it is, and select the next one that no person has placed, moved or confirmed.
+   *  Return the index of the confirmed point; -1 if not exactly one point with a position is selected. */
+  confirm() {
+    const index = this.active;
+    if (this.selection.size !== 1 || !this.points[index]) return -1;
+    const origins = this.origins.map((origin, i) => (i === index && !isOwn(origin) ? "confirmed" : origin));
+    this.change({ origins }, `confirm ${this.names[index]}`);
+    const next = nextToConfirm(this.origins, index);
+    if (next >= 0) this.select([next]);
+    return index;
   }
 
   flip() {
     const { mirror } = this.template;
-    this.change({ points: flip(this.points, mirror), invisible: flipIndices(this.state.invisible, mirror) }, "flip");
+    const points = flip(this.points, mirror);
+    const origins = points.map((point, i) => (point ? this.origins[mirror ? mirror[i] : i] : null));
+    const [invisible, absent] = [this.state.invisible, this.absent].map((some) => flipIndices(some, mirror));
+    this.change({ points, invisible, absent, origins }, "flip");
+  }
+
+  /** Say that the specimen lacks the selected points, or that they are there but missing. Return whether it lacks them
+   *  now; null if none is selected. */
+  toggleAbsent() {
+    const { chosen } = this;
+    if (!chosen.length) return null;
+    const absent = toggle(this.absent, chosen);
+    const isAbsent = absent.includes(chosen[0]);
+    this.change({ points: isAbsent ? remove(this.points, chosen) : this.points, absent }, isAbsent ? "absent" : "not absent");
+    const next = isAbsent ? this.nextMissing(chosen.at(-1)) : chosen[0];
+    this.select(next < 0 ? chosen : [next]);
+    return isAbsent;
   }
 
   toggleInvisible() {
@@ -122,11 +174,12 @@ export class Marking extends Editable {
   /** Place the selected point, or else the next missing one, at its expected position or in the middle of the picture;
    *  return its index, or -1 if all are placed. */
   placeChosen({ width, height }) {
-    const index = this.placing ? this.active : nextMissing(this.points, this.active);
+    const index = this.placing ? this.active : this.nextMissing(this.active);
     if (index < 0) return index;
     const guess = this.template.points ? expected(this.template.points, this.points)[index] : null;
     const inside = guess && guess[0] >= 0 && guess[1] >= 0 && guess[0] < width && guess[1] < height;
-    this.commit(place(this.points, index, inside ? guess : [width / 2, height / 2]), `place ${this.names[index]}`);
+    const at = inside ? guess : [width / 2, height / 2];
+    this.commit(place(this.points, index, at), `place ${this.names[index]}`, null, { fresh: "proposed" });
     this.select([index]);
     return index;
   }

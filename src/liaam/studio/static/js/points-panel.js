@@ -17,6 +17,8 @@ export function createPointsPanel(tab) {
   const tally = h("span.muted.small.grow");
   const act = (label, icon, shortcut, work) => iconButton(label, icon, work, { small: true, shortcut });
   const hide = act("Visible or invisible", "eye-off", "V", commands.toggleInvisible);
+  const confirm = act("Confirm where it is", "check", "Y", commands.confirm);
+  const absent = act("Absent", "minus", "U", commands.toggleAbsent);
   const remove = act("Clear position", "trash", "Delete", commands.removeChosen);
   const space = act("Space the contour's points evenly", "curve", "Shift+C", commands.space);
   const kept = localStorage.getItem(START_KEY) ?? "layout";
@@ -34,17 +36,16 @@ export function createPointsPanel(tab) {
   });
   const mark = ({ selection, active }) => {
     list.mark(selection, active);
-    hide.disabled = remove.disabled = selection.size === 0;
+    hide.disabled = remove.disabled = absent.disabled = selection.size === 0;
+    confirm.disabled = selection.size !== 1;
     space.disabled = selection.size === 0 || !tab.template?.contours.length;
   };
   return {
     list: list.element, tally, edit, mark,
-    elements: [
-      h("section.panel.grow.point-panel",
-        h("div.row", h("h2.panel-title", "Points"), tally, space, hide, remove), list.element),
-      h("section.panel.side-foot",
-        h("div.row.begin-with", h("span.small.muted.grow", "Start with"), start.element), h("div.row", edit, more)),
-    ],
+    points: h("section.panel.grow.point-panel",
+      h("div.row.point-head", h("h2.panel-title", "Points"), tally, confirm, space, hide, absent, remove), list.element),
+    foot: h("section.panel.side-foot",
+      h("div.row.begin-with", h("span.small.muted.grow", "Start with"), start.element), h("div.row", edit, more)),
     /** Start of pictures without points: "layout" or "click". */
     get start() { return start.value; },
     render(marking) {

@@ -70,11 +70,12 @@ export function nearest(points, xy, radius, preferred = new Set()) {
   return best;
 }
 
+/** The points that are still to be placed: those without a position, but not the absent ones. */
+export const leftToPlace = (points, absent = []) => missing(points).filter((i) => !absent.includes(i));
+/** The first of some ascending indices after `index`, cyclically; -1 if there is none. */
+export const nextOf = (indices, index = -1) => indices.find((i) => i > index) ?? indices[0] ?? -1;
 /** The first missing point after `index`, cyclically; -1 if all are placed. */
-export function nextMissing(points, index = -1) {
-  const left = missing(points);
-  return left.find((i) => i > index) ?? left[0] ?? -1;
-}
+export const nextMissing = (points, index = -1) => nextOf(missing(points), index);
 
 /** The least-squares similarity that maps `from` to `to`, over points placed in both: {a, b, x, y} maps (u, v) to
  *  (a u - b v + x, b u + a v + y). With one common point it is a translation; without any it is null. */
@@ -202,7 +203,8 @@ export const sameBar = (one, other) => JSON.stringify(one ?? null) === JSON.stri
 export function sameMarks(one, other, tolerance = 0.006) {
   const near = (p, q) => (isPlaced(p) && isPlaced(q) ? p.every((v, axis) => Math.abs(v - q[axis]) <= tolerance)
     : isPlaced(p) === isPlaced(q));
+  const sameList = (what) => !one[what] || !other[what] || one[what].join() === other[what].join(); // where both are known
   const same = one.points.length === other.points.length && one.invisible.join() === other.invisible.join() &&
-    sameBar(one.bar, other.bar);
+    sameBar(one.bar, other.bar) && sameList("origins") && sameList("absent");
   return same && one.points.every((p, i) => near(p, other.points[i]));
 }

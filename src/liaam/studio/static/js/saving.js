@@ -1,5 +1,6 @@
 // Saving after every change: one request at a time per picture, with the latest content, which is kept in the browser
-// while the server is unreachable. The content is {points, invisible, bar}. This module is independent of the page.
+// while the server is unreachable. The content is {points, invisible, absent, origins, bar}, as far as it is known. This
+// module is independent of the page.
 
 import { sameBar, sameMarks } from "./points.js";
 import { carried } from "./template.js";
@@ -21,8 +22,11 @@ const sizeOf = ({ width = null, height = null }) => ({ width, height });
 const mayBeOne = (a, b) => !a?.width || !b?.width || (a.width === b.width && a.height === b.height);
 
 /** The contents of a picture's landmark file, from the server's answer; proposals are not in a file. */
-export const contentOf = ({ points, invisible, source, bar = null }) =>
-  source === "file" ? { points, invisible, bar } : { points: points.map(() => null), invisible: [], bar };
+export function contentOf({ points, invisible, absent, origins, source, bar = null }) {
+  const known = { ...(absent && { absent }), ...(source === "file" && origins && { origins }) };
+  return source === "file" ? { points, invisible, bar, ...known }
+    : { points: points.map(() => null), invisible: [], bar, ...known };
+}
 
 /** States of an entry, worst first: the status line shows the worst of all pictures. */
 export const STATES = ["conflict", "refused", "failing", "offline", "saving", "saved"];

@@ -35,7 +35,17 @@ export class ScaleBar extends Editable {
   get editable() { return this.marking.editable; }
   get placing() { return this.editable; }
   get prompt() { return `Click ${this.ends[0] ? "the other end" : "one end of a ruler, or of a known length"}`; }
-  travel(way) { return this.marking.travel(way); }
+
+  /** Undo takes back the first end of a bar that is being drawn; without one, it and redo stop drawing, too. */
+  travel(way) {
+    if (way === "undo" && this.ends[0]) {
+      this.preview([null, null]);
+      this.onchange();
+      return "an end of the scale bar";
+    }
+    if (this.on && this.history?.[way === "undo" ? "canUndo" : "canRedo"]) this.turn(false);
+    return this.marking.travel(way);
+  }
 
   turn(on) {
     this.on = on;

@@ -57,9 +57,7 @@ export async function makeSet(app) {
     choice("own", "Other points", "A template of its own, such as hand beside face. Not every picture needs both.", { checked: true }),
     choice("same", "The same points, another observer", same, { disabled: !template }));
   const make = { label: "Make the set", kind: "primary", value: "make", checks: true, testid: "set-make" };
-  const answer = dialog("New set of landmarks", body, [{ label: "Cancel", value: null }, make]);
-  name.focus();
-  if ((await answer) !== "make") return;
+  if ((await dialog("New set of landmarks", body, [{ label: "Cancel", value: null }, make])) !== "make") return;
   const asked = { name: name.value, same: body.querySelector("input:checked").value === "same" };
   go(app, (await state.send((folder) => api.post(api.url("sets"), { ...asked, folder }))).name);
 }
@@ -108,8 +106,12 @@ export function createAgreement(tab) {
 
 /** Show how far observers are apart, and the pictures and points where most. @param {App} app */
 export async function showAgreement({ api, state }) {
-  const { observers, sd, percent: share, repeatability, points, pictures, file, table: text } =
+  /** @type {Agreement} */
+  const { observers, sd, percent: share, repeatability, points, pictures, unconfirmed, file, table: text } =
     await api.get(api.url("agreement"));
+  const ignored = unconfirmed.length > 0 && h("p.small.warn-text", { testid: "agreement-unconfirmed" },
+    `${several(unconfirmed.length, "picture")} ${unconfirmed.length === 1 ? "does" : "do"} not count, since points were ` +
+    `accepted as they were proposed: ${unconfirmed.slice(0, SHOWN).join(", ")}. Move or confirm (Y) each of them.`);
   const pixels = (value) => `${value.toFixed(2)} px`;
   const table = (title, head, rows) => h("section.agreement-table", h("h3", title), h("table",
     h("thead", h("tr", head.map((what) => h("th", { scope: "col" }, what)))), h("tbody", rows.slice(0, SHOWN))));
@@ -127,7 +129,7 @@ export async function showAgreement({ api, state }) {
     h("div.agreement-tables",
       table("Points, worst first", ["Point", "Deviation", "of size"], points.map(pointRow)),
       table("Pictures, worst first", ["Picture", "Deviation"], pictures.map(pictureRow))),
-    h("p.small.muted", "Deviation: standard deviation of an observer from the mean of all. Repeatability: share of the variance of shapes that is between specimens, 1 if observers agree."));
+    ignored, h("p.small.muted", "Deviation: standard deviation of an observer from the mean of all. Repeatability: share of the variance of shapes that is between specimens, 1 if observers agree."));
   const save = { label: "Save the table", value: "save", testid: "agreement-save" };
   const close = { label: "Close", kind: "primary", value: null };
   if ((await dialog("Agreement of observers", body, [save, close], { wide: true })) === "save")

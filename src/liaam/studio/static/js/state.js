@@ -111,7 +111,7 @@ export class State extends EventTarget {
 
   saveMarks(name, marks, options = {}) {
     const address = api.url("pictures", name, "landmarks");
-    return this.send((folder) => api.put(address, { ...marks, folder, who: whoAmI() }, options));
+    return this.send((folder) => api.put(address, { ...marks, folder, who: whoAmI(this.project) }, options));
   }
 
   update(picture) {
@@ -149,9 +149,9 @@ export class State extends EventTarget {
   }
 
   _take(project) {
-    if (this.project && this.project.id !== project.id) {
+    if (this.project && (this.project.id !== project.id || this.project.version !== project.version)) {
       location.reload(); // unsaved marks are kept with the id of their folder
-      throw new ApiError("The studio now serves another folder.", 0);
+      throw new ApiError("The studio now serves another folder, or is of another version.", 0);
     }
     this.unsure = false;
     this.project = project;

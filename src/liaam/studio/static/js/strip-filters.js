@@ -14,6 +14,7 @@ export const FILTERS = {
   done: { label: "Done", has: ({ state }) => state === "done" },
   slips: { label: "Possible slips", has: ({ slip }) => Boolean(slip) },
   review: { label: "To review", has: ({ state, checked }) => state === "done" && !checked },
+  unconfirmed: { label: "Not confirmed", has: ({ state, unconfirmed }) => state === "done" && unconfirmed > 0 },
   checked: { label: "Checked", has: ({ checked }) => Boolean(checked) },
   left: { label: "Left out", has: (picture, left) => Boolean(whyLeftOut(picture, left)) },
   broken: { label: "Cannot be read", has: ({ state }) => state === "broken" },
@@ -30,12 +31,13 @@ export function whyLeftOut({ name, state, left_out: who }, left) {
 }
 
 export function describe(picture, left) {
-  const { state, placed, doubtful, checked, error, slip } = picture;
+  const { state, placed, doubtful, checked, error, slip, absent } = picture;
   if (slip) return "possible slip";
   if (state !== "broken" && whyLeftOut(picture, left)) return "left out";
   if (state === "partial") return error ? "points do not fit" : `${placed} placed`;
   if (state === "proposed" && doubtful) return "doubtful";
-  return checked ? "checked" : (STATES[state] ?? state);
+  const is = checked ? "checked" : (STATES[state] ?? state);
+  return state === "done" && absent ? `${is}, ${absent} absent` : is;
 }
 
 /** The labels of the subfolders of all pictures, with those between, by name. */

@@ -167,9 +167,9 @@ export function mountStrip(root, app) {
 
   /** The item of a picture, made again if the picture has changed. */
   function itemOf(picture) {
-    const { name, state: progress, placed, doubtful, rank, error, tag, checked, slip, quality } = picture;
+    const { name, state: progress, placed, doubtful, rank, error, tag, checked, slip, quality, absent } = picture;
     const why = filters.whyLeftOut(picture, leftOut());
-    const key = [progress, placed, doubtful, rank === 1, error, tag, checked, why, slip, quality].join("|");
+    const key = [progress, placed, doubtful, rank === 1, error, tag, checked, why, slip, quality, absent].join("|");
     const known = items.get(name);
     if (known?.key === key) return known.element;
     known?.element.remove();

@@ -1,17 +1,18 @@
 // The panel beside the picture while the template is edited: instructions, points, paths, and Done.
 
 import { several } from "./annotate-words.js";
+import { fileOf } from "./api.js";
 import * as drafts from "./template.js";
 import { button, consume, fileField, h, icon, iconButton, menu, press } from "./ui.js";
 
 const START =
-  "Which points will be placed on every picture? Click them on this picture, one contour after another. Each click " +
-  "continues the path.";
+  "Which points will be placed on every picture? Click them on this picture: each click is a landmark. Draw a curve for " +
+  "points along an outline.";
 const CONTINUE =
-  "Click to continue the path, or click its first point to close it. Shift-click a point to connect the path to it. " +
-  "You can change names below, now or later.";
+  "Each click adds a landmark, or a semilandmark to the curve that you draw. Click the curve's first point to close it, " +
+  "Shift-click a point to connect the curve to it. You can change names below, now or later.";
 const EDIT =
-  "Click the picture to add points. Shift-click a point to connect the path to it. Other pictures change when you " +
+  "Click the picture to add points. Shift-click a point to connect a curve to it. Other pictures change when you " +
   "press Done.";
 const LAY_OUT = "Drag the frame's handles until the points lie on this picture, then move single points.";
 
@@ -20,18 +21,31 @@ const PRESETS = {
   "face-68": "Face, 68 points (iBUG)", "body-17": "Body, 17 points (COCO)", "hand-21": "Hand, 21 points",
   "wing-12": "Fly wing, 12 points on veins",
 };
+const OF_LANDMARKS = ["body-17", "hand-21", "wing-12"]; // sets whose lines join landmarks; none of these slides
 
-/** onload(file): start with a landmark file; ondone(); onleave(). */
-export function createTemplatePanel({ drafting, onload, ondone, onleave }) {
+/** onload(file, kind): start with a landmark file, of points of one kind if it is given; onsliders(file); ondone();
+ *  onleave(). */
+export function createTemplatePanel({ drafting, onload, onsliders, ondone, onleave }) {
   let busy = false;
   const heading = h("h2.panel-title");
   const intro = h("div.column.template-intro");
-  const file = fileField(onload, { id: "template-file", testid: "template-load", tabindex: null });
+  const file = fileField((chosen) => onload(chosen), { id: "template-file", testid: "template-load", tabindex: null });
   const loadPreset = async (set) =>
-    onload(new File([await (await fetch(`presets/${set}.ljson`)).blob()], `${set}.ljson`));
+    onload(new File([await (await fetch(fileOf(`presets/${set}.ljson`))).blob()], `${set}.ljson`),
+      OF_LANDMARKS.includes(set) ? "landmark" : null);
   const tool = (label, face, onclick, more = {}) => button(label, { icon: face, small: true, onclick, ...more });
-  const path = tool("New path", "path", () => drafting.startPath(), { shortcut: "N", testid: "template-new-path" });
-  const close = tool("Close path", "check", () => drafting.close(), { shortcut: "C", testid: "template-close-path" });
+  const path = tool("Draw a curve", "path", () => drafting.togglePath(), {
+    shortcut: "N", testid: "template-new-path", pressed: false, title: "Clicks add points of a curve, until you press it again",
+  });
+  const close = tool("Close", "check", () => drafting.close(), {
+    shortcut: "C", testid: "template-close-path", title: "Close the curve",
+  });
+  const slidersFile = fileField((chosen) => onsliders(chosen), {
+    id: "template-sliders", accept: ".csv,.txt", testid: "template-sliders", tabindex: null,
+  });
+  const sliders = h("label.button.small", {
+    for: "template-sliders", title: "Take semilandmarks and curves from a table of the numbers before, slide and after",
+  }, icon("upload"), "Load sliders");
   const mirror = tool("Mirror", "mirror", () => drafting.toggleMirror(), {
     shortcut: "X", pressed: false, title: "Add a mirrored point on the other side of the line with each point",
   });
@@ -42,11 +56,11 @@ export function createTemplatePanel({ drafting, onload, ondone, onleave }) {
   const settled = button("The points are in place", { kind: "primary", small: true, onclick: endLayout });
   const message = h("p.small.error-text", { role: "status" });
   const points = pointRows(drafting);
-  const paths = h("ul.template-paths", { "aria-label": "Paths of the template" });
+  const paths = h("ul.template-paths", { "aria-label": "Curves of the template" });
   const element = h("div.template-panel",
-    h("section.panel", heading, intro, h("div.row", path, close, mirror, flip)),
+    h("section.panel", heading, intro, h("div.row", path, close, mirror, flip, slidersFile, sliders)),
     h("section.panel.grow.template-lists",
-      h("h2.panel-title", "Points"), points.element, h("h2.panel-title", "Paths"), paths),
+      h("h2.panel-title", "Points"), points.element, h("h2.panel-title", "Curves"), paths),
     h("section.panel.side-foot", message, h("div.row", done, cancel)));
 
   /** What to do, above the buttons. */
@@ -70,7 +84,9 @@ export function createTemplatePanel({ drafting, onload, ondone, onleave }) {
     const open = draft.path >= 0;
     heading.textContent = saved ? "Edit the template" : "Start with a template";
     intro.replaceChildren(...steps());
-    path.disabled = !open;
+    path.disabled = layingOut;
+    press(path, open);
+    sliders.hidden = !draft.names.length || layingOut;
     close.disabled = !open || draft.contours[draft.path].indices.length < (draft.twinPath < 0 ? 3 : 2);
     mirror.disabled = layingOut;
     press(mirror, drafting.axis !== null);
@@ -86,7 +102,7 @@ export function createTemplatePanel({ drafting, onload, ondone, onleave }) {
     render() {
       const { contours } = drafting.draft;
       points.render();
-      paths.dataset.empty = contours.length ? "" : "No paths yet";
+      paths.dataset.empty = contours.length ? "" : "No curves yet";
       paths.replaceChildren(...contours.map((contour, k) => pathRow(drafting, contour, k)));
       refresh();
     },
@@ -100,18 +116,18 @@ export function createTemplatePanel({ drafting, onload, ondone, onleave }) {
 
 function pathRow(drafting, { indices, closed }, k) {
   const current = k === drafting.draft.path;
-  const label = `Path ${k + 1}`;
+  const label = `Curve ${k + 1}`;
   const length = ` ${several(indices.length, "point")}${current ? ", being drawn" : ""}`;
   const edit = (what, change, ...more) => () => drafting.apply(change(drafting.draft, k, ...more), what);
   const small = (text, face, onclick, more = {}) =>
-    iconButton(`${text} path ${k + 1}`, face, onclick, { small: true, ...more });
+    iconButton(`${text} curve ${k + 1}`, face, onclick, { small: true, ...more });
   const state = { small: true, kind: "ghost", pressed: closed, "aria-label": `${label}: closed` };
   return h("li.template-path", { class: current && "chosen" },
     h("span.grow", label, h("span.muted.small", length)),
     !current && indices.length > 2 &&
-      button(closed ? "closed" : "open", { ...state, onclick: edit("close path", drafts.setClosed, !closed) }),
-    !current && small("Continue", "edit", edit("continue path", drafts.continuePath)),
-    small("Delete", "trash", edit("delete path", drafts.removePath), { title: "Delete this path; its points stay" }));
+      button(closed ? "closed" : "open", { ...state, onclick: edit("close the curve", drafts.setClosed, !closed) }),
+    !current && small("Continue", "edit", edit("continue the curve", drafts.continuePath)),
+    small("Delete", "trash", edit("delete the curve", drafts.removePath), { title: "Delete this curve; its points stay" }));
 }
 
 /** The list of the points, to rename, reorder or delete them. */
@@ -138,6 +154,9 @@ function pointRows(drafting) {
       const twin = draft.mirror[i];
       row.twin.textContent = twin === i ? "" : `⇄ ${twin + 1}`;
       row.twin.title = twin === i ? "" : `Mirrored point: ${names[twin]}`;
+      row.kind.hidden = !draft.contours.some(({ indices }) => indices.includes(i));
+      press(row.kind, drafts.slides(draft, i));
+      row.kind.setAttribute("aria-label", `${names[i]} is a semilandmark`);
     });
     element.dataset.empty = names.length ? "" : "No points yet";
     mark();
@@ -164,7 +183,11 @@ function pointRows(drafting) {
     }, "⠿");
     const [number, twin] = [h("span.number.muted"), h("span.twin.muted.small")];
     const gone = iconButton("Delete", "trash", () => drafting.deleteChosen([at()]), { small: true });
-    const row = { element: h("li.template-point", grip, number, name, twin, gone), number, name, twin, gone };
+    const kind = button("S", {
+      kind: "ghost", small: true, pressed: false, onclick: () => drafting.changeKind(at()),
+      title: "Semilandmark: tracing and spacing of its curve move it",
+    });
+    const row = { element: h("li.template-point", grip, number, name, twin, kind, gone), number, name, twin, kind, gone };
     rows.push(row);
     element.append(row.element);
   }

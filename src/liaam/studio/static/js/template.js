@@ -1,31 +1,40 @@
 // The landmark template as an immutable value: points, names, paths and symmetry. Every function returns a new draft.
 // The twin of a point is its mirrored point.
 //
-// A draft is {names, points, contours: [{indices, closed}], mirror: twin of each point (itself if none), origins:
-//  index of each point in the saved template or null, path: the contour that clicks continue or -1, twinPath: its
-//  mirror image or -1, layout: see Drafting.layout, if there is one}
+// A draft is {names, points, kinds: "landmark" or "semilandmark", contours: [{indices, closed}], mirror: twin of each
+//  point (itself if none), origins: index of each point in the saved template or null, path: the curve that is being
+//  drawn, which clicks continue, or -1, twinPath: its mirror image or -1, layout: see Drafting.layout, if there is one}
+// Curves are called contours in files. Without a curve that is being drawn, a click adds a landmark by itself.
 
 import { several } from "./annotate-words.js";
 import { axisNormal, bounds, indicesOf, rounded } from "./points.js";
 
 export const EMPTY = Object.freeze(
-  { names: [], points: [], contours: [], mirror: [], origins: [], path: -1, twinPath: -1 });
+  { names: [], points: [], kinds: [], contours: [], mirror: [], origins: [], path: -1, twinPath: -1 });
+
+const LANDMARK = "landmark";
+const SEMILANDMARK = "semilandmark";
+
+/** Whether a point of a template is a semilandmark, which slides along its curve. */
+export const slides = (template, index) => template.kinds?.[index] === SEMILANDMARK;
 
 /** A draft of a saved template with its `points` on the picture, or null for its own layout. */
 export function draftOf(template, points = null) {
   return {
     names: template.names.slice(), points: points ?? template.points ?? template.names.map(() => null),
+    kinds: template.kinds?.slice() ?? template.names.map(() => LANDMARK),
     contours: template.contours.map(({ indices, closed }) => ({ indices: indices.slice(), closed: Boolean(closed) })),
     mirror: template.mirror?.slice() ?? indicesOf(template.names), origins: indicesOf(template.names), path: -1,
     twinPath: -1,
   };
 }
 
-function appended(draft, xy) {
+function appended(draft, xy, kind) {
   let number = draft.names.length + 1;
   while (draft.names.includes(`point ${number}`)) number += 1;
   return {
     ...draft, names: [...draft.names, `point ${number}`], points: [...draft.points, rounded(xy)],
+    kinds: [...draft.kinds, kind],
     mirror: [...draft.mirror, draft.names.length], origins: [...draft.origins, null],
   };
 }
@@ -33,19 +42,20 @@ function appended(draft, xy) {
 const extend = (contours, path, index) =>
   contours.map((contour, k) => (k === path ? { ...contour, indices: [...contour.indices, index] } : contour));
 
-/** Add a point to the current path and, if `axis` (x of a vertical line) is given, its twin. A point closer to the axis
- *  than `tolerance` is placed on it and is its own twin. */
+/** Add a landmark, or a semilandmark to the curve that is being drawn, and, if `axis` (x of a vertical line) is given, its
+ *  twin. A point closer to the axis than `tolerance` is placed on it and is its own twin. */
 export function addPoint(draft, xy, { axis = null, tolerance = 0 } = {}) {
   const onAxis = axis !== null && Math.abs(xy[0] - axis) <= tolerance;
   const index = draft.names.length;
-  let next = appended(draft, onAxis ? [axis, xy[1]] : xy);
-  if (next.path < 0)
-    next = { ...next, contours: [...next.contours, { indices: [], closed: false }], path: next.contours.length };
-  next.contours = extend(next.contours, next.path, index);
+  const draws = draft.path >= 0;
+  const kind = draws ? SEMILANDMARK : LANDMARK;
+  let next = appended(draft, onAxis ? [axis, xy[1]] : xy, kind);
+  if (draws) next.contours = extend(next.contours, next.path, index);
   if (axis === null) return next;
   if (onAxis) return next.twinPath < 0 ? next : { ...next, contours: extend(next.contours, next.twinPath, index) };
-  next = appended(next, [2 * axis - xy[0], xy[1]]);
+  next = appended(next, [2 * axis - xy[0], xy[1]], kind);
   next.mirror = next.mirror.map((twin, i) => (i === index ? index + 1 : i === index + 1 ? index : twin));
+  if (!draws) return next;
   if (next.twinPath >= 0) return { ...next, contours: extend(next.contours, next.twinPath, index + 1) };
   // The mirrored path starts with the twins of the path's points.
   const indices = next.contours[next.path].indices.map((i) => next.mirror[i]);
@@ -72,7 +82,21 @@ export function joined(path, twin, closed) {
   return [{ indices: path, closed }, { indices: twin, closed }];
 }
 
-/** End the current path; the next click starts another. */
+/** The kinds of points: the ends of curves are landmarks, as is the first point of a closed one, and so are points that
+ *  are on no curve. */
+function settled(draft, ended = []) {
+  const onCurve = new Set(draft.contours.flatMap(({ indices }) => indices));
+  const ends = new Set(ended.flatMap(({ indices, closed }) => (closed ? [indices[0]] : [indices[0], indices.at(-1)])));
+  return { ...draft, kinds: draft.kinds.map((kind, i) => (onCurve.has(i) && !ends.has(i) ? kind : LANDMARK)) };
+}
+
+/** Begin to draw a curve: the next clicks add its points. */
+export function startPath(draft) {
+  const ended = newPath(draft);
+  return { ...ended, contours: [...ended.contours, { indices: [], closed: false }], path: ended.contours.length };
+}
+
+/** End the curve that is being drawn; the next click adds a landmark by itself. */
 export function newPath(draft, closed = false) {
   if (draft.path < 0) return draft;
   const { indices } = draft.contours[draft.path];
@@ -80,7 +104,8 @@ export function newPath(draft, closed = false) {
   const done = twin ? joined(indices, twin, closed) : [{ indices, closed: closed && indices.length > 2 }];
   const contours = draft.contours.flatMap((contour, k) =>
     k === draft.path ? done : k === draft.twinPath ? [] : contour);
-  return { ...draft, contours: contours.filter((contour) => contour.indices.length > 1), path: -1, twinPath: -1 };
+  const whole = { ...draft, contours: contours.filter((contour) => contour.indices.length > 1), path: -1, twinPath: -1 };
+  return settled(whole, done.filter((contour) => contour.indices.length > 1));
 }
 
 export function continuePath(draft, path) {
@@ -102,7 +127,13 @@ export const setClosed = (draft, path, closed) =>
   ({ ...draft, contours: draft.contours.map((c, k) => (k === path ? { ...c, closed } : c)) });
 
 export const removePath = (draft, path) =>
-  ({ ...draft, path: -1, twinPath: -1, contours: draft.contours.filter((_, k) => k !== path) });
+  settled({ ...draft, path: -1, twinPath: -1, contours: draft.contours.filter((_, k) => k !== path) });
+
+/** Make a landmark a semilandmark, or the other way round. A point on no curve stays a landmark. */
+export const changeKind = (draft, index) => settled({
+  ...draft,
+  kinds: draft.kinds.map((kind, i) => (i === index ? (kind === LANDMARK ? SEMILANDMARK : LANDMARK) : kind)),
+});
 
 export const rename = (draft, index, name) =>
   ({ ...draft, names: draft.names.map((old, i) => (i === index ? name : old)) });
@@ -115,14 +146,14 @@ function arranged(draft, order) {
     const left = indices.filter((i) => now.has(i)).map((i) => now.get(i));
     return { indices: left, closed: closed && left.length > 2 };
   });
-  // The current path may have one point; all others need two.
-  const alive = kept.map((contour, k) => contour.indices.length > (k === draft.path || k === draft.twinPath ? 0 : 1));
+  // The curve that is being drawn may have no point yet; all others need two.
+  const alive = kept.map((contour, k) => k === draft.path || k === draft.twinPath || contour.indices.length > 1);
   const newPlace = (k) => (k < 0 || !alive[k] ? -1 : alive.slice(0, k).filter(Boolean).length);
-  return {
-    ...draft, names: pick(draft.names), points: pick(draft.points), origins: pick(draft.origins),
+  return settled({
+    ...draft, names: pick(draft.names), points: pick(draft.points), kinds: pick(draft.kinds), origins: pick(draft.origins),
     mirror: order.map((old, i) => now.get(draft.mirror[old]) ?? i), contours: kept.filter((_, k) => alive[k]),
     path: newPlace(draft.path), twinPath: newPlace(draft.twinPath), layout: order.length ? draft.layout : null,
-  };
+  });
 }
 
 export function deletePoints(draft, indices) {
@@ -152,12 +183,47 @@ export function fault(draft) {
 
 /** The template of a draft, as JSON for the server. */
 export function templateOf(draft) {
-  const { names, points, contours, mirror } = newPath(draft);
+  const { names, points, kinds, contours, mirror } = newPath(draft);
   return {
-    names: names.map((name) => name.trim()), points,
+    names: names.map((name) => name.trim()), points, kinds,
     contours: contours.map(({ indices, closed }) => ({ indices, closed })),
     mirror: mirror.some((twin, i) => twin !== i) ? mirror : null,
   };
+}
+
+/** The draft with the semilandmarks of a sliders file, as of geomorph: rows of the numbers of the point before, of the one
+ *  that slides, and of the point after. Null if the text is none, or names points that the draft does not have. */
+export function withSliders(draft, text) {
+  const rows = text.trim().split(/\r?\n/).map((line) => line.split(/[\s,;]+/).map((cell) => cell.replaceAll('"', "")));
+  const numbers = rows.map((row) => row.slice(-3).map(Number));
+  const sliders = Number.isNaN(numbers[0][1]) ? numbers.slice(1) : numbers; // without a heading
+  const isPoint = (number) => Number.isInteger(number) && number > 0 && number <= draft.names.length;
+  const isOne = (row) => new Set(row).size === 3 && row.every(isPoint);
+  if (!sliders.length || !sliders.every(isOne)) return null;
+  const sliding = new Set(sliders.map(([, point]) => point - 1));
+  const kept = newPath(draft).contours.filter(({ indices }) => !indices.some((i) => sliding.has(i)));
+  const kinds = draft.names.map((_, i) => (sliding.has(i) ? SEMILANDMARK : LANDMARK));
+  return { ...draft, kinds, contours: [...kept, ...curvesOf(sliders)], path: -1, twinPath: -1 };
+}
+
+/** The curves through sliders, which are [before, point, after] counted from 1. */
+function curvesOf(sliders) {
+  const waiting = sliders.map((row) => row.map((number) => number - 1));
+  const curves = [];
+  while (waiting.length) {
+    const indices = waiting.shift();
+    const follows = ([before, point]) => before === indices.at(-2) && point === indices.at(-1);
+    const precedes = ([, point, after]) => point === indices[0] && after === indices[1];
+    const findNext = () => waiting.findIndex((row) => follows(row) || precedes(row));
+    for (let at = findNext(); at >= 0; at = findNext()) {
+      const [row] = waiting.splice(at, 1);
+      if (follows(row)) indices.push(row[2]);
+      else indices.unshift(row[0]);
+    }
+    const length = new Set(indices).size; // a closed curve repeats its first point, or its first two if all slide
+    curves.push({ indices: indices.slice(0, length), closed: indices.length > length });
+  }
+  return curves;
 }
 
 /** Old index of each point of the current template, null for a new one, by names. If names only changed in place,
@@ -182,9 +248,14 @@ export function carried(content, before, now, current, mapping = null) {
   const points = origins.map((old, i) => (old === null ? (current.points[i] ?? null) : (content.points[old] ?? null)));
   const isHidden = (old, i) => (old === null ? known.has(i) : hidden.has(old));
   const invisible = indicesOf(points).filter((i) => points[i] && isHidden(origins[i], i));
+  const whence = () => origins.map((old, i) => (old === null ? current.origins?.[i] : content.origins[old]) ?? null);
+  const lacks = ({ absent }, i) => (absent?.includes(i) ?? false);
+  const absent = indicesOf(points).filter((i) => !points[i] && (
+    origins[i] === null ? lacks(current, i) : lacks(content, origins[i])));
+  const more = { ...(content.absent && { absent }), ...(content.origins && { origins: whence() }) };
   const kept = new Set(origins);
   const gone = indicesOf(content.points).filter((i) => content.points[i] && !kept.has(i));
-  return { content: { points, invisible, bar: content.bar ?? null }, lost: gone.map((i) => before?.[i] ?? `point ${i + 1}`) };
+  return { content: { points, invisible, bar: content.bar ?? null, ...more }, lost: gone.map((i) => before?.[i] ?? `point ${i + 1}`) };
 }
 
 /** Convert a draft of the template `before` (null: none) to a draft of `now`. */

@@ -1,12 +1,15 @@
 // Tracing a contour of the open picture: clicks add the knots of a smooth curve, along which the contour's points are
-// placed at even distances. Those of its points that are placed and belong to other contours, too, stay where they are.
+// placed at even distances. Only semilandmarks that have a position are moved: landmarks, and points that other contours
+// have too, stay where a person has placed or accepted them.
 
 import { curveThrough, spread } from "./curve.js";
 import { COLOURS } from "./drawing.js";
 import { Editable, placing } from "./gestures.js";
 import { History } from "./history.js";
+import { isOwn } from "./origins.js";
 import { discs, drawContours, drawPoints, stroked } from "./overlays.js";
-import { indicesOf, missing, rounded } from "./points.js";
+import { indicesOf, rounded } from "./points.js";
+import { slides } from "./template.js";
 
 const LEAST = 3; // points of a contour that is traced
 
@@ -14,6 +17,7 @@ export class Tracing extends Editable {
   contour = null; // that is traced, or null
   history = new History([]); // of the knots; `shown` are those during a gesture
   fixed = []; // [place in the contour, point] of points that stay
+  before = null; // the context of the marks when tracing began
 
   /** handlers: onchange(): tracing starts, stops or goes on.
    *  @param {import("./marking.js").Marking} marking */
@@ -38,9 +42,8 @@ export class Tracing extends Editable {
 
   /** The contour to trace: that of the selected point, or of the next one to place; null if there is none. */
   get wanted() {
-    const { active, points, template } = this.marking;
+    const { active, missing: missed, template } = this.marking;
     const long = template?.contours.filter(({ indices }) => indices.length >= LEAST) ?? [];
-    const missed = missing(points);
     for (const index of [active, ...missed.filter((i) => i > active), ...missed]) {
       const own = long.filter(({ indices }) => indices.includes(index));
       if (own.length) return own.find(({ indices }) => indices.some((i) => missed.includes(i))) ?? own[0];
@@ -48,19 +51,24 @@ export class Tracing extends Editable {
     return null;
   }
 
-  /** The placed points of a contour that other contours have too: [place in the contour, point]. */
-  sharedOf({ indices }) {
-    const { points, template: { contours } } = this.marking;
-    const isShared = (index) => contours.filter((each) => each.indices.includes(index)).length > 1;
-    return indices.flatMap((index, place) => (points[index] && isShared(index) ? [[place, points[index]]] : []));
+  /** The points of a contour that stay: [place in the contour, point]. Proposed ones bind nobody. */
+  fixedOf({ indices }) {
+    const { origins, points, template } = this.marking;
+    const isShared = (index) => template.contours.filter((each) => each.indices.includes(index)).length > 1;
+    const stays = (index) => origins[index] !== "proposed" && (isShared(index) || !slides(template, index));
+    return indices.flatMap((index, place) => (points[index] && stays(index) ? [[place, points[index]]] : []));
   }
+
+  /** Whether a contour has a point that may be placed or moved. */
+  mayChange(contour) { return this.fixedOf(contour).length < contour.indices.length; }
 
   fixedAt(end) { return this.fixed.filter(([place]) => place === end).map(([, point]) => point); }
 
   /** Begin to trace a contour; false: stop. */
   turn(/** @type {any} */ contour) {
-    const fixed = contour && !this.marking.suggested ? this.sharedOf(contour) : [];
-    Object.assign(this, { contour: contour || null, fixed, history: new History([]), shown: null });
+    const fixed = contour ? this.fixedOf(contour) : [];
+    const before = contour ? this.marking.context : null;
+    Object.assign(this, { contour: contour || null, fixed, before, history: new History([]), shown: null });
     this.select([]);
     this.marking.preview(null);
     this.onchange();
@@ -75,16 +83,20 @@ export class Tracing extends Editable {
   }
 
   along(line, { indices, closed }, fixed) {
-    const points = this.marking.state.points.slice();
-    spread(line, indices.length, closed, fixed).forEach((point, place) => { points[indices[place]] = rounded(point); });
+    const { absent, state } = this.marking;
+    const points = state.points.slice();
+    spread(line, indices.length, closed, fixed).forEach((point, place) => {
+      const index = indices[place];
+      if (!absent.includes(index)) points[index] = rounded(point);
+    });
     return points;
   }
 
   finish() {
-    const { whole, contour } = this;
+    const { whole, contour, before } = this;
     if (!whole) return;
     this.turn(false);
-    this.marking.commit(whole, "trace the contour");
+    this.marking.commit(whole, "trace the contour", null, { changed: "placed", context: before });
     this.marking.onplaced(contour.indices.at(-1));
   }
 
@@ -93,7 +105,10 @@ export class Tracing extends Editable {
     const knots = contour.indices.map((index) => this.marking.points[index]).filter(Boolean);
     if (knots.length < LEAST) return;
     const line = curveThrough(knots, contour.closed);
-    this.marking.commit(this.along(line, contour, this.sharedOf(contour)), "space the contour evenly");
+    const { origins } = this.marking;
+    const isOfPerson = contour.indices.every((index) => !origins[index] || isOwn(origins[index]));
+    const fresh = isOfPerson ? "placed" : "proposed"; // what runs through proposed points is no person's either
+    this.marking.commit(this.along(line, contour, this.fixedOf(contour)), "space the contour evenly", null, { fresh });
   }
 
   /** The knots among points that a gesture has edited. */
@@ -105,8 +120,16 @@ export class Tracing extends Editable {
   }
 
   commit(points, what, key = null) {
-    this.history.push(this.ownOf(points), what, key);
+    this.history.push(this.ownOf(points), what, key, this.contextBefore);
     this.changed();
+  }
+
+  /** Undo or redo a place. Before the first one, undo leaves tracing, and undoes the last step of the marks. */
+  travel(way) {
+    if (way === "undo" ? this.history.canUndo : this.history.canRedo) return super.travel(way);
+    if (!(way === "undo" ? this.marking.history?.canUndo : this.marking.history?.canRedo)) return null;
+    this.turn(false);
+    return this.marking.travel(way);
   }
 
   /** Remove the last knot. */

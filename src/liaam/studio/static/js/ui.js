@@ -138,7 +138,9 @@ export function grip(tag, { onmove, onkey, ...attributes }, ...children) {
   return element;
 }
 
-/** Open a modal dialog; actions: [{label, kind, value, testid, checks: whether its fields must be valid}]; body:
+const FIELDS = "input:not([type=hidden], [type=checkbox], [type=radio], [type=file]):enabled, textarea:enabled";
+
+/** Open a modal dialog, with the focus in its first field, or else on its main button; actions: [{label, kind, value, testid, checks: whether its fields must be valid}]; body:
  *  element or text. Resolves to the value of the chosen action, or null if the dialog was closed. */
 export function dialog(title, body, actions = [{ label: "Close", value: null }], { wide = false, undecided = false } = {}) {
   return new Promise((resolve) => {
@@ -164,9 +166,11 @@ export function dialog(title, body, actions = [{ label: "Close", value: null }],
     }, head, content, foot);
     document.body.append(box);
     box.showModal();
-    // Show the beginning of a long body, regardless of the focus.
-    const first = undecided ? box : (foot.querySelector(".primary") ?? foot.querySelector("button"));
+    // A field is there to be filled in. Show the beginning of a long body, regardless of the focus.
+    const field = /** @type {any} */ (content.querySelector(FIELDS));
+    const first = undecided ? box : (field ?? foot.querySelector(".primary") ?? foot.querySelector("button"));
     first?.focus({ preventScroll: true });
+    if (first === field) field?.select?.();
     box.scrollTop = content.scrollTop = 0;
   });
 }

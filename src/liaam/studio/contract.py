@@ -1,0 +1,256 @@
+"""What the server and the page say to each other: the JSON of requests, answers and events.
+
+These types are the only source. The server's functions return them, and ``python -m making.studio_types`` writes them
+as TypeScript for the page (``tests/studio/js/contract.d.ts``). Tests compare that file, and real answers, with them.
+"""
+
+from typing import Annotated, Any, Literal, NotRequired, TypedDict
+
+from liaam.studio.origins import Origin
+
+Point = Annotated[list[float] | None, "A position in pixels of the picture, [x, y]; null: not placed."]
+Progress = Literal["reading", "broken", "new", "unchecked", "proposed", "partial", "done"]
+Kind = Literal["landmark", "semilandmark"]
+Source = Literal["file", "proposal", "none"]
+
+
+class Contour(TypedDict):
+    """A curve through points, by index."""
+
+    indices: list[int]
+    closed: bool
+
+
+class Picture(TypedDict):
+    """A picture of the folder, as the list shows it."""
+
+    name: str
+    tag: Annotated[str, "Changes with the file."]
+    state: Progress
+    placed: Annotated[int, "Number of its points that have a position."]
+    doubtful: bool
+    error: Annotated[NotRequired[str | None], "Why it cannot be used; this and the following lack while it is read."]
+    width: NotRequired[int | None]
+    height: NotRequired[int | None]
+    uncertainty: Annotated[NotRequired[float | None], "Of its proposal, as the next one."]
+    quality: NotRequired[float | None]
+    rank: Annotated[NotRequired[int | None], "1 is the most useful to annotate."]
+    checked: Annotated[NotRequired[str | None], "Who checked its landmarks."]
+    slip: Annotated[NotRequired[str | None], "What looks wrong with its landmarks."]
+    slip_points: Annotated[NotRequired[list[int]], "Indices of these points."]
+    left_out: Annotated[NotRequired[str | None], "Who left it out of training."]
+    absent: Annotated[NotRequired[int], "Number of points that the object lacks, so that no training uses the picture."]
+    unconfirmed: Annotated[NotRequired[int], "Number of points that no person placed, moved or confirmed one by one."]
+    revision: Annotated[NotRequired[str | None], "Of the landmark file; null if there is none."]
+
+
+class Template(TypedDict):
+    """The points that are placed on every picture."""
+
+    names: list[str]
+    kinds: list[Kind]
+    contours: list[Contour]
+    mirror: Annotated[list[int] | None, "Index of each point's twin, its own on the axis."]
+    points: list[Point] | None
+    revision: NotRequired[str | None]
+
+
+class Bar(TypedDict):
+    """A length in a picture that is known."""
+
+    ends: list[list[float]]
+    length: float
+    unit: str
+
+
+class Marks(TypedDict):
+    """The landmarks of a picture."""
+
+    points: list[Point]
+    invisible: list[int]
+    absent: Annotated[list[int], "Points that the object lacks."]
+    origins: Annotated[list[Origin | None] | None, "Where the points of a file come from."]
+    source: Source
+    revision: str | None
+    tag: str
+    file: str | None
+    covariances: list[list[list[float]]] | None
+    quality: float | None
+    status: str | None
+    doubtful: bool
+    error: str | None
+    width: int
+    height: int
+    bar: Bar | None
+
+
+class SaveMarks(TypedDict):
+    """A request to save the landmarks of a picture."""
+
+    points: list[Point]
+    invisible: NotRequired[list[int]]
+    absent: NotRequired[list[int]]
+    origins: NotRequired[list[Origin | None]]
+    bar: NotRequired[Bar | None]
+    revision: str | None
+    template: Annotated[NotRequired[str | None], "Revision of the template of the points."]
+    unchecked: NotRequired[bool]
+    who: NotRequired[str]
+    folder: NotRequired[str]
+
+
+class Saved(TypedDict):
+    """The answer to it."""
+
+    revision: str | None
+    picture: Picture
+
+
+class Reviewed(TypedDict):
+    """What an action on several pictures has done."""
+
+    changed: list[str]
+    refused: Annotated[dict[str, str], "Reasons by name."]
+
+
+class HistoryEntry(TypedDict):
+    """An entry in the log of a picture."""
+
+    time: str
+    who: str
+    did: str
+    picture: str
+    revision: str | None
+
+
+class Model(TypedDict):
+    """The model in use."""
+
+    number: Annotated[int, "Another one for each model that the server uses."]
+    name: str
+    n_images: int
+    n_points: int
+    names: Annotated[list[str], "Of its points; none if its training pictures had none."]
+    trained: str | None
+    stale: Annotated[int, "Number of pictures that were completed or changed since."]
+    colour: bool
+    methods: Annotated[list[str], "Methods that it can fit with."]
+    triangles: list[list[int]]
+    theta_deg: float
+    contours: list[Contour]
+    source: Literal["file", "studio", "guest", "face"]
+    left_out: Annotated[dict[str, str], "Why its training left out pictures that have not changed since, by name."]
+    mean: list[list[float]]
+
+
+class Training(TypedDict):
+    """The state of the training."""
+
+    state: Literal["idle", "running", "done", "failed"]
+    done: int
+    total: int
+    what: str
+    error: str | None
+
+
+class Method(TypedDict):
+    """A method that can be fitted with."""
+
+    name: str
+    summary: str
+    needs_colour: bool
+
+
+class Version(TypedDict):
+    """A trained model, and its error on pictures that were held out."""
+
+    time: str | None
+    pictures: int
+    error: float
+    held_out: int
+    same: Annotated[bool, "Whether it was measured on the pictures of the newest."]
+
+
+class Counted(TypedDict):
+    """How much of some work is done."""
+
+    done: int
+    total: int
+
+
+class Formats(TypedDict):
+    """Suffixes of the files that can be added."""
+
+    pictures: list[str]
+    landmarks: list[str]
+    videos: list[str]
+
+
+class Limits(TypedDict):
+    """The largest files and pictures that can be added."""
+
+    upload_bytes: int
+    pixels: int
+
+
+class Project(TypedDict):
+    """The folder, as the page shows it."""
+
+    id: str
+    stamp: str
+    folder: str
+    set: Annotated[str, "The set of landmarks that the page shows."]
+    sets: Annotated[list[str], "All sets of the folder; '' is the first one."]
+    observers: Annotated[list[str], "The sets of the same points, if there are several."]
+    version: str
+    pictures: list[Picture]
+    template: Template | None
+    offered: Annotated[bool, "Whether a model offers the template, and it was not accepted yet."]
+    model: Model | None
+    checked: Annotated[bool, "Whether slips were looked for in the landmarks as they are."]
+    training: Training
+    versions: Annotated[list[Version], "Oldest first."]
+    methods: list[Method]
+    default_method: str
+    default_ambient: float
+    fitting: Annotated[Counted | None, "Pictures that are being fitted as they arrive."]
+    formats: Formats
+    limits: Limits
+    problems: list[str]
+
+
+class Unchanged(TypedDict):
+    """The answer if nothing has changed since a stamp."""
+
+    unchanged: Literal[True]
+    stamp: str
+
+
+class Agreement(TypedDict):
+    """How far observers are apart."""
+
+    observers: list[str]
+    sd: float
+    percent: float
+    repeatability: float | None
+    points: Annotated[list[tuple[str, float, float]], "Name, deviation in pixels, and in percent of the size."]
+    pictures: Annotated[list[tuple[str, float]], "Name and deviation."]
+    unconfirmed: Annotated[list[str], "Pictures that do not count, since points were accepted as they were proposed."]
+    file: str
+    table: str
+
+
+Json = dict[str, Any]
+EVENTS: dict[str, Any] = {
+    "project": Json,
+    "training": Training,
+    "fitting": Counted | None,
+    "landmarks": Json | list[Json],
+}
+"""Data of the events that the server sends, by kind."""
+
+TYPES = (
+    Contour, Picture, Template, Bar, Marks, SaveMarks, Saved, Reviewed, HistoryEntry, Model, Training, Method, Version,
+    Counted, Formats, Limits, Project, Unchanged, Agreement,
+)  # fmt: skip
+"""All types, in the order in which they are written for the page."""

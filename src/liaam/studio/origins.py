@@ -1,0 +1,86 @@
+"""Where each point of a picture comes from, as the studio stores it with the picture's landmarks.
+
+A person has placed a point, moved it, or confirmed it where it was; or has accepted it together with others; or it is
+still as the model, or the mean shape, proposed it. Only the first three are a person's own: accuracy and agreement
+count no others, since points that were accepted unseen would confirm the model that placed them.
+
+An origin belongs to a position: a point that another program has moved since counts as placed, and so does every point
+of a file from elsewhere. So origins stay right when points are renamed, reordered or deleted.
+"""
+
+from collections.abc import Mapping, Sequence
+from typing import Any, Literal
+
+import numpy as np
+
+from liaam.studio.safety import Refusal
+from liaam.studio.store import Store, StoredTable
+
+Origin = Literal["placed", "moved", "confirmed", "accepted", "proposed"]
+ORIGINS: tuple[Origin, ...] = ("placed", "moved", "confirmed", "accepted", "proposed")
+OWN: tuple[Origin, ...] = ("placed", "moved", "confirmed")
+"""Origins of points that a person has placed, moved or confirmed one by one."""
+
+Points = Sequence[Sequence[float] | None]  # [x, y] each, or None without a position
+
+
+class Origins:
+    """The origins of all points that were not placed, by picture. ``entry`` changes with them."""
+
+    def __init__(self, store: Store) -> None:
+        self._table = StoredTable(store, "origin")
+
+    def __contains__(self, name: str) -> bool:
+        return name in self._table
+
+    def entry(self, name: str) -> Mapping[str, Any] | None:
+        """Return what is stored for a picture: positions by their origin."""
+        return self._table.get(name)
+
+    def of(self, name: str, points: Points) -> list[Origin | None]:
+        """Return the origin of each point of a picture; None without a position."""
+        known: dict[tuple[float, ...], Origin] = {}
+        stored = self._table.get(name) or {}
+        for origin in ORIGINS:
+            for position in stored.get(origin, ()):
+                known[tuple(position)] = origin
+        return [None if point is None else known.get(tuple(point), "placed") for point in points]
+
+    def save(self, name: str, points: Points, origins: Sequence[Origin | None]) -> None:
+        """Store the origins of the points of a picture, before its landmark file is written."""
+        entry: dict[str, list[list[float]]] = {}
+        for point, origin in zip(points, origins, strict=True):
+            if point is not None and origin not in (None, "placed"):
+                entry.setdefault(str(origin), []).append(list(point))
+        if entry or name in self._table:
+            self._table.save({name: entry or None})
+
+
+def own_points(origins: Sequence[Origin | None]) -> np.ndarray:
+    """Return which points are a person's own, (n,) bool."""
+    return np.array([origin in OWN for origin in origins], bool)
+
+
+def parse_origins(data: Any, points: Points) -> list[Origin | None]:
+    """Check the origins in a request, one for each point or null."""
+    if not isinstance(data, list) or len(data) != len(points):
+        raise Refusal(422, f"the origins are not valid: send one of {', '.join(ORIGINS)} or null for each point")
+    for origin in data:
+        if origin is not None and origin not in [*ORIGINS]:  # it may have no hash
+            raise Refusal(422, f"an origin is not known: send one of {', '.join(ORIGINS)} or null for each point")
+    return [None if point is None else (origin or "placed") for point, origin in zip(points, data, strict=True)]
+
+
+def origins_after(points: Points, before: Points, origins: Sequence[Origin | None]) -> list[Origin | None]:
+    """Return the origins of points of a request that says none: those that have changed were placed."""
+    after: list[Origin | None] = []
+    if len(points) != len(before):  # a file of another template
+        before = origins = [None] * len(points)
+    for point, point_before, origin in zip(points, before, origins, strict=True):
+        if point is None:
+            after.append(None)
+        elif point_before is not None and list(point) == list(point_before):
+            after.append(origin)
+        else:
+            after.append("placed")
+    return after

@@ -1,0 +1,170 @@
+"""What once went wrong without a word: names after undo, a length typed on a button, points that nobody looked at."""
+
+import re
+import shutil
+
+import numpy as np
+import pytest
+from people import (
+    NAMES,
+    annotate,
+    client,
+    drag,
+    open_picture,
+    opened,
+    picture,
+    points_of,
+    saved,
+    wait_for,
+    wait_for_point,
+    wait_for_state,
+)
+
+from liaam.io import Contour, Landmarks, read_landmarks, write_landmarks
+
+pytestmark = pytest.mark.slow
+
+
+def click_each(page, marked, serve):
+    """Open the second picture, which has no points, to place them one after another."""
+    (marked / NAMES[1]).with_suffix(".ljson").unlink()
+    page.goto(serve(marked).address)
+    open_picture(page, NAMES[1])
+    page.get_by_role("radio", name="Click each").click()
+    wait_for(page, "() => window.liaamStudio.annotate.source() === 'none'")
+
+
+def press(page, *place):
+    """Click a position of the picture."""
+    before = annotate(page, "undoSteps()")
+    page.mouse.click(*client(page, [float(v) for v in place]))
+    wait_for(page, "before => window.liaamStudio.annotate.undoSteps() > before", before)
+
+
+def test_after_undo_the_next_click_places_the_point_that_was_undone(serve, page, marked):
+    click_each(page, marked, serve)
+    places = [[60.0 + 30 * i, 50.0 + 20 * (i % 2)] for i in range(5)]
+    for place in places[:2]:
+        press(page, *place)
+    press(page, 200, 200)  # a slip
+    page.keyboard.press("Control+z")
+    assert annotate(page, "selection()") == [2]
+    for place in places[2:]:
+        press(page, *place)
+    saved(page)
+    stored = read_landmarks((marked / NAMES[1]).with_suffix(".ljson"))
+    assert np.abs(stored.points - places).max() < 1.5
+    for _ in range(5):
+        page.keyboard.press("Control+z")
+    assert annotate(page, "selection()") == [0] and annotate(page, "points()") == [None] * 5
+    for _ in range(5):
+        page.keyboard.press("Control+y")
+    assert np.abs(points_of(page) - places).max() < 1.5
+
+
+def test_a_length_is_typed_as_soon_as_the_second_end_is_clicked(serve, page, marked):
+    page.goto(serve(marked).address)
+    opened(page, NAMES[0])
+    page.keyboard.press("s")
+    for place in ([60.0, 130.0], [220.0, 130.0]):
+        page.mouse.click(*client(page, place))
+    page.locator("[data-testid=scale-length]").wait_for()
+    page.keyboard.type("0.5")
+    page.keyboard.press("Enter")
+    wait_for(page, "() => window.liaamStudio.annotate.bar()?.length === 0.5")
+
+
+def test_points_accepted_with_others_are_known_as_such_until_each_is_moved_or_confirmed(serve, page, marked):
+    click_each(page, marked, serve)
+    page.get_by_role("radio", name="Mean shape").click()
+    wait_for(page, "() => window.liaamStudio.annotate.source() === 'layout'")
+    drag(page, client(page, 0), [v + 15 for v in client(page, 0)])
+    assert page.locator(".point[data-state=proposed]").count() == 4
+    page.keyboard.press("Enter")
+    page.locator(".toast", has_text="All pictures are done").wait_for()
+    saved(page)
+    wait_for(page, "name => window.liaamStudio.state.picture(name).unconfirmed === 4", NAMES[1])
+    assert page.locator(".point[data-state=accepted]").count() == 4
+    assert "4 points not confirmed" in page.locator("[data-testid=review-state]").inner_text()
+    page.locator("[data-testid=point-list] [data-index='1']").click()
+    for _ in range(4):
+        page.keyboard.press("y")
+    saved(page)
+    wait_for(page, "name => window.liaamStudio.state.picture(name).unconfirmed === 0", NAMES[1])
+    page.reload()
+    opened(page, NAMES[1])
+    assert page.locator(".point[data-state=placed]").count() == 5
+
+
+def test_training_on_four_pictures_says_which_one_it_leaves_out(serve, page, marked):
+    shutil.copy(marked / NAMES[0], marked / "portrait-04.png")
+    points = read_landmarks((marked / NAMES[0]).with_suffix(".ljson")).points
+    write_landmarks(marked / "portrait-04.ljson", Landmarks(points[[1, 0, 2, 4, 3]]))  # left and right are exchanged
+    page.goto(serve(marked).address)
+    item = page.locator("[data-testid=strip] [data-name='portrait-04.png']")
+    item.get_by_text("left out").wait_for()
+    item.click()
+    why = page.locator("[data-testid=why-next]")
+    why.get_by_text(re.compile("leaves this picture out, because its points fold the mesh")).wait_for()
+    assert "3 of 4 done, 1 left out" in page.locator(".assist-count").inner_text()
+
+
+def test_tracing_moves_no_landmark(serve, page, marked):
+    """The second point of the curve is a landmark that a person has placed, the fourth slides."""
+    write_landmarks(
+        marked / "portrait-01.ljson", Landmarks(points := [[40, 60], [80, 60], [120, 60], [160, 60], [200, 60]])
+    )
+    page.goto(serve(marked).address)
+    opened(page, NAMES[0])
+    template = {"names": list("abcde"), "contours": [{"indices": [0, 1, 2, 3, 4], "closed": False}], "mirror": None}
+    kinds = ["landmark", "landmark", "semilandmark", "semilandmark", "landmark"]
+    change = {**template, "points": points, "kinds": kinds}
+    page.evaluate("change => window.liaamStudio.app.api.put('/api/template', change)", change)
+    wait_for(page, "() => window.liaamStudio.state.project.template.kinds[2] === 'semilandmark'")
+    opened(page, NAMES[0])
+    page.locator("[data-testid=point-list] [data-index='2']").click()
+    page.keyboard.press("c")
+    for place in ([100.0, 200.0], [220.0, 200.0]):
+        page.mouse.click(*client(page, place))
+    page.keyboard.press("Enter")
+    wait_for_point(page, 1, points[1])
+    found = points_of(page)
+    assert np.abs(found[[0, 1, 4]] - np.array(points)[[0, 1, 4]]).max() == 0
+    assert np.abs(found[[2, 3]] - np.array(points)[[2, 3]]).max() > 10
+
+
+def test_clicks_of_a_template_are_landmarks_by_themselves_until_a_curve_is_drawn(serve, page, marked):
+    for file in marked.glob("*.ljson"):
+        file.unlink()
+    page.goto(serve(marked).address)
+    wait_for(page, "() => window.liaamStudio.annotate?.source() === 'template'")
+    for x in (40.0, 80.0, 120.0):
+        page.mouse.click(*client(page, [x, 60.0]))
+    page.keyboard.press("n")
+    for x in (40.0, 80.0, 120.0, 160.0):
+        page.mouse.click(*client(page, [x, 160.0]))
+    page.locator("[data-testid=template-done]").click()
+    wait_for(page, "() => window.liaamStudio.annotate.source() === 'file'")
+    saved(page)
+    assert read_landmarks(marked / "portrait-01.ljson").contours == (Contour((3, 4, 5, 6)),)
+    kinds = page.evaluate("() => window.liaamStudio.state.project.template.kinds")
+    assert [i for i, kind in enumerate(kinds) if kind == "semilandmark"] == [4, 5]
+    with page.expect_download() as waited:
+        page.locator("[data-testid=export-all]").select_option("sliders")
+    assert waited.value.path().read_text().split() == ["before,slide,after", "4,5,6", "5,6,7"]
+
+
+def test_a_picture_is_finished_without_a_point_that_its_object_lacks(serve, page, marked):
+    click_each(page, marked, serve)
+    for i in range(4):
+        press(page, 60 + 30 * i, 50)
+    page.keyboard.press("u")
+    saved(page)
+    wait_for_state(page, NAMES[1], "done")
+    assert picture(page, NAMES[1])["absent"] == 1
+    page.locator(f"[data-testid=strip] [data-name='{NAMES[1]}']", has_text="1 absent").wait_for()
+    page.keyboard.press("Enter")
+    page.locator(".toast", has_text="All pictures are done").wait_for()
+    page.reload()
+    opened(page, NAMES[1])
+    assert page.locator(".point[data-state=absent]").count() == 1

@@ -1,0 +1,241 @@
+// Types of the page's data, written by python -m making.studio_types from src/liaam/studio/contract.py.
+
+/** A curve through points, by index. */
+interface Contour {
+  indices: number[];
+  closed: boolean;
+}
+
+/** A picture of the folder, as the list shows it. */
+interface Picture {
+  name: string;
+  /** Changes with the file. */
+  tag: string;
+  state: "reading" | "broken" | "new" | "unchecked" | "proposed" | "partial" | "done";
+  /** Number of its points that have a position. */
+  placed: number;
+  doubtful: boolean;
+  /** Why it cannot be used; this and the following lack while it is read. */
+  error?: string | null;
+  width?: number | null;
+  height?: number | null;
+  /** Of its proposal, as the next one. */
+  uncertainty?: number | null;
+  quality?: number | null;
+  /** 1 is the most useful to annotate. */
+  rank?: number | null;
+  /** Who checked its landmarks. */
+  checked?: string | null;
+  /** What looks wrong with its landmarks. */
+  slip?: string | null;
+  /** Indices of these points. */
+  slip_points?: number[];
+  /** Who left it out of training. */
+  left_out?: string | null;
+  /** Number of points that the object lacks, so that no training uses the picture. */
+  absent?: number;
+  /** Number of points that no person placed, moved or confirmed one by one. */
+  unconfirmed?: number;
+  /** Of the landmark file; null if there is none. */
+  revision?: string | null;
+}
+
+/** The points that are placed on every picture. */
+interface Template {
+  names: string[];
+  kinds: ("landmark" | "semilandmark")[];
+  contours: Contour[];
+  /** Index of each point's twin, its own on the axis. */
+  mirror: number[] | null;
+  points: (number[] | null)[] | null;
+  revision?: string | null;
+}
+
+/** A length in a picture that is known. */
+interface Bar {
+  ends: number[][];
+  length: number;
+  unit: string;
+}
+
+/** The landmarks of a picture. */
+interface Marks {
+  points: (number[] | null)[];
+  invisible: number[];
+  /** Points that the object lacks. */
+  absent: number[];
+  /** Where the points of a file come from. */
+  origins: ("placed" | "moved" | "confirmed" | "accepted" | "proposed" | null)[] | null;
+  source: "file" | "proposal" | "none";
+  revision: string | null;
+  tag: string;
+  file: string | null;
+  covariances: number[][][] | null;
+  quality: number | null;
+  status: string | null;
+  doubtful: boolean;
+  error: string | null;
+  width: number;
+  height: number;
+  bar: Bar | null;
+}
+
+/** A request to save the landmarks of a picture. */
+interface SaveMarks {
+  points: (number[] | null)[];
+  invisible?: number[];
+  absent?: number[];
+  origins?: ("placed" | "moved" | "confirmed" | "accepted" | "proposed" | null)[];
+  bar?: Bar | null;
+  revision: string | null;
+  /** Revision of the template of the points. */
+  template?: string | null;
+  unchecked?: boolean;
+  who?: string;
+  folder?: string;
+}
+
+/** The answer to it. */
+interface Saved {
+  revision: string | null;
+  picture: Picture;
+}
+
+/** What an action on several pictures has done. */
+interface Reviewed {
+  changed: string[];
+  /** Reasons by name. */
+  refused: Record<string, string>;
+}
+
+/** An entry in the log of a picture. */
+interface HistoryEntry {
+  time: string;
+  who: string;
+  did: string;
+  picture: string;
+  revision: string | null;
+}
+
+/** The model in use. */
+interface Model {
+  /** Another one for each model that the server uses. */
+  number: number;
+  name: string;
+  n_images: number;
+  n_points: number;
+  /** Of its points; none if its training pictures had none. */
+  names: string[];
+  trained: string | null;
+  /** Number of pictures that were completed or changed since. */
+  stale: number;
+  colour: boolean;
+  /** Methods that it can fit with. */
+  methods: string[];
+  triangles: number[][];
+  theta_deg: number;
+  contours: Contour[];
+  source: "file" | "studio" | "guest" | "face";
+  /** Why its training left out pictures that have not changed since, by name. */
+  left_out: Record<string, string>;
+  mean: number[][];
+}
+
+/** The state of the training. */
+interface Training {
+  state: "idle" | "running" | "done" | "failed";
+  done: number;
+  total: number;
+  what: string;
+  error: string | null;
+}
+
+/** A method that can be fitted with. */
+interface Method {
+  name: string;
+  summary: string;
+  needs_colour: boolean;
+}
+
+/** A trained model, and its error on pictures that were held out. */
+interface Version {
+  time: string | null;
+  pictures: number;
+  error: number;
+  held_out: number;
+  /** Whether it was measured on the pictures of the newest. */
+  same: boolean;
+}
+
+/** How much of some work is done. */
+interface Counted {
+  done: number;
+  total: number;
+}
+
+/** Suffixes of the files that can be added. */
+interface Formats {
+  pictures: string[];
+  landmarks: string[];
+  videos: string[];
+}
+
+/** The largest files and pictures that can be added. */
+interface Limits {
+  upload_bytes: number;
+  pixels: number;
+}
+
+/** The folder, as the page shows it. */
+interface Project {
+  id: string;
+  stamp: string;
+  folder: string;
+  /** The set of landmarks that the page shows. */
+  set: string;
+  /** All sets of the folder; '' is the first one. */
+  sets: string[];
+  /** The sets of the same points, if there are several. */
+  observers: string[];
+  version: string;
+  pictures: Picture[];
+  template: Template | null;
+  /** Whether a model offers the template, and it was not accepted yet. */
+  offered: boolean;
+  model: Model | null;
+  /** Whether slips were looked for in the landmarks as they are. */
+  checked: boolean;
+  training: Training;
+  /** Oldest first. */
+  versions: Version[];
+  methods: Method[];
+  default_method: string;
+  default_ambient: number;
+  /** Pictures that are being fitted as they arrive. */
+  fitting: Counted | null;
+  formats: Formats;
+  limits: Limits;
+  problems: string[];
+}
+
+/** The answer if nothing has changed since a stamp. */
+interface Unchanged {
+  unchanged: true;
+  stamp: string;
+}
+
+/** How far observers are apart. */
+interface Agreement {
+  observers: string[];
+  sd: number;
+  percent: number;
+  repeatability: number | null;
+  /** Name, deviation in pixels, and in percent of the size. */
+  points: ([string, number, number])[];
+  /** Name and deviation. */
+  pictures: ([string, number])[];
+  /** Pictures that do not count, since points were accepted as they were proposed. */
+  unconfirmed: string[];
+  file: string;
+  table: string;
+}

@@ -1,0 +1,142 @@
+"""Where each point comes from, and which points the object lacks: what the studio stores of both, and who knows it."""
+
+import csv
+import io
+
+import numpy as np
+import pytest
+from small_projects import POINTS, TRIANGLE, by_name, proposal, put, refused, states
+
+from liaam.io import Landmarks, read_landmarks, write_landmarks
+from liaam.studio.origins import ORIGINS
+from liaam.studio.project import Project
+from liaam.studio.sets import agreement, make_set
+
+ACCEPTED = ["accepted"] * 3
+
+
+def save(project, name, points=POINTS, **more):
+    data = {"points": points, "revision": project.marks(name)["revision"], **more}
+    return project.save_marks(name, data)
+
+
+def origins(project, name="p1.png"):
+    return project.marks(name)["origins"]
+
+
+def test_origins_are_stored_with_the_landmarks_and_survive_a_restart(small):
+    save(small, "p1.png", origins=["moved", "accepted", "placed"])
+    for project in (small, Project(small.root)):
+        assert origins(project) == ["moved", "accepted", "placed"]
+        assert by_name(project)["p1.png"]["unconfirmed"] == 1
+    assert by_name(small)["p2.png"]["unconfirmed"] == 0
+    save(small, "p1.png", origins=["moved", "confirmed", "placed"])  # the same points
+    assert origins(small)[1] == "confirmed" and by_name(small)["p1.png"]["unconfirmed"] == 0
+
+
+def test_a_request_without_origins_places_what_it_changes(small):
+    save(small, "p1.png", origins=ACCEPTED)
+    save(small, "p1.png", [[5.0, 6.0], None, POINTS[2]])
+    assert origins(small) == ["placed", None, "accepted"]
+
+
+def test_points_that_another_program_has_moved_count_as_placed(small):
+    save(small, "p1.png", origins=ACCEPTED)
+    moved = np.array(POINTS)
+    moved[1] += 3
+    write_landmarks(small.root / "p1.ljson", Landmarks(moved, names=("a", "b", "c")))
+    assert origins(Project(small.root)) == ["accepted", "placed", "accepted"]
+
+
+@pytest.mark.parametrize("suffix", [".ljson", ".pts"])
+def test_points_accepted_together_are_known_as_such_also_after_they_were_deleted_and_restored(small, suffix):
+    if suffix == ".pts":
+        write_landmarks(small.root / "p1.pts", Landmarks(np.full((3, 2), np.nan)))
+    small.add_proposals({"p1.png": proposal()})
+    small.review({"pictures": ["p1.png"], "did": "accepted"})
+    assert origins(small) == ACCEPTED and by_name(small)["p1.png"]["unconfirmed"] == 3
+    for did in ("deleted", "undeleted"):
+        small.review({"pictures": ["p1.png"], "did": did})
+    assert origins(small) == ACCEPTED
+
+
+def test_pictures_that_an_earlier_version_has_accepted_are_known_by_the_log(small):
+    small.add_proposals({"p1.png": proposal()})
+    small.review({"pictures": ["p1.png"], "did": "accepted"})
+    small.store.put("origin", {"p1.png": None})
+    again = Project(small.root)
+    assert origins(again) == ACCEPTED and by_name(again)["p1.png"]["unconfirmed"] == 3
+    save(again, "p1.png", [[5.0, 6.0], *POINTS[1:]])
+    assert origins(again) == ["placed", "accepted", "accepted"]
+
+
+def test_origins_go_along_when_the_points_of_the_template_change(small):
+    save(small, "p1.png", origins=["moved", "accepted", "placed"])
+    small.save_template({"names": ["c", "new", "b"], "mapping": [2, None, 1]})
+    assert origins(small) == ["placed", None, "accepted"]
+
+
+def test_origins_that_are_not_valid_are_refused(small):
+    for wrong in ("placed", ["placed"], ["placed", "x", None], ["placed", {}, None], [1, 2, 3]):
+        data = {"points": POINTS, "revision": None, "origins": wrong}
+        assert refused(small.save_marks, "p1.png", data).status == 422, wrong
+    assert set(ORIGINS) == {"placed", "moved", "confirmed", "accepted", "proposed"}
+
+
+def test_the_exported_table_says_the_origin_of_each_point(small):
+    save(small, "p1.png", origins=["moved", "accepted", "placed"])
+    save(small, "p2.png", [POINTS[0], None, POINTS[2]], origins=["confirmed", None, "proposed"])
+    rows = list(csv.DictReader(io.StringIO(small.export("csv")[1].decode())))
+    assert [row["origin"] for row in rows] == ["moved", "accepted", "placed", "confirmed", "", "proposed"]
+
+
+def test_points_accepted_unseen_are_no_observation(small):
+    anna = small.of_set(make_set(small, {"name": "anna", "same": True})["name"])
+    for name in ("p1.png", "p2.png"):
+        save(small, name)
+    save(anna, "p1.png", (np.array(POINTS) + 1).tolist())
+    save(anna, "p2.png", (np.array(POINTS) + 1).tolist(), origins=["moved", "accepted", "moved"])
+    found = agreement(small)
+    assert [name for name, _ in found["pictures"]] == ["p1.png"] and found["unconfirmed"] == ["p2.png"]
+    save(anna, "p1.png", (np.array(POINTS) + 1).tolist(), origins=ACCEPTED)
+    assert "accepted as they were proposed" in str(refused(agreement, small))
+
+
+def test_only_points_of_a_persons_own_are_truth_for_training(small):
+    save(small, "p1.png", origins=["moved", "accepted", "placed"])
+    (item,) = small.annotated()
+    assert item.own.tolist() == [True, False, True]
+
+
+# Absent points -----------------------------------------------------------------------------------------------------
+
+
+def test_a_picture_is_done_without_the_points_that_its_object_lacks(small):
+    save(small, "p1.png", [POINTS[0], None, POINTS[2]], absent=[1])
+    put(small, "p2.png", [POINTS[0], None, POINTS[2]])
+    for project in (small, Project(small.root)):
+        assert (states(project)["p1.png"], states(project)["p2.png"]) == ("done", "partial")
+        assert by_name(project)["p1.png"]["absent"] == 1 and project.marks("p1.png")["absent"] == [1]
+        assert project.annotated() == []  # training needs all points
+    assert read_landmarks(small.root / "p1.ljson").missing.tolist() == [False, True, False]
+    save(small, "p1.png", POINTS)  # placed after all
+    assert small.marks("p1.png")["absent"] == [] and len(small.annotated()) == 1
+
+
+def test_an_accepted_proposal_has_no_absent_points(small):
+    small.add_proposals({"p1.png": proposal()})
+    save(small, "p1.png", [None] * 3, absent=[1])
+    small.review({"pictures": ["p1.png"], "did": "accepted"})
+    assert small.marks("p1.png")["points"] == [POINTS[0], None, POINTS[2]]
+    assert (small.marks("p1.png")["absent"], states(small)["p1.png"]) == ([1], "done")
+
+
+def test_absent_points_are_stored_before_any_is_placed_and_go_along_with_the_template(small):
+    save(small, "p1.png", [None] * 3, absent=[0, 2])
+    assert states(small)["p1.png"] == "new" and not (small.root / "p1.ljson").exists()
+    save(small, "p1.png", [None, POINTS[1], None])
+    assert states(small)["p1.png"] == "done"
+    small.save_template({**TRIANGLE, "names": ["c", "b"], "contours": [], "mirror": None, "mapping": [2, 1]})
+    assert (small.marks("p1.png")["absent"], states(small)["p1.png"]) == ([0], "done")
+    data = {"points": [None] * 2, "revision": None, "absent": [7]}
+    assert refused(small.save_marks, "p2.png", data).status == 422
