@@ -45,7 +45,8 @@ from liaam.studio.static_files import Page
 from liaam.studio.store import folder_locked
 from liaam.studio.training import Trainer
 
-IMAGE_SIZE, CHROMA_SIZE = 2048, 640  # default longest sides in pixels
+IMAGE_SIZE = 2048  # default longest side of an image, pixels
+CHROMA_SIZE = 640  # of its invariant
 KEPT = {"cache-control": "private, max-age=86400, immutable"}  # headers of answers that never change
 OVERVIEW_SECONDS = 0.2  # how long a request for the project may read files; the rest is read in the background
 
@@ -125,9 +126,12 @@ class Studio:
 
     def routes(self) -> list[Route]:
         """Return the endpoints, whose handlers run in threads."""
-        project, data = self.project, Request.body
+        project = self.project
+        data = Request.body
         # Separate limits, so that the thumbnails of a large folder do not delay fits or landmarks.
-        shown, models, fits = CapacityLimiter(2), CapacityLimiter(1), CapacityLimiter(4)
+        shown = CapacityLimiter(2)
+        models = CapacityLimiter(1)
+        fits = CapacityLimiter(4)
         of_picture = "/api/pictures/{name:path}/"
         return [
             route("GET", "/api/project", self._overview),
@@ -162,7 +166,9 @@ class Studio:
         ]
 
     def _overview(self, request: Request) -> contract.Project | contract.Unchanged:
-        project, training, model = self.project, self.training, self.models.current
+        project = self.project
+        training = self.training
+        model = self.models.current
         stamp = request.query_params.get("stamp", "")
         # Read before the data: a change in between shows up in the next request.
         sets = project.sets
@@ -261,7 +267,8 @@ class Studio:
 
     def _upload(self, request: Request, data: bytes) -> dict[str, Any]:
         """Keep a dropped picture; with a ``method``, also fit it. If that fails, asking for the fit will say why."""
-        asked, fit = request.query_params, None
+        asked = request.query_params
+        fit = None
         upload = self.uploads.add(data, asked.get("name", ""))
         if "method" in asked:
             with suppress(LiaamError):
@@ -273,7 +280,8 @@ class Studio:
         return self._cached(request, f"{size}", lambda picture: self.pictures.image(picture, size), "image/jpeg")
 
     def _chroma(self, request: Request) -> Response:
-        size, current = checked_size(request.query_params.get("size"), CHROMA_SIZE), self.models.current
+        size = checked_size(request.query_params.get("size"), CHROMA_SIZE)
+        current = self.models.current
         camera = CameraModel() if current is None else current.model.camera
         kind = f"chroma-{size}-{hash(camera.response) & 0xFFFFFFFF:x}"
 
@@ -300,19 +308,22 @@ class Studio:
             raise
 
     def _layer(self, request: Request) -> Response:
-        fit, what = self.fits.get(request.path_params["id"]), request.path_params["layer"]
+        fit = self.fits.get(request.path_params["id"])
+        what = request.path_params["layer"]
         size = checked_size(request.query_params.get("size"), LAYER_SIZE)
         data, scale = self.fits.layer(fit, what, size)
         return Response(data, media_type="image/png", headers={**KEPT, "x-scale": json.dumps(scale)})
 
     def _relit(self, request: Request) -> Response:
-        fit, light = self.fits.get(request.path_params["id"]), light_of(request.query_params)
+        fit = self.fits.get(request.path_params["id"])
+        light = light_of(request.query_params)
         size = checked_size(request.query_params.get("size"), LAYER_SIZE)
         image, _ = self.fits.draw(fit, "relit", size, light)
         return Response(jpeg_bytes(image), media_type="image/jpeg", headers=KEPT)
 
     def _export_fit(self, request: Request) -> Response:
-        fit, what = self.fits.get(request.path_params["id"]), request.query_params.get("what", "")
+        fit = self.fits.get(request.path_params["id"])
+        what = request.query_params.get("what", "")
         name, kind, data = self.fits.export(fit, what, light_of(request.query_params))
         return attachment(name, data, kind)
 
@@ -331,9 +342,12 @@ class Studio:
 
     async def on_fault(self, request: Request, fault: Exception) -> Response:
         """Return the error message; if the disk refused to write, use a status that makes the page retry."""
-        answer, status, cause = {"error": self.project.folder.plain(fault)}, 422, fault.__cause__
+        answer = {"error": self.project.folder.plain(fault)}
+        status = 422
+        cause = fault.__cause__
         if isinstance(fault, Refusal):
-            answer, status = answer | fault.details, fault.status
+            answer = answer | fault.details
+            status = fault.status
         elif isinstance(cause, OSError) and not (request.method in ("GET", "HEAD") or request.url.path.endswith(FITS)):
             status = status_of(cause)
         return JSONResponse(answer, status)

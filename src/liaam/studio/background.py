@@ -48,7 +48,9 @@ class Background:
     """Fits pictures with each new model, and checks landmarks, in a thread."""
 
     def __init__(self, project: Project, models: ModelStore, trainer: Trainer, publish: Publish) -> None:
-        self.project, self.models, self.trainer = project, models, trainer
+        self.project = project
+        self.models = models
+        self.trainer = trainer
         self.progress: contract.Counted | None = None  # of the pictures that are being fitted
         self._publish = publish
         self.woken = threading.Event()  # set to have the folder looked at now
@@ -90,7 +92,8 @@ class Background:
                 if now != self._seen:
                     self.fit_new()
                     self._seen = now if self.check_landmarks() else None
-            is_woken, until = self.woken.wait(LOOK_SECONDS), time.monotonic() + LOOK_SECONDS
+            is_woken = self.woken.wait(LOOK_SECONDS)
+            until = time.monotonic() + LOOK_SECONDS
             while is_woken and not self._stopped.is_set():  # until no more files arrive, but not for ever
                 self.woken.clear()
                 is_woken = self.woken.wait(QUIET_SECONDS) and time.monotonic() < until
@@ -124,7 +127,8 @@ class Background:
 
     def _lend(self) -> None:
         """Let pictures be fitted with the face model, unless the folder has points or pictures without faces."""
-        wanted, models = self._may_use_face() and not self._without_faces, self.models
+        wanted = self._may_use_face() and not self._without_faces
+        models = self.models
         if wanted == (models.spare is not None):
             return
         models.publish(self._face if wanted else None, FACE_FACTS, "spare")
@@ -137,7 +141,8 @@ class Background:
 
     def _find_model(self, waiting: list[tuple[str, Path]]) -> ModelInUse | None:
         """Return the model of the folder, or else the face model if it finds faces."""
-        trained, templates = self.models.own, self.project.templates
+        trained = self.models.own
+        templates = self.project.templates
         if trained is not None:
             if templates.current is None:
                 templates.offer(template_of_model(trained.model))
@@ -160,16 +165,20 @@ class Background:
         return self.models.spare
 
     def _propose(self, model: ModelInUse, waiting: list[tuple[str, Path]]) -> None:
-        order, fitter, total = self.project.templates.order, self._fitter_of(model.model), len(waiting)
+        order = self.project.templates.order
+        fitter = self._fitter_of(model.model)
+        total = len(waiting)
         batch: dict[str, Any] = {}
-        seconds, saved = BATCH_SECONDS * (1 + total / 1000), time.monotonic()
+        seconds = BATCH_SECONDS * (1 + total / 1000)
+        saved = time.monotonic()
         with closing(in_order(partial(propose, fitter), [path for _, path in waiting], THREADS)) as proposals:
             try:
                 for done, ((name, _), proposal) in enumerate(zip(waiting, proposals, strict=True), 1):
                     batch[name] = {**proposal, "model": model.key}
                     if done == total or time.monotonic() - saved > seconds:
                         self.project.add_proposals(batch, order)
-                        batch, saved = {}, time.monotonic()
+                        batch = {}
+                        saved = time.monotonic()
                         self._show(done, total)
                     if self._is_paused() or model not in (self.models.own, self.models.spare):
                         return
@@ -233,7 +242,8 @@ def proposal_of(result: FitResult) -> dict[str, Any]:
     facts = {"status": str(result.status), "message": result.message}
     if not np.isfinite(result.landmarks).all():
         return {**_NOTHING, **facts}
-    covariances, size = result.landmark_covariances, diagonal_of(result.landmarks)
+    covariances = result.landmark_covariances
+    size = diagonal_of(result.landmarks)
     has_covariances = bool(np.isfinite(covariances).all()) and size > 0
     is_certain = not result.detection_doubtful
     return {

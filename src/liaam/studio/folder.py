@@ -107,7 +107,10 @@ class Listing:
     """
 
     def __init__(self, folder: Folder, most_pixels: int, place: str = "") -> None:
-        self.folder, self.most_pixels, self.place, self.version = folder, most_pixels, place, 0
+        self.folder = folder
+        self.most_pixels = most_pixels
+        self.place = place
+        self.version = 0
         self.files: dict[str, File] = {}
         self.stranded: list[str] = []
         self.unlisted: list[str] = []
@@ -118,7 +121,9 @@ class Listing:
 
     def scan(self) -> None:
         """List the folder."""
-        self.stranded, self.unlisted, self._times = [], [], {}
+        self.stranded = []
+        self.unlisted = []
+        self._times = {}
         unavailable = partial(Refusal, 503)
         with disk_errors(f"{self.folder.root.name} cannot be read", "is the folder still there?", unavailable):
             signatures, below = self._listed("")
@@ -187,7 +192,8 @@ class Listing:
     def _listed(self, subfolder: str) -> tuple[dict[str, Signature], list[str]]:
         """List the files of a folder, without links that lead out and unreadable entries, and its subfolders."""
         time = self.folder.time(subfolder)  # before the scan, so that changes during it are noticed
-        signatures, below = {}, []
+        signatures = {}
+        below = []
         with os.scandir(self.folder.root / subfolder) as entries:
             for entry in entries:
                 if entry.name.startswith("."):

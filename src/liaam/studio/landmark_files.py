@@ -66,12 +66,16 @@ class LandmarkFiles:
     """Landmark files of the listed pictures, cached until they change; ``problems`` are those of no picture."""
 
     def __init__(self, listing: Listing, store: Store, most_bytes: int, bars: StoredTable) -> None:
-        self._listing, self._store, self._folder, self._most_bytes = listing, store, listing.folder, most_bytes
+        self._listing = listing
+        self._store = store
+        self._folder = listing.folder
+        self._most_bytes = most_bytes
         self._read: dict[str, tuple[Signature, Marks]] = {}
         self._paired: dict[str, Marks] = {}
         self._faults: dict[str, str] = {}
         self.problems: list[str] = []
-        self._pairs_of, self._paired_version = lru_cache(1)(self._pair), -1
+        self._pairs_of = lru_cache(1)(self._pair)
+        self._paired_version = -1
         self.bars = bars  # shared by all sets of landmarks of the folder
         self._invisible = StoredTable(store, "invisible")  # points by name and revision of a .pts
 
@@ -128,10 +132,14 @@ class LandmarkFiles:
 
     def _pair(self, others: tuple[File, ...], pictures: tuple[str, ...]) -> tuple[dict, dict, list]:
         """Pair pictures with files of other formats; return landmarks, errors by picture, and other errors."""
-        root, listing, name_of = self._folder.root, self._listing, self._folder.name_of
+        root = self._folder.root
+        listing = self._listing
+        name_of = self._folder.name_of
         files = [root / file.name for file in others]
         samples, left_out = pair_files(root, [root / name for name in pictures], files, root / listing.place)
-        marks, faults, problems = {}, {}, []
+        marks = {}
+        faults = {}
+        problems = []
 
         @cache  # one file may hold the landmarks of all pictures
         def revision_in(file: Path) -> str | None:
@@ -200,7 +208,8 @@ class LandmarkFiles:
 
         ``scale`` is written if the picture has none. One that cannot be read, or has other points, is kept as a copy.
         """
-        target, before = self.target(picture), self.of(picture)
+        target = self.target(picture)
+        before = self.of(picture)
         name = self._folder.name_of(target)
         if before.file == name and (before.landmarks is None or len(before.landmarks) != len(template)):
             data = read_bytes(target, LandmarkError, sys.maxsize)
@@ -223,7 +232,8 @@ class LandmarkFiles:
         """Replace a file if its revision is ``before``; leave it alone otherwise, or if its folder is gone."""
         self._read.pop(name, None)
         try:
-            target, after = self._folder.inside(name), text.encode()
+            target = self._folder.inside(name)
+            after = text.encode()
         except Refusal:  # it has become a link that leads out of the folder
             return
         if not target.parent.is_dir() or target.suffix.lower() not in OWN_SUFFIXES:
@@ -256,7 +266,8 @@ def parse_bar(data: Any) -> contract.Bar | None:
         return None
     if not isinstance(data, dict) or data.get("unit") not in [*UNITS]:  # it may have no hash
         raise Refusal(422, f"the scale bar is not valid: send ends, length and unit, one of {', '.join(UNITS)}")
-    ends, length = parse_points(data.get("ends"), 2), data.get("length")
+    ends = parse_points(data.get("ends"), 2)
+    length = data.get("length")
     if isinstance(length, bool) or not isinstance(length, int | float) or not 0 < length < LONGEST:
         raise Refusal(422, "the length of the scale bar is not valid: enter a positive number")
     if ends[0] is None or ends[1] is None or math.dist(ends[0], ends[1]) < 1:

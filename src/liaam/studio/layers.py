@@ -47,7 +47,8 @@ def residual_of(fitter: Fitter, image: np.ndarray, result: FitResult) -> tuple[n
     Also return the limit of its colour scale and its name, as JSON for the page.
     """
     fitter = fitter.part_for(result)
-    method, model = result.method, fitter.model
+    method = result.method
+    model = fitter.model
     residual, usable = residual_at(fitter, image, result)
     row = int(np.nan_to_num(np.square(residual, dtype=np.float64).mean(axis=0)).argmax())
     values = np.stack([residual[:, row], usable], axis=1)
@@ -111,7 +112,8 @@ def shading_layer(light: Relighter, to: tuple[int, int]) -> np.ndarray:
     """Draw the shading, log of the ratio of the picture to its flat appearance, at a size (width, height)."""
     shading = light.shading()
     inside = np.any(shading != 0, axis=2).astype(np.float32)
-    mean, coverage = averaged(shading.mean(axis=2), to), averaged(inside, to)
+    mean = averaged(shading.mean(axis=2), to)
+    coverage = averaged(inside, to)
     return coloured(mean / np.maximum(coverage, 1e-6) / SHADING_LIMIT, SHADING_COLOURS, coverage > 0.5)
 
 
@@ -121,7 +123,8 @@ def normals_layer(light: Relighter) -> tuple[np.ndarray, list[float]]:
     Also return their part of the picture, (left, top, width, height), as fractions of its sides.
     """
     layer = np.dstack([128 + 127 * light.normals[..., :2], 255 * light.surroundings.share])
-    (rows, columns), (height, width) = light.region.box, light.picture.shape[:2]
+    rows, columns = light.region.box
+    height, width = light.picture.shape[:2]
     box = [columns.start / width, rows.start / height, *np.divide(light.region.size, (width, height)).tolist()]
     return np.rint(layer if layer.size else np.zeros((1, 1, 3))).astype(np.uint8), box
 

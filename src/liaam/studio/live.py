@@ -32,7 +32,8 @@ from liaam.tracking.shading import ShadingRemover
 
 AT_ONCE = 3  # frames of a video in progress: one arrives, one is tracked, and the shading of one is removed
 IDLE_SECONDS = 60.0  # time without a frame after which a video may end
-SIDE, WHOLE_SIDE = 16, 20_000  # shortest side of a frame, and longest of the video that it is a reduced copy of, pixels
+SIDE = 16  # shortest side of a frame, pixels
+WHOLE_SIDE = 20_000  # longest side of the video that a frame is a reduced copy of, pixels
 
 
 class LiveVideo:
@@ -160,14 +161,16 @@ def _seekable(request: Request, recording: bytes) -> Response:
 def routes(videos: LiveVideos) -> list[Route]:
     """Return the endpoints of live videos."""
     # A thread for each step keeps the frames in order, and makes one tracker at a time.
-    tracking, painting = ThreadPoolExecutor(1, "live-track"), ThreadPoolExecutor(1, "live-paint")
+    tracking = ThreadPoolExecutor(1, "live-track")
+    painting = ThreadPoolExecutor(1, "live-paint")
 
     def begin(_: Request) -> dict[str, str]:
         video = tracking.submit(videos.open).result()
         return {"id": video.id, "header": video.rows.header}
 
     async def update(request: Request) -> Response:
-        video, frame = videos.get(request.path_params["id"]), Frame(request.query_params)
+        video = videos.get(request.path_params["id"])
+        frame = Frame(request.query_params)
         image = frame.image(await request.body())
         if video.in_progress >= AT_ONCE:
             raise Refusal(429, f"{AT_ONCE} frames of this video are in progress: wait for an answer")

@@ -13,7 +13,6 @@ from collections.abc import Callable, Hashable, Iterator
 from concurrent.futures import Future
 from contextlib import contextmanager
 from dataclasses import dataclass
-from functools import partial
 from math import prod
 from pathlib import Path
 from typing import Generic, TypeVar
@@ -33,10 +32,12 @@ from liaam.studio.settings import StudioSettings
 JPEG_QUALITY = 92
 CHROMA_STEP = 1 / 4096  # step of chroma's 16-bit integers: natural logarithm of a ratio of light
 CHROMA_MASKED = -32768  # of a pixel that is dark or saturated in a channel, so that its logarithm is undefined
-COPIED_FROM, COPY_SIDE = 4_000_000, 1000
+COPIED_FROM = 4_000_000
+COPY_SIDE = 1000
 """Pixels of pictures from which on a copy is fitted, and the least of its sides; the longest has twice as many."""
 
-DECODED_BYTES, ENCODED_BYTES = 150_000_000, 50_000_000  # of cached pictures
+DECODED_BYTES = 150_000_000  # of cached pictures, decoded
+ENCODED_BYTES = 50_000_000  # of cached pictures, encoded
 DECODED_AT_ONCE = 50_000_000
 """Pixels decoded concurrently: two pictures of an ordinary camera, or one of the largest. Decoding takes 7 to 14 bytes
 per pixel."""
@@ -52,7 +53,8 @@ class Kept(Generic[K, V]):
     """A thread-safe least-recently-used cache of at most a total weight; concurrent requests share one computation."""
 
     def __init__(self, limit: int, weigh: Callable[[V], int] = lambda _: 1) -> None:
-        self.limit, self.weight = limit, 0
+        self.limit = limit
+        self.weight = 0
         self._weigh = weigh
         self._lock = threading.RLock()
         self._values: OrderedDict[K, tuple[V, int]] = OrderedDict()
@@ -164,7 +166,12 @@ def source_of(path: Path, max_pixels: int, name: str = "") -> PictureSource:
             raise Refusal(409, f"{path.name} has changed: open it and fit it again")
         return value
 
-    decode, preview = partial(read, read_image, max_pixels), lambda size: read(read_preview, size, max_pixels)
+    def decode() -> np.ndarray:
+        return read(read_image, max_pixels)
+
+    def preview(size: int) -> np.ndarray:
+        return read(read_preview, size, max_pixels)
+
     return PictureSource(name or path.name, tag, read(image_size), decode, preview, is_raw(path))
 
 
@@ -245,7 +252,8 @@ class Uploads:
     def __init__(self, pictures: Pictures, settings: StudioSettings | None = None) -> None:
         self._pictures = pictures
         self._settings = settings or StudioSettings()
-        most, self._least = self._settings.uploads_bytes, self._settings.uploads_bytes // self._settings.uploads_kept
+        most = self._settings.uploads_bytes
+        self._least = self._settings.uploads_bytes // self._settings.uploads_kept
         self._uploads: Kept[str, Upload] = Kept(most, lambda upload: min(max(len(upload.data), self._least), most))
 
     def add(self, data: bytes, name: str) -> Upload:
@@ -274,7 +282,9 @@ class Uploads:
 
     def _source(self, upload: Upload, data: bytes | None = None) -> PictureSource:
         # A source may outlive the upload, so it must not hold its bytes, unless they are not kept yet.
-        number, name, pixels = upload.id, upload.name, self._settings.pixels
+        number = upload.id
+        name = upload.name
+        pixels = self._settings.pixels
         return PictureSource(
             name,
             f"upload-{number}",
@@ -347,7 +357,8 @@ def chroma_bytes(image: np.ndarray, size: int, response: Response = "srgb", name
     First width and height (uint32), and the pixels that they cover (float32), then :func:`chroma` row by row.
     """
     numbers = chroma(image, size, response, name)
-    (height, width), (rows, columns) = numbers.shape[:2], image.shape[:2]
+    height, width = numbers.shape[:2]
+    rows, columns = image.shape[:2]
     block = block_size(columns, rows, size)
     header = struct.pack("<IIff", width, height, min(width * block, columns), min(height * block, rows))
     return header + numbers.astype("<i2").tobytes()
@@ -355,7 +366,8 @@ def chroma_bytes(image: np.ndarray, size: int, response: Response = "srgb", name
 
 def block_size(width: int, height: int, size: int) -> float:
     """Return the size of square blocks that leave the smallest rest, with at most ``size`` blocks per side."""
-    longest, shortest = max(width, height), min(width, height)
+    longest = max(width, height)
+    shortest = min(width, height)
     if longest <= size:
         return 1.0
     counts = np.arange(max(1, int(0.9 * size)), size + 1)

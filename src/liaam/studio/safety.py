@@ -23,7 +23,10 @@ from liaam.errors import LiaamError
 from liaam.studio.settings import LOOPBACK, StudioSettings
 
 FITS = "/api/fits"
-UPLOADS, GUEST, FILES, RECORDINGS = "/api/uploads", "/api/model/guest", "/api/files", "/api/recordings"
+UPLOADS = "/api/uploads"
+GUEST = "/api/model/guest"
+FILES = "/api/files"
+RECORDINGS = "/api/recordings"
 """Paths that accept larger bodies."""
 
 HEADERS: dict[str, str] = {
@@ -84,7 +87,8 @@ class Guard:
 
     async def _handle(self, scope: Scope, receive: Receive, send: Send) -> None:
         request = Request(scope)
-        refusal, given = self._refusal(request.headers), request.query_params.getlist("token")
+        refusal = self._refusal(request.headers)
+        given = request.query_params.getlist("token")
         is_page = scope["method"] == "GET" and scope["path"] == "/"
         if refusal is None and is_page and self._may_open(given):
             answer: Response = RedirectResponse("/", 303)
@@ -127,7 +131,9 @@ class Guard:
         is_upload = scope["path"].endswith((UPLOADS, GUEST, FILES, RECORDINGS))  # of any set of landmarks
         limit = self.settings.upload_bytes if is_upload else self.settings.json_bytes
         too_large = Refusal(413, f"the request is larger than {limit:,} bytes: send less")
-        declared, parts, is_whole = headers.get("content-length", ""), [], False
+        declared = headers.get("content-length", "")
+        parts = []
+        is_whole = False
 
         async def next_part() -> Message:
             nonlocal is_whole
@@ -187,7 +193,8 @@ class Crowd:
 
     def __init__(self, settings: StudioSettings) -> None:
         self.settings = settings
-        self.n_bytes, self.uploads = 0, 0
+        self.n_bytes = 0
+        self.uploads = 0
 
     @contextmanager
     def one(self, is_upload: bool) -> Iterator[Callable[[int], None]]:
@@ -219,7 +226,8 @@ def is_own_host(host: str, settings: StudioSettings) -> bool:
     """
     name, _, port = host.lower().rpartition(":")
     if port != str(settings.port):
-        name, port = host.lower(), "80"  # browsers omit the default port
+        name = host.lower()
+        port = "80"  # browsers omit the default port
     if port != str(settings.port):
         return False
     bare = name[1:-1] if name.startswith("[") and name.endswith("]") else name

@@ -19,7 +19,8 @@ if TYPE_CHECKING:
     from liaam.studio.app import Studio
 
 PORTS_TRIED = 20
-GRACE, KEEP_ALIVE = 2, 5
+GRACE = 2
+KEEP_ALIVE = 5
 """Seconds for running requests to finish when the server stops, and that a connection may be idle between requests."""
 
 LARGE_BLOCK = 1 << 20  # bytes from which on a block of memory is returned to the system when it is freed
@@ -139,7 +140,8 @@ def open_port(host: str, port: int | None) -> socket.socket:
     if port is not None and not 0 <= port <= 65535:
         raise LiaamError(f"--port {port}: ports are 1 to 65535")
     tries = range(DEFAULT_PORT, DEFAULT_PORT + PORTS_TRIED) if port is None else (port,)
-    family, reason = socket.AF_INET6 if ":" in host else socket.AF_INET, ""
+    family = socket.AF_INET6 if ":" in host else socket.AF_INET
+    reason = ""
     both = host == "::" and socket.has_dualstack_ipv6()
     for number in tries:
         try:

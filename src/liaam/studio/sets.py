@@ -27,7 +27,8 @@ def make_set(project: Project, data: Any) -> dict[str, str]:
     A subfolder of this name that holds landmark files, but no pictures, becomes the set's.
     """
     data = project.checked(data, "name and same")
-    name, template = data.get("name"), project.templates.needed if data.get("same") else None
+    name = data.get("name")
+    template = project.templates.needed if data.get("same") else None
     if not isinstance(name, str) or not SET_NAME.fullmatch(name):
         raise Refusal(422, "the name is not valid: use at most 30 letters from A to Z, digits, - and _")
     if name.casefold() in (ADDED, *map(str.casefold, project.sets)):

@@ -34,7 +34,8 @@ class Store:
     """The studio's own files of a folder, or of a further set of landmarks; thread-safe. ``faults`` say what fails."""
 
     def __init__(self, folder: Folder, set_name: str = "") -> None:
-        self.folder, self.set_name = folder, set_name
+        self.folder = folder
+        self.set_name = set_name
         self.state = f"{SETS}/{set_name}" if set_name else STATE
         self.faults: dict[str, str] = {}
         self.writes = 0
@@ -61,9 +62,11 @@ class Store:
 
     def all(self, kind: str, name: str | None = None) -> dict[str, Any]:
         """Return the values of a kind by name, or only the one with a name."""
-        query, arguments = "SELECT name, json, hash FROM item WHERE kind = ?", [kind]
+        query = "SELECT name, json, hash FROM item WHERE kind = ?"
+        arguments = [kind]
         if name is not None:
-            query, arguments = f"{query} AND name = ?", [kind, name]
+            query = f"{query} AND name = ?"
+            arguments = [kind, name]
         return dict(self._read(query, arguments))
 
     def put(self, kind: str, values: Mapping[str, Any]) -> None:
@@ -192,7 +195,8 @@ class StoredTable(dict[str, Any]):
 
     def __init__(self, store: Store, kind: str) -> None:
         super().__init__(store.all(kind))
-        self._store, self._kind = store, kind
+        self._store = store
+        self._kind = kind
 
     def of(self, picture: File) -> Any:
         """Return the value for a picture, unless the picture, by its ``tag``, was replaced since."""

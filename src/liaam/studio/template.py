@@ -41,7 +41,8 @@ _ALIKE = 0.05
 because the user sees the result and can correct it."""
 
 _TWINS = {"left": "right", "right": "left", "l": "r", "r": "l"}
-LANDMARK, SEMILANDMARK = "landmark", "semilandmark"
+LANDMARK = "landmark"
+SEMILANDMARK = "semilandmark"
 KINDS = (LANDMARK, SEMILANDMARK)
 """Kinds of points. Semilandmarks slide along a curve: tracing and spacing it move them, and no landmarks."""
 
@@ -163,7 +164,8 @@ def sliders_text(template: Template) -> str:
         for place, index in enumerate(contour.indices):
             has_neighbours = contour.closed or 0 < place < n - 1
             if template.kinds[index] == SEMILANDMARK and has_neighbours:
-                before, after = contour.indices[place - 1], contour.indices[(place + 1) % n]
+                before = contour.indices[place - 1]
+                after = contour.indices[(place + 1) % n]
                 rows.append(f"{before + 1},{index + 1},{after + 1}")
     if not rows:
         raise Refusal(422, "no point of the template is a semilandmark: draw a curve in the template first")
@@ -254,7 +256,8 @@ class Templates:
         with self._lock:
             if template is None:
                 self._proposals.forget()
-            self.offered, self.offered_by = template, source
+            self.offered = template
+            self.offered_by = source
 
     @property
     def needed(self) -> Template:
@@ -303,7 +306,8 @@ class Templates:
         is_offer = self.is_offered
         old = None if is_offer and data.get("revision") is None else self.current
         identity = None if old is None else list(range(len(old)))
-        is_there, is_current = template == self.saved, data.get("revision") == (old and self.revision)
+        is_there = template == self.saved
+        is_current = data.get("revision") == (old and self.revision)
         if "revision" in data and not is_current:
             if is_there:  # sent again, since the first answer may have been lost
                 return False
@@ -364,7 +368,8 @@ class Templates:
             name = self._store.folder.name_of(target)
             if not moved and (marks.file != name or target.suffix.lower() == ".pts"):
                 continue
-            points, scale = marks.points, self._landmarks.scale_of(file)
+            points = marks.points
+            scale = self._landmarks.scale_of(file)
             hidden = [i for i, source in enumerate(mapping) if source in marks.landmarks.invisible]
             landmarks = landmarks_of(template, [None if i is None else points[i] for i in mapping], hidden, scale)
             before = marks.revision if marks.file == name else None

@@ -72,7 +72,9 @@ class Trainer:
     """Trains in a separate process, one training at a time, and publishes the model as soon as it is trained."""
 
     def __init__(self, project: Project, models: ModelStore, publish: Publish) -> None:
-        self.project, self.models, self._publish = project, models, publish
+        self.project = project
+        self.models = models
+        self._publish = publish
         self.versions, self._lock = Versions(project.store), threading.RLock()
         self.state = Training()
         self.is_measuring = False  # whether the model of this training is in use already
@@ -87,7 +89,8 @@ class Trainer:
             if self.state.state == "running":
                 raise Refusal(409, "a training is running: wait for it, or stop it first", training=asdict(self.state))
             order = self.project.templates.order  # read first, so that results for points that change are dropped
-            done, template = self.project.annotated(), self.project.templates.current
+            done = self.project.annotated()
+            template = self.project.templates.current
             wrong = {item.name: f"its points may be wrong: {item.slip}" for item in done if item.slip and not slips}
             used = [item.name for item in done if item.name not in wrong]
             if len(used) < LEAST or template is None:
@@ -95,11 +98,14 @@ class Trainer:
                 raise Refusal(422, f"{text}: complete at least {LEAST}, better 5, to train")
             if len(template) < 3:
                 raise Refusal(422, f"the template has {len(template)} points, but a shape needs at least 3: add some")
-            path, name = self.project.store.path(MODEL_FILE), self.project.title
+            path = self.project.store.path(MODEL_FILE)
+            name = self.project.title
             truths = [item.name for item in done if item.name in used and item.own.mean() >= LEAST_OWN]
             held_out = choose_held_out(truths, self.versions.held_out(order), len(used))
             job = TrainingJob(done, template.contours, template.names, order, path, name, held_out, wrong)
-            self._order, self._stopped, self.is_measuring = job.order, False, False
+            self._order = job.order
+            self._stopped = False
+            self.is_measuring = False
             context = fresh_interpreters()
             pipe, there = context.Pipe(duplex=False)
             self._process = context.Process(target=_work, args=(job, there), name="liaam-studio-training", daemon=True)
@@ -121,7 +127,8 @@ class Trainer:
 
     def follow_template(self) -> None:
         """Stop the training and set the studio's model aside if they are for an earlier set or order of points."""
-        store, order = self.project.store, self.project.templates.order
+        store = self.project.store
+        order = self.project.templates.order
         with self._lock:
             is_stale = self.state.state == "running" and self._order != order
         if is_stale:
@@ -234,7 +241,8 @@ def _work(job: TrainingJob, pipe: Any) -> None:
             summary = f"trained on {model.n_all_images} pictures{without}{warned}"
             with suppress(LiaamError, MemoryError):  # such as too few pictures without those
                 rest, _ = _train(job, pipe.send, dict(left_out), job.held_out, "measuring", leave_out=False, lamps=None)
-                fitter, errors = Fitter(rest), {}  # relative to the diagonal of the points
+                fitter = Fitter(rest)
+                errors = {}  # relative to the diagonal of the points
                 for item in job.done:
                     if item.name in job.held_out:
                         with suppress(LiaamError, MemoryError):
