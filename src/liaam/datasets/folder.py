@@ -19,7 +19,7 @@ import numpy as np
 from liaam.datasets import advice
 from liaam.datasets.dataset import Dataset, Sample, UnusedFile
 from liaam.errors import ImageError, LandmarkError, MissingImageError
-from liaam.io.files import natural_key, some_names
+from liaam.io.files import is_copy, natural_key, some_names
 from liaam.io.images import PICTURE_SUFFIXES, size_and_orientation
 from liaam.io.landmarks import LANDMARK_SUFFIXES, LandmarkFile, Landmarks
 from liaam.io.landmarks.base import Placing
@@ -230,7 +230,11 @@ class _Pairing:
         for image in self.wanted:
             used_image = used_images[image.with_suffix("")]
             # Files of a single image take precedence over files of many, then the order of formats decides.
-            options = sorted(self.options[image], key=lambda each: (not each.is_single, rank_of(each.landmarks)))
+            # A copy of a file comes behind the file.
+            options = sorted(
+                self.options[image],
+                key=lambda each: (not each.is_single, rank_of(each.landmarks), is_copy(each.file)),
+            )
             if image != used_image:
                 self._leave_out(image, f"another image has the same name: {used_image.name} is used")
             elif options:
@@ -263,9 +267,12 @@ class _Pairing:
         if not is_recorded:
             self.left_out.append(UnusedFile(option.file, f"{_LESSER}: {used.file.name} is used"))
         if _disagree(used.landmarks, option.landmarks):
-            kinds = f"{used.file.suffix} and {option.file.name}"
-            remedy = f"remove one (the {used.file.suffix} is used)"
-            self.notes.repair(f"landmarks disagree in {kinds}; {remedy}", image.name)
+            # Files of one image have its name, which follows.
+            name = f"the {used.file.suffix}" if used.is_single else f"'{used.file.name}'"
+            both = f"{name.removeprefix('the ')} and {option.file.name}"
+            if not used.is_single:
+                both = f"{name} and '{option.file.name}'"
+            self.notes.repair(f"landmarks disagree in {both}; remove one ({name} is used)", image.name)
 
     def _add_single(self, file: LandmarkFile, image: Path | None, entry: str) -> None:
         """Add the landmarks of a file for one image, which has its name, or else is the one that it names."""

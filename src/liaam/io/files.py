@@ -28,6 +28,11 @@ def natural_key(text: str) -> list[Any]:
     return [*chain.from_iterable(zip(words[::2], numbers, strict=False)), words[-1]]
 
 
+def is_copy(path: Path) -> bool:
+    """Return whether a file has the name of a copy of another, such as ``all (1).tps`` or ``all - Copy.tps``."""
+    return re.search(r"(?:[ _]\(\d{1,3}\)|[ _]?-[ _]?Copy(?: \(\d+\))?|[ _]copy(?: \d+)?|~)\Z", path.stem) is not None
+
+
 def name_key(name: str) -> str:
     """Return a key that is equal for names that differ in case, or in composed and decomposed letters, only."""
     return unicodedata.normalize("NFC", unicodedata.normalize("NFC", name).casefold())

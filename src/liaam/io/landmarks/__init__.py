@@ -108,8 +108,13 @@ class LandmarkFile(Source):
         first = next(iter(self.entries.values()))
         return first.image_name is None or not self.form.many
 
+    def zeros_of(self, landmarks: Landmarks) -> tuple[int, ...]:
+        """Return the indices of those landmarks of an entry that the file has at 0, 0."""
+        return tuple(np.flatnonzero((landmarks.points == self.form.zero).all(axis=1)).tolist())
+
     @cached_property
-    def _beside(self) -> "ImagesBeside":
+    def beside(self) -> "ImagesBeside":
+        """The images in its folder."""
         return ImagesBeside(self.path.parent)
 
     def all_placed(self, size: Size | None = None) -> dict[str, Landmarks]:
@@ -126,7 +131,7 @@ class LandmarkFile(Source):
         name = name or entry or self.path.name
         try:
             if size is None and landmarks.placing != Placing():
-                size, orientation = self._beside.size_of(entry, landmarks.placing.size)
+                size, orientation = self.beside.size_of(entry, landmarks.placing.size)
             return landmarks if size is None else self._placed(landmarks, size, orientation, name)
         except LandmarkError as fault:
             raise LandmarkError(f"{self.path}: {fault}") from fault

@@ -36,6 +36,8 @@ class Format:
         Makes the landmarks of each object in a file, as the file counts them.
     is_format_of : callable
         Whether a file is of this format, and not of one with the same suffix that comes later in `FORMATS`.
+    zero : float
+        What 0 in its files is in pixels.
     many : bool
         Whether one file can hold many images.
     contours, names : bool
@@ -52,6 +54,7 @@ class Format:
     origin: str
     parse: Callable[[Source], list[Landmarks]]
     is_format_of: Callable[[Source], bool] = _any_file
+    zero: float = 0.0
     many: bool = False
     contours: bool = False
     names: bool = False
@@ -112,6 +115,7 @@ FORMATS: tuple[Format, ...] = (
         title="300-W points",
         suffixes=(".pts",),
         origin="(1, 1) is the centre of the top-left pixel",
+        zero=-1.0,
         parse=plain.parse_pts,
         text=writers.pts_text,
     ),

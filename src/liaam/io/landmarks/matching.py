@@ -4,6 +4,7 @@ import re
 from collections import defaultdict
 from collections.abc import Iterable, Iterator
 from contextlib import suppress
+from itertools import takewhile
 from pathlib import Path, PurePosixPath, PureWindowsPath
 from urllib.parse import unquote
 
@@ -84,6 +85,43 @@ def without_title(name: str) -> str:
 def stem_of(entry: str) -> str:
     """Return an image's name without folders, its suffix, and what Label Studio puts before it."""
     return re.sub(_UPLOADED, "", PureWindowsPath(_path_of(entry)).stem)
+
+
+def _shared_parts(paths: Iterable[PureWindowsPath]) -> tuple[str, ...]:
+    """Return the parts of the folder that all paths share."""
+    folders = [path.parent.parts for path in paths]
+    shared = takewhile(lambda parts: len({*parts}) == 1, zip(*folders, strict=False))
+    return tuple(parts[0] for parts in shared)
+
+
+def shared_folder(entries: Iterable[str]) -> str:
+    """Return the last part of the folder that all images share, or nothing."""
+    parts = _shared_parts(PureWindowsPath(_path_of(entry)) for entry in entries)
+    return parts[-1] if parts else ""
+
+
+def unique_names(entries: Iterable[str]) -> dict[str, str]:
+    """Return a name for each image: its stem, or, where several have one stem, as much of its path as tells all apart.
+
+    The names then are the paths below the folder that all share, without suffix, or with it if only that differs.
+
+    Examples
+    --------
+    >>> unique_names(["data/left/w0.png", "data/right/w0.png"])
+    {'data/left/w0.png': 'left/w0', 'data/right/w0.png': 'right/w0'}
+    """
+    entries = list(dict.fromkeys(entries))
+    paths = {entry: PureWindowsPath(_path_of(entry)) for entry in entries}
+    shared = len(_shared_parts(paths.values()))
+    below = {entry: PurePosixPath(*path.parts[shared:]) for entry, path in paths.items()}
+    tried = (
+        {entry: stem_of(entry) for entry in entries},
+        {entry: str(path.with_name(stem_of(path.name))) for entry, path in below.items() if path.name},
+        {entry: str(path) for entry, path in below.items()},
+    )
+    return next(
+        (names for names in tried if len({*names.values()}) == len(entries)), {entry: entry for entry in entries}
+    )
 
 
 def _path_of(entry: str) -> str:

@@ -69,6 +69,13 @@ def _whole(source: Source, header: Sequence[str], rows: Sequence[TableLine]) -> 
     return list(source.each(((f"line {row[0]}", row) for row in rows), partial(_check_width, header)))
 
 
+def is_of_imagej(source: Source) -> bool:
+    """Whether a table holds ImageJ's results, which are in the unit of the image if that is calibrated."""
+    header = source.rows[0][1]
+    # Its first column has a blank as its name, or one of two is "Label".
+    return {"X", "Y"} <= {*header} and (source.text[:2] in (" ,", " \t") or "Label" in header[:2])
+
+
 def parse_long(source: Source) -> list[Landmarks]:
     """Parse landmarks of one image, or of many images if a column names the image.
 
@@ -80,9 +87,7 @@ def parse_long(source: Source) -> list[Landmarks]:
     columns = columns_of(header, [row for _, row in rows])
     if columns.landmark is not None and header[columns.landmark] not in LANDMARKS | {*UNCLEAR}:
         source.notes.say("landmarks are named by the values of a column", header[columns.landmark])
-    # ImageJ's first column has a blank as its name, or one of two is "Label".
-    raw = source.rows[0][1]
-    shift = 0.5 if {"X", "Y"} <= {*raw} and (source.text[:2] in (" ,", " \t") or "Label" in raw[:2]) else 0.0
+    shift = 0.5 if is_of_imagej(source) else 0.0
 
     def make(group: tuple[tuple[str, str], list[TableLine]]) -> Landmarks:
         (image, specimen), lines = group
