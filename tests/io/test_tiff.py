@@ -23,7 +23,7 @@ def tiff_of(pages: Sequence[tuple[np.ndarray, Mapping[int, Any]]], order: Any = 
     for array, more in pages:
         bands = 1 if array.ndim == 2 else array.shape[2]
         tags: dict[int, Any] = {256: array.shape[1], 257: array.shape[0], 258: [8 * array.itemsize] * bands}
-        tags |= {259: 1, 262: 1 if bands == 1 else 2, 277: bands, 278: array.shape[0], 279: array.nbytes} | more
+        tags |= {259: 1, 262: 1 if bands == 1 else 2, 277: bands, 278: array.shape[0], 279: array.nbytes, **more}
         tags[273] = len(data)
         data += array.astype(array.dtype.newbyteorder(order)).tobytes()
         entries = b""

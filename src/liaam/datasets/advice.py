@@ -19,6 +19,23 @@ UNKNOWN_IMAGE = "unsupported image format; convert it to .png, .tif or .jpg"
 
 ABSENT = "it names images that do not exist"
 
+# Suffixes of files of other programs that often hold landmarks.
+_HOLDERS = (
+    ".xlsx",
+    ".xls",
+    ".ods",
+    ".numbers",
+    ".mat",
+    ".h5",
+    ".hdf5",
+    ".slp",
+    ".zip",
+    ".rds",
+    ".rdata",
+    ".npy",
+    ".npz",
+)
+
 _SEARCHED = 20_000  # Maximum number of paths in subfolders that are looked at
 _SAMPLE = 4096  # Number of bytes of a file that decide whether it is a table of numbers
 
@@ -31,7 +48,15 @@ def unread_landmarks(files: Sequence[Path], bare: Sequence[Path], unrecognised: 
     stems = {image.with_suffix("") for image in bare}
     suffixes = {*PICTURE_SUFFIXES, *LANDMARK_SUFFIXES}
     others = [file for file in files if file.suffix.lower() not in suffixes or file in unrecognised]
-    return [file for file in others if stems and (file.with_suffix("") in stems or _has_numbers(file))]
+
+    read = {file.with_suffix("") for file in files if file.suffix.lower() in LANDMARK_SUFFIXES}
+
+    def seems_to_hold(file: Path) -> bool:
+        if file.with_suffix("") in read - stems and file not in unrecognised:  # as DeepLabCut's .h5 beside its .csv
+            return False
+        return file.with_suffix("") in stems or file.suffix.lower() in _HOLDERS or _has_numbers(file)
+
+    return [file for file in others if stems and seems_to_hold(file)]
 
 
 def unread_images(files: Sequence[Path], orphans: Sequence[Path]) -> list[Path]:

@@ -23,9 +23,10 @@ from liaam.io.files import is_copy, natural_key, some_names
 from liaam.io.images import PICTURE_SUFFIXES, size_and_orientation
 from liaam.io.landmarks import LANDMARK_SUFFIXES, LandmarkFile, Landmarks
 from liaam.io.landmarks.base import Placing
-from liaam.io.landmarks.formats import may_hold_many, rank_of
+from liaam.io.landmarks.formats import ALSO_OTHER, may_hold_many, name_of, rank_of
 from liaam.io.landmarks.matching import ImageNames
 from liaam.io.landmarks.reading import USUAL, Notes, Reading, UnrecognisedError
+from liaam.io.landmarks.yolo import in_images, labels_of
 from liaam.progress import progress_bar
 
 _BARE = "the image has no landmarks"
@@ -79,14 +80,17 @@ def load_folder(
     files = _list_files(root, recursive)
     marks = [file for file in files if file.suffix.lower() in LANDMARK_SUFFIXES]
     images = _images(files)
-    images_root = root
+    images_root = place = root
     if marks and not images:
-        images_root = root.parent
+        images_root = in_images(root) or root.parent
         images = _images(_list_files(images_root, recursive))
+    elif images and not marks and (labels := labels_of(root)):
+        place = labels
+        marks = [file for file in _list_files(labels, recursive) if file.suffix.lower() in LANDMARK_SUFFIXES]
     wanted = [image for image in images if pattern is None or _matches(images_root, image, pattern)]
     if not wanted:
         raise ImageError(advice.no_images(root, files, pattern, recursive))
-    pairing = _Pairing(images_root, root, images, wanted, reading)
+    pairing = _Pairing(images_root, place, images, wanted, reading)
     with progress_bar("landmark files", len(marks), progress) as tell:
         for done, file in enumerate(marks, 1):
             pairing.add(file)
@@ -196,10 +200,11 @@ class _Pairing:
 
     def add(self, file: Path) -> None:
         """Read one landmark file if a wanted image may need it."""
-        beside = self._beside(file)
-        image = self.by_stem.get(beside.with_suffix("")) or self.names.of_file(beside)
+        image = self._image_of_name(file)
         if not may_hold_many(file) and (image is None or image not in self.options):
-            if image is None:
+            if image is None and file.suffix.lower() in ALSO_OTHER and "roi" not in file.stem.lower():
+                self.unrecognised.append(file)
+            elif image is None:
                 self._leave_out(file, advice.NO_IMAGE)
             return
         notes = Notes(self.reading.strict, done=self.notes.done)
@@ -207,7 +212,7 @@ class _Pairing:
             read = LandmarkFile.read(file, self.reading, notes=notes)
             entries = read.entries
         except LandmarkError as fault:
-            if isinstance(fault, UnrecognisedError) and file.suffix.lower() == ".txt":
+            if isinstance(fault, UnrecognisedError) and file.suffix.lower() in ALSO_OTHER:
                 self.unrecognised.append(file)
             else:
                 self._leave_out(file, f"{_UNREAD}: {fault}", image)
@@ -326,6 +331,15 @@ class _Pairing:
             self._leave_out(file.path, f"{_UNREAD}: {fault}", image)
             return
         self.options[image].append(_Option(file.path, landmarks, file.is_single))
+
+    def _image_of_name(self, file: Path) -> Path | None:
+        """Return the image of a landmark file's name, beside it, or in ``images`` where the file is in ``labels``."""
+        stem = name_of(file)
+        for place in (self._beside(file), in_images(self._beside(file))):
+            image = place and (self.by_stem.get(place.with_name(stem)) or self.names.of_file(place, stem))
+            if image:
+                return image
+        return None
 
     def _beside(self, file: Path) -> Path:
         """Return where a landmark file would be among the images."""

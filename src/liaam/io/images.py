@@ -140,6 +140,49 @@ def decode_image(data: bytes, name: str = "image", max_pixels: int | None = None
     return read_preview(data, None, max_pixels, name)
 
 
+def as_pixels(image: Any, name: str = "image") -> Any:
+    """Return the pixels of an image of Pillow, of the bytes of an image file, or of a file that is open.
+
+    They are upright, and as :func:`read_image` gives those of a file. Anything else, such as an array, is returned as
+    it is. Errors call the image by its name.
+    """
+    if isinstance(image, bytes | bytearray | memoryview):
+        return decode_image(bytes(image), name)
+    if hasattr(image, "read") and not hasattr(image, "__array_interface__"):
+        return decode_image(_bytes_of(image, name), name)
+    if hasattr(image, "getexif") and hasattr(image, "getbands"):
+        return _of_pillow(image, name)
+    return image
+
+
+def _bytes_of(file: Any, name: str) -> bytes:
+    """Read an open file from its start, if it can go there."""
+    if hasattr(file, "seek") and (not hasattr(file, "seekable") or file.seekable()):
+        file.seek(0)
+    data = file.read(_MAX_BYTES + 1)
+    if not isinstance(data, bytes) or len(data) > _MAX_BYTES:
+        what = f"more than {_MAX_BYTES:,} bytes" if isinstance(data, bytes) else "text, not bytes"
+        raise ImageError(f"{name}: the open file holds {what}: open an image file with open(path, 'rb').")
+    return data
+
+
+def _of_pillow(image: Any, name: str) -> np.ndarray:
+    """Return the pixels of an image of Pillow, upright."""
+    from PIL import ImageOps
+
+    check_size(name, *image.size)
+    try:
+        with enough_memory(name, ImageError):
+            turned = ImageOps.exif_transpose(image)
+            if turned.mode.startswith(("I", "F")):  # of more than 8 bits
+                return as_three_channels(np.asarray(turned))
+            return rgb_of(turned)
+    except (ImageError, MemoryError):
+        raise
+    except Exception as fault:  # Pillow decodes only now, and raises many classes on bad bytes
+        raise ImageError(f"{name} is damaged or cut short ({fault}): open another copy of it.") from fault
+
+
 def image_size(path: AnyPath | bytes, name: str = "image") -> tuple[int, int]:
     """Return (width, height) of an image in pixels, after its EXIF orientation, from the header only.
 

@@ -19,6 +19,7 @@ from liaam.errors import LandmarkError, LiaamError
 from liaam.io.files import existing_file, is_copy, natural_key, some_names
 from liaam.io.fit_files import corrected_file, points_of_fit, read_fit
 from liaam.io.landmarks import LANDMARK_SUFFIXES, Contour, LandmarkFile, Landmarks
+from liaam.io.landmarks.formats import ALSO_OTHER, name_of
 from liaam.io.landmarks.matching import shared_folder, unique_names
 from liaam.io.landmarks.reading import USUAL, Reading, UnrecognisedError
 from liaam.io.landmarks.tables import is_of_imagej
@@ -74,7 +75,7 @@ def read_specimens(
         try:
             read += list(_of_file(file, complain, reading))
         except LiaamError as fault:
-            if isinstance(fault, UnrecognisedError) and file.suffix.lower() == ".txt":
+            if isinstance(fault, UnrecognisedError) and file.suffix.lower() in ALSO_OTHER:
                 continue
             if reading.strict:
                 raise
@@ -189,7 +190,7 @@ def _numbers(values: Any) -> np.ndarray:
 def _of_landmarks(path: Path, reading: Reading, complain: Callable[[str], object]) -> Iterator[Record]:
     file = LandmarkFile.read(path, reading)
 
-    names = {"": path.stem} if file.is_single else unique_names(file.entries)
+    names = {"": name_of(path)} if file.is_single else unique_names(file.entries)
     folder = "" if file.is_single else shared_folder(file.entries)
 
     def make(entry: str) -> list[Record]:

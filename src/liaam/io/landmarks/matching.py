@@ -38,12 +38,16 @@ class ImageNames:
                 return image, how or spelling
         return None, ""
 
-    def of_file(self, file: Path) -> Path | None:
-        """Return the image beside a landmark file, ``a.pts`` or ``a.png.pts``, if possible in the same case."""
-        key = name_key(file.stem)
+    def of_file(self, file: Path, stem: str = "") -> Path | None:
+        """Return the image beside a landmark file, ``a.pts`` or ``a.png.pts``, if possible in the same case.
+
+        Its stem may be given, as of ``a.mrk.json``.
+        """
+        stem = stem or file.stem
+        key = name_key(stem)
         named = self._by_stem.get(key) or self._by_name.get(key, [])
         beside = [image for image in named if image.parent == file.parent]
-        return next((image for image in beside if image.stem == file.stem), beside[0] if beside else None)
+        return next((image for image in beside if image.stem == stem), beside[0] if beside else None)
 
     def _find(self, path: PurePosixPath, folder: Path) -> tuple[Path | None, str]:
         named = self._by_name.get(name_key(path.name), [])

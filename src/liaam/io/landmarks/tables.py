@@ -64,7 +64,7 @@ def _check_width(header: Sequence[str], row: TableLine) -> TableLine:
     return row
 
 
-def _whole(source: Source, header: Sequence[str], rows: Sequence[TableLine]) -> list[TableLine]:
+def whole(source: Source, header: Sequence[str], rows: Sequence[TableLine]) -> list[TableLine]:
     """Return the rows that have as many cells as the header, and leave out others."""
     return list(source.each(((f"line {row[0]}", row) for row in rows), partial(_check_width, header)))
 
@@ -151,7 +151,7 @@ def parse_wide(source: Source) -> list[Landmarks]:
     the image or specimen, or else by the only other column with text.
     """
     (_, header), *rows = source.rows
-    rows = _whole(source, header, [row for row in rows if any(row[1])])
+    rows = whole(source, header, [row for row in rows if any(row[1])])
     given = pairs_of(header)
     others = [key for key in given if not key.isdigit()]
     if len(others) < len(given) - 1:
@@ -181,7 +181,7 @@ def parse_dlc(source: Source) -> list[Landmarks]:
     coords = headers["coords"]
     for header in headers.values():
         _check_width(coords, (0, header))
-    rows = _whole(source, coords, rows[len(headers) :])
+    rows = whole(source, coords, rows[len(headers) :])
     first = next((i for i, cell in enumerate(coords) if cell in ("x", "y")), len(coords))
     scorer, *others = dict.fromkeys(headers["scorer"][first:]) or [""]
     if others:
