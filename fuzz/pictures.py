@@ -131,7 +131,7 @@ def _tiffs() -> tuple[bytes, ...]:
 
 
 def _tiffs_of_pages() -> Iterator[bytes]:
-    """A picture and its preview, two pictures, and colours as ImageJ saves them, in three pages."""
+    """A picture behind its preview, and colours as ImageJ saves them, a page each."""
     from PIL import Image
     from PIL.TiffImagePlugin import ImageFileDirectory_v2
 
@@ -140,8 +140,7 @@ def _tiffs_of_pages() -> Iterator[bytes]:
     composite = ImageFileDirectory_v2()
     composite[270] = "ImageJ=1.54f\nimages=3\nchannels=3\nhyperstack=true\nmode=composite\n"
     for first, others, tags in (
-        (picture.resize((4, 3)), [picture], None),
-        (picture, [picture], None),
+        (picture.resize((4, 3)), [picture], ImageFileDirectory_v2()),
         (grey, [grey, grey], composite),
     ):
         buffer = io.BytesIO()
