@@ -471,6 +471,22 @@ OTHER_TOOLS: tuple[OtherTool, ...] = (
 """Files that are recognised and not read."""
 
 
+NOT_READ = {
+    ".h5": "DeepLabCut writes a .csv beside it; in SLEAP, export the analysis as CSV",
+    ".hdf5": "export a table as CSV",
+    ".slp": "in SLEAP, export the analysis as CSV",
+    ".mat": "in MATLAB, save a table with writetable",
+    ".xls": "save it as .xlsx, or as CSV",
+    ".ods": "save it as .xlsx, or as CSV",
+    ".numbers": "export it as CSV",
+    ".rds": "in R, save a table with write.csv",
+    ".rdata": "in R, save a table with write.csv",
+    ".npy": "save a table, or give the array to liaam.io.write_landmarks",
+    ".npz": "save a table, or give the arrays to liaam.io.write_landmarks",
+}
+"""Suffixes of files that often hold landmarks and are not read, since they need other programs; and what to do."""
+
+
 def ending_of(path: Path) -> str:
     """Return the ending that tells a file's format, lower case: of ``all.tps.txt``, as Windows hides it, ``.tps``."""
     suffix = path.suffix.lower()
@@ -495,7 +511,8 @@ def formats_of(path: Path) -> list[Format]:
     formats = [form for form in FORMATS if ending_of(path) in form.suffixes]
     if not formats:
         fault = f"has the extension '{path.suffix}', not that of a landmark format"
-        raise LandmarkError(f"{path} {fault}: use {KNOWN_FILES}.")
+        remedy = NOT_READ.get(path.suffix.lower(), f"use {KNOWN_FILES}")
+        raise LandmarkError(f"{path} {fault}: {remedy}.")
     return formats
 
 
