@@ -319,6 +319,7 @@ def test_morphologika() -> None:
     assert_points(read, (), "a")
     assert read["a"].contours[0].indices == (0, 1, 2)
     assert read["b c"].missing.tolist() == [False, True, False]
+    assert list(parse("shapes.txt", text.replace("[names]\r\na\r\nb c\r\n", ""))) == ["a", "b c"]
     with pytest.raises(LandmarkError, match="promises 6 points but 5 are there"):
         parse("shapes.txt", text.replace("5 6\r\n", ""))
     with pytest.raises(LandmarkError, match="x, y and z"):
@@ -418,6 +419,20 @@ def test_other_archives_beside_images_are_passed_over(tmp_path: Path) -> None:
     (tmp_path / "a.csv").write_text("x,y\n1,2\n3,4\n")
     data = load_folder(tmp_path)
     assert (len(data), data.left_out) == (1, ())
+
+
+def test_deeplabcut_s_h5_is_not_needed_beside_its_table(tmp_path: Path) -> None:
+    for name in "ab":
+        write_image(tmp_path / f"{name}.png", np.zeros((160, 200, 3), np.uint8))
+    (tmp_path / "CollectedData.h5").write_bytes(b"\x89HDF\r\n\x1a\n")
+    with pytest.raises(LandmarkError, match=r"unknown format: CollectedData\.h5.* Of \.h5 files: DeepLabCut writes a"):
+        load_folder(tmp_path)
+    rows = ["scorer,me,me,me,me", "bodyparts,p,p,q,q", "coords,x,y,x,y", "a.png,1,2,3,4"]
+    (tmp_path / "CollectedData.csv").write_text("\n".join(rows))
+    data = load_folder(tmp_path)
+    assert (len(data), [left.path.name for left in data.left_out]) == (1, ["b.png"])
+    with pytest.raises(LandmarkError, match=r"'\.mat', not that of a landmark format: in MATLAB, save a table"):
+        read_landmarks(tmp_path / "a.mat")
 
 
 # Spreadsheets -------------------------------------------------------------------------------------

@@ -107,7 +107,7 @@ def test_objects_of_an_image_are_no_replicates_of_each_other(run, cases, tmp_pat
 
 
 SAID = [
-    ("104-imagej-results-in-mm/data/Results.csv", "distance:1-2", "X and Y are not pixels, but in the images' unit"),
+    ("104-imagej-results-in-mm/data/Results.csv", "distance:1-2", "x and y are not pixels, but in another unit"),
     ("108-measure-zero-zero/data/all.tps", "distance:1-2", "landmarks at 0, 0.*: img03 (landmark 3)"),
     (
         "120-annotators-in-another-order/data",

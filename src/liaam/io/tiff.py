@@ -13,7 +13,7 @@ from typing import Any, BinaryIO
 # Tags of the TIFF 6.0 specification.
 NEW_SUBFILE_TYPE, SUBFILE_TYPE = 254, 255
 WIDTH, HEIGHT, BITS, COMPRESSION, PHOTOMETRIC, DESCRIPTION = 256, 257, 258, 259, 262, 270
-SAMPLES, PLANAR, FORMAT = 277, 284, 339
+SAMPLES, PLANAR, FORMAT, SUB_PAGES = 277, 284, 339, 330
 EXTENTS = ((273, 279), (324, 325))  # offsets and byte counts, of strips or of tiles
 # Tags of ImageJ: the lengths of its blocks of facts, and these blocks.
 IMAGEJ_COUNTS, IMAGEJ_BLOCKS = 50838, 50839
@@ -125,6 +125,8 @@ def picture_in(pages: Sequence[Page], tags: Any) -> tuple[tuple[int, ...], str]:
     ``tags`` are those of the first page.
     """
     full = [page for page in pages if not page.is_reduced and page.pixels]
+    if not full and tags.get(SUB_PAGES):
+        return (0,), "holds a reduced copy, and its picture in a sub-page, which is not read: save it as a usual TIFF."
     description = _text(tags.get(DESCRIPTION, ""))
     declared = re.search(r"^ImageJ=.*?^images=(\d{1,9})\s*$", description, re.DOTALL | re.MULTILINE)
     n_pictures = max(len(full), int(declared[1]) if declared is not None else 0)

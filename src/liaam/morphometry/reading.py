@@ -8,6 +8,7 @@ from collections import defaultdict
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import replace
 from functools import partial
+from itertools import islice
 from pathlib import Path
 from typing import Any
 
@@ -22,10 +23,11 @@ from liaam.io.landmarks import LANDMARK_SUFFIXES, Contour, LandmarkFile, Landmar
 from liaam.io.landmarks.formats import ALSO_OTHER, name_of
 from liaam.io.landmarks.matching import shared_folder, unique_names
 from liaam.io.landmarks.reading import USUAL, Reading, UnrecognisedError
-from liaam.io.landmarks.tables import is_of_imagej
+from liaam.io.landmarks.tables import is_of_imagej, parse_long
 from liaam.morphometry.records import Record, doubts_about, objects_of_records
 from liaam.morphometry.specimens import MOST, Specimen
 
+_LOOKED_AT = 20  # Images of a file that are looked at to judge the unit of its positions
 _SAME = 2.0  # Difference in pixels that rounding to whole pixels can make between distances, and a little more
 
 
@@ -212,7 +214,7 @@ def _of_landmarks(path: Path, reading: Reading, complain: Callable[[str], object
             yield from records
     except LandmarkError as fault:
         raise LandmarkError(f"{path}: {str(fault).removeprefix(f'{path}: ')}") from fault
-    if is_of_imagej(file) and (doubt := _doubt_about_units(file)):
+    if not file.is_single and (doubt := _doubt_about_units(file)):
         complain(f"{path.name}: {doubt}")
     for line in file.notes.lines():
         complain(f"{path.name}: {line.replace(f'{path}: ', '')}")
@@ -231,18 +233,20 @@ def _specimen_of(name: str, landmarks: Landmarks, path: Path) -> Specimen:
 
 
 def _doubt_about_units(file: LandmarkFile) -> str:
-    """Return what has to be said about the unit of ImageJ's results: nothing if the images suit them."""
-    shares = []
-    for entry, landmarks in file.entries.items():
+    """Return what has to be said about the unit of the positions of many images: nothing if the images suit them."""
+    n_images = 0
+    for entry, landmarks in islice(file.entries.items(), _LOOKED_AT):
+        if landmarks.placing.upwards or landmarks.placing.fractions:
+            return ""
         try:
             size, _ = file.beside.size_of(entry)
         except LandmarkError:
             continue
-        shares.append(float(np.nanmax(landmarks.points / size, initial=0.0)))
-    if shares and max(shares) > CORNER:
-        return ""
-    if len(shares) >= FEWEST:
-        return (
-            "all landmarks lie in the top-left corner of their images: X and Y are not pixels, but in the images' unit"
-        )
-    return "X and Y of ImageJ's results are taken for pixels; those of a calibrated image are in its unit"
+        n_images += 1
+        if np.nanmax(landmarks.points / size, initial=0.0) > CORNER:
+            return ""
+    if n_images >= FEWEST:
+        return "all landmarks lie in the top-left corner of their images: x and y are not pixels, but in another unit"
+    if file.form.parse is parse_long and is_of_imagej(file):
+        return "X and Y of ImageJ's results are taken for pixels; those of a calibrated image are in its unit"
+    return ""

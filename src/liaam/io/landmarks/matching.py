@@ -4,6 +4,7 @@ import re
 from collections import defaultdict
 from collections.abc import Iterable, Iterator
 from contextlib import suppress
+from functools import lru_cache
 from itertools import takewhile
 from pathlib import Path, PurePosixPath, PureWindowsPath
 from urllib.parse import unquote
@@ -81,6 +82,7 @@ def names_picture(entry: str) -> bool:
     return PurePosixPath(_path_of(entry)).suffix.lower() in _SUFFIXES
 
 
+@lru_cache(10_000)  # tables repeat the name in each row
 def without_title(name: str) -> str:
     """Return an image's name without what ImageJ adds to it: ``a.png:eye``, ``stack.tif:a.png``."""
     return next((part for part in reversed(re.split(r":(?![\\/])", name)) if names_picture(part)), name)

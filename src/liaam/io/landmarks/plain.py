@@ -155,9 +155,9 @@ def parse_morphologika(source: Source) -> list[Landmarks]:
         raise LandmarkError("it has points with x, y and z (Morphologika): export two dimensions.")
     lines = [line for line in parts["rawpoints"] if not line.startswith("'")]
     rd.check_count("file of Morphologika", n * n_points, lines)
-    names = parts.get("names", [])
-    if len(names) != n:
-        names = [str(i + 1) for i in range(n)]
+    headings = [line.strip("' \t") for line in parts["rawpoints"] if line.startswith("'")]
+    names = next((each for each in (parts.get("names", []), headings) if len(each) == n), None)
+    names = names or [str(i + 1) for i in range(n)]
     edges = edges_from([[_whole(word) for word in line.split()] for line in parts.get("wireframe", [])], n_points)
 
     def make(i: int) -> Landmarks:

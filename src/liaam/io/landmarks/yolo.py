@@ -118,6 +118,8 @@ def _form_of(rows: list[list[str]], settings: str) -> tuple[int, int]:
 
 def _settings_of(path: Path) -> str:
     """Return the text of the settings beside a file of labels, or above it; empty if there are none."""
+    if not path.is_file():  # its content was given in memory
+        return ""
     for folder in (path.parent, *list(path.parent.parents)[:_PARENTS]):
         for name in _SETTINGS:
             file = folder / name
