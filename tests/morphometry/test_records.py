@@ -8,7 +8,9 @@ import pytest
 
 from liaam.errors import LiaamError
 from liaam.io.landmarks.matching import unique_names
-from liaam.morphometry import alike, exchanged_landmarks, measure, measurement_error, read_specimens
+from liaam.morphometry import Specimen, alike, exchanged_landmarks, measure, measurement_error, read_specimens
+from liaam.morphometry.records import Record, objects_of_records
+from setups import growth
 
 LEAF = np.array([[0.0, 0], [30, 5], [45, 30], [20, 50], [5, 30]])
 
@@ -147,3 +149,30 @@ def test_a_common_origin_is_no_missing_point(tmp_path: Path) -> None:
     said: list[str] = []
     read_specimens(tmp_path, said.append)
     assert said == []
+
+
+def test_plates_with_thousands_of_objects_are_matched_quickly() -> None:
+    def work(count: int) -> None:
+        side = int(count**0.5)
+        at = [(100.0 * (i % side), 100.0 * (i // side)) for i in range(count)]
+        records = [
+            Record("plate", Specimen(f"plate#{i}", LEAF + place, file=file))
+            for file in ("a.csv", "b.csv")
+            for i, place in enumerate(at)
+        ]
+        specimens = objects_of_records(records)
+        assert len({specimen.replicate_of for specimen in specimens}) == count
+
+    assert growth(work, 400) < 24  # 8 times the objects; 64 if each is compared with each other
+
+
+def test_objects_without_points_do_not_matter() -> None:
+    lost = np.full(LEAF.shape, np.nan)
+    records = [
+        Record("a", Specimen(f"a#{i}", points, file=file))
+        for file in ("x.csv", "y.csv")
+        for i, points in enumerate([LEAF, lost, LEAF + 100])
+    ]
+    specimens = objects_of_records(records)
+    assert [specimen.replicate_of for specimen in specimens[:3]] == ["a#0", "a#1", "a#2"]
+    assert [specimens[3].replicate_of, specimens[5].replicate_of] == ["a#0", "a#2"]

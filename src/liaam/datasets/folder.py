@@ -33,6 +33,7 @@ _BARE = "the image has no landmarks"
 _UNREAD = "the landmarks cannot be read"
 _SAME = 1.5  # Largest difference of positions in pixels that the conventions of programs and rounding explain
 
+_HIDDEN = (".", "~$")  # beginnings of names of hidden files, and of those by which Excel marks open ones
 _LESSER = "another landmark file takes precedence"
 _PARTIAL = "one of several objects in an image lacks landmarks"
 
@@ -142,7 +143,7 @@ def _list_files(root: Path, recursive: bool) -> list[Path]:
         raise error(f"{root} {what}: name the folder with the images and their landmarks.")
     try:
         paths = root.rglob("*") if recursive else root.iterdir()
-        seen = (path for path in paths if not any(part.startswith(".") for part in path.relative_to(root).parts))
+        seen = (path for path in paths if not any(part.startswith(_HIDDEN) for part in path.relative_to(root).parts))
         files = [path for path in seen if path.is_file()]
     except OSError as fault:
         raise ImageError(f"{root} cannot be read ({fault.strerror}): check the rights on the folder.") from fault

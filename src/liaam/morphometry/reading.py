@@ -125,7 +125,9 @@ def _differ(points: np.ndarray, others: np.ndarray) -> bool:
 def _chosen(folder: Path) -> list[Path]:
     """Return one file per stem, so that the files of a fit count once; copies of files come last."""
     order = (".json", *TABLE_SUFFIXES, *LANDMARK_SUFFIXES)
-    files = [file for file in folder.iterdir() if file.suffix.lower() in order and not file.name.startswith(".")]
+    files = [
+        file for file in folder.iterdir() if file.suffix.lower() in order and not file.name.startswith((".", "~$"))
+    ]
     chosen: dict[str, Path] = {}
 
     def rank(file: Path) -> tuple[Any, ...]:

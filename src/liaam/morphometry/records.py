@@ -21,6 +21,9 @@ ALIKE = 2.0
 """Greatest ratio of the sizes of records of one object."""
 
 
+_AWAY = 1e12  # pixels beyond all images
+
+
 class Record(NamedTuple):
     """A record of an image, as a file has it.
 
@@ -56,11 +59,12 @@ class _Place(NamedTuple):
         centre = points.mean(axis=0)
         return cls(centre, float(np.sqrt(np.square(points - centre).sum(axis=1).mean())))
 
-    def is_near(self, other: _Place) -> bool:
-        """Whether both may be records of one object."""
-        larger = max(self.radius, other.radius)
-        smaller = min(self.radius, other.radius)
-        return bool(np.linalg.norm(self.centre - other.centre) <= NEAR * larger and larger <= ALIKE * smaller)
+
+def _are_near(place: _Place, centres: np.ndarray, radii: np.ndarray) -> np.ndarray:
+    """Whether a place and each of others, of centres (n, 2) and radii (n,), may be those of one object."""
+    larger = np.maximum(radii, place.radius)
+    smaller = np.minimum(radii, place.radius)
+    return (np.linalg.norm(centres - place.centre, axis=1) <= NEAR * larger) & (larger <= ALIKE * smaller)
 
 
 def objects_of_records(records: Sequence[Record]) -> list[Specimen]:
@@ -102,13 +106,15 @@ def _free(name: str, taken: Counter[str]) -> str:
 def _objects_of(specimens: Sequence[Specimen], known: dict[str, _Place]) -> list[str]:
     """Return the name of the object of each record of an image in one file; add objects to those of earlier files."""
     places = [_Place.of(specimen) for specimen in specimens]
+    centres = np.array([place.centre for place in places])
+    radii = np.array([place.radius for place in places])
     firsts: list[int] = []  # the first record of each object in this file
     object_of: list[int] = []
     for i, place in enumerate(places):
-        same = next((first for first in firsts if place.is_near(places[first])), i)
-        if same == i:
+        near = np.flatnonzero(_are_near(place, centres[firsts], radii[firsts]))
+        object_of.append(firsts[near[0]] if len(near) else i)
+        if not len(near):
             firsts.append(i)
-        object_of.append(same)
     names = _matched([places[first] for first in firsts], known)
     name_of: dict[int, str] = {}
     for first, matched in zip(firsts, names, strict=True):
@@ -123,23 +129,29 @@ def _objects_of(specimens: Sequence[Specimen], known: dict[str, _Place]) -> list
 
 def _matched(places: Sequence[_Place], known: dict[str, _Place]) -> list[str]:
     """Return for each object of an image in a file its name in earlier files, or "" for others."""
-    from scipy.optimize import linear_sum_assignment
+    from scipy.spatial import KDTree
 
     if not known:
         return [""] * len(places)
     if len(known) == len(places) == 1:  # wherever they are: another person may have digitised a part of the image
         return list(known)
-    others = list(known.values())
     centres = np.array([place.centre for place in places])
-    other_centres = np.array([place.centre for place in others])
+    other_centres = np.array([place.centre for place in known.values()])
+    other_radii = np.array([place.radius for place in known.values()])
     if len(known) == len(places):  # files may count y from another side
-        centres = centres - centres.mean(axis=0) + other_centres.mean(axis=0)
-    moved = [place._replace(centre=centre) for place, centre in zip(places, centres, strict=True)]
-    distances = np.linalg.norm(centres[:, None] - other_centres, axis=2)
-    matched = [""] * len(places)
-    for i, j in zip(*linear_sum_assignment(np.nan_to_num(distances, nan=np.inf, posinf=1e30)), strict=True):
-        if moved[i].is_near(others[j]):
-            matched[i] = list(known)[j]
+        centres = centres - np.nanmean(centres, axis=0) + np.nanmean(other_centres, axis=0)
+    # Objects without points lie far from all, and from each other.
+    away = _AWAY * (1 + np.arange(len(places) + len(known)))[:, None]
+    centres = np.where(np.isnan(centres), away[: len(places)], centres)
+    other_centres = np.where(np.isnan(other_centres), -away[len(places) :], other_centres)
+    _, nearest = KDTree(other_centres).query(centres)
+    _, nearest_of_other = KDTree(centres).query(other_centres)
+    names = list(known)
+    matched = []
+    for i, (place, j) in enumerate(zip(places, nearest.tolist(), strict=True)):
+        moved = place._replace(centre=centres[i])
+        is_near = _are_near(moved, other_centres[j : j + 1], other_radii[j : j + 1])[0]
+        matched.append(names[j] if is_near and nearest_of_other[j] == i else "")
     return matched
 
 
