@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import io
 import json
+import struct
+import zipfile
 from functools import cache, partial
 from pathlib import Path
 from typing import Any
@@ -43,6 +46,23 @@ _TXT = (
     b"<shapes>\n<image.name type=v >01.png</image.name>\n"
     b"<landmarks.pixel type=matrix >\na\t1\t2\nb\t3\t4\n</landmarks.pixel>\n",
 )
+_TXT += (
+    b"0 0.5 0.5 0.4 0.3 0.1 0.2 2 0.3 0.4 1 0 0 0\n1 0.2 0.3 0.1 0.1 0.1 0.2 2 0.3 0.4 2 0.5 0.6 2\n",
+    b"[individuals]\n2\n[landmarks]\n2\n[dimensions]\n2\n[names]\n01\n02\n[wireframe]\n1 2\n[rawpoints]\n"
+    b"'01\n1 2\n3 4\n'02\n5 6\n9999 9999\n",
+    b"<shapes>\n<scaling type=vector >0.05</scaling>\n<landmarks.pixel type=matrix >\na\t1\t2\n</landmarks.pixel>\n",
+)
+_CSV += (
+    b"filename,region_id,region_shape_attributes,region_attributes\n"
+    b'01.png,0,"{""name"": ""point"", ""cx"": 1, ""cy"": 2}","{""n"": ""a""}"\n'
+    b'01.png,1,"{""name"": ""point"", ""cx"": 3, ""cy"": 4}","{""n"": {""b"": true}}"\n',
+    b"a,1,2,01.png,32,24\nb,3,4,01.png,32,24\n",
+    b"index,axis-0,axis-1\n0,1,2\n1,3,4\n",
+    b"track,frame_idx,instance.score,a.x,a.y,a.score,b.x,b.y,b.score\nm,1,2,1,2,1,3,4,1\nn,1,2,,,1,3,4,1\n",
+    b'img,kp\n01.png,"[{""x"": 5, ""y"": 6, ""keypointlabels"": [""a""], '
+    b'""original_width"": 32, ""original_height"": 24}]"\n',
+)
+_FCSV = (b"# CoordinateSystem = LPS\n# columns = id,x,y,z,label\na,1,2,0,p\nb,3,4,0,q\n",)
 _NTS = (b'"a comment\n1 2L 4 1 -999 DIM=2\n01 02\n1 2 3 4\n5 6 -999 -999\n', b"1 2 2 0 dim=2\n1 2\n3 4\n")
 _XML = (
     b"<?xml version='1.0' encoding='ISO-8859-1'?>\n<dataset><name>x</name><images>\n"
@@ -98,6 +118,69 @@ _COCO += (
         }
     ],
 )
+_FEATURES = [
+    {"type": "Feature", "geometry": {"type": "Point", "coordinates": [1, 2]}, "properties": {"name": "a"}},
+    {
+        "type": "Feature",
+        "geometry": {"type": "MultiPoint", "coordinates": [[1, 2], [3, 4]]},
+        "properties": {"classification": {"name": "b"}},
+    },
+]
+_GEOJSON = ({"type": "FeatureCollection", "features": _FEATURES}, _FEATURES)
+_VIA_REGIONS = [
+    {"shape_attributes": {"name": "point", "cx": 1, "cy": 2}, "region_attributes": {"n": "a", "side": {"l": True}}},
+    {"shape_attributes": {"name": "point", "cx": 3, "cy": 4}, "region_attributes": {"n": "b", "side": {"l": True}}},
+]
+_VIA_LINE = {"name": "polyline", "all_points_x": [1, 2, 3], "all_points_y": [3, 4, 5]}
+_COCO += (
+    {"_via_img_metadata": {"01.png9": {"filename": "01.png", "size": 9, "regions": _VIA_REGIONS}}},
+    {"a": {"filename": "01.png", "regions": {"0": {"shape_attributes": _VIA_LINE, "region_attributes": {}}}}},
+    {
+        "markups": [
+            {
+                "coordinateSystem": "RAS",
+                "controlPoints": [
+                    {"label": "a", "position": [1, 2, 0], "positionStatus": "defined"},
+                    {"label": "b", "position": [3, 4, 0], "positionStatus": "undefined"},
+                ],
+            }
+        ]
+    },
+    {
+        "shapes": [
+            {"label": "leaf", "points": [[0, 0], [9, 9]], "shape_type": "rectangle"},
+            {"label": "leaf", "points": [[20, 0], [29, 9]], "shape_type": "rectangle"},
+            *(
+                {"label": name, "points": [[x, 2]], "shape_type": "point", "group_id": None}
+                for name, x in (("a", 1), ("b", 5), ("a", 21), ("b", 25))
+            ),
+        ],
+        "imagePath": "01.png",
+    },
+    [
+        {
+            "data": {"img": "01.png"},
+            "annotations": [
+                {
+                    "result": [
+                        {
+                            **_SIZE,
+                            "id": "r",
+                            "value": {"x": 1, "y": 1, "width": 9, "height": 9, "rectanglelabels": ["l"]},
+                        },
+                        {
+                            **_SIZE,
+                            "id": "k",
+                            "type": "keypointlabels",
+                            "value": {"x": 5, "y": 9, "keypointlabels": ["a"]},
+                        },
+                        {"type": "relation", "from_id": "k", "to_id": "r"},
+                    ]
+                }
+            ],
+        }
+    ],
+)
 _LJSON = (
     {
         "labels": [{"label": "all", "mask": [0, 1, 2, 3]}, {"label": "invisible", "mask": [2]}],
@@ -133,15 +216,85 @@ _WORDS = {
     ".nts": (b" ", b"\n", b"L", b"DIM=2", b"DIM=3", b'"', b"-999", b"NA", b"1 2b 2 0"),
     ".tps": (b"LM=", b"LM3=2", b"CURVES=", b"POINTS=", b"SCALE=", b"IMAGE=", b"ID=", b"=", b"\n", b" ", b"-1 -1\n"),
     ".json": (b"[", b"{", b"]", b"}", b'"', b",", b":", b"null", b"1e999", b'"keypoints"', b'"skeleton"'),
+    ".geojson": (b"[", b"{", b"]", b"}", b'"', b",", b":", b"null", b'"Point"', b'"MultiPoint"', b'"coordinates"'),
+    ".fcsv": (b"# columns = id,x,y,z\n", b"#", b",", b"\n", b"nan", b"1e999", b"RAS"),
+    ".roi": (b"Iout", b"\xff\xff", b"\0\0", b"\x7f\xc0\0\0", b"\x7f\x80\0\0"),
+    ".zip": (b"PK",),
+    ".xlsx": (b"PK",),
     ".ljson": (b"[", b"{", b"]", b"}", b'"', b",", b":", b"null", b"NaN", b'"points"', b'"connectivity"'),
 }
-_NEWER = {".tsv": _TSV, ".txt": _TXT, ".nts": _NTS}
-_JSON = {".json": _COCO, ".ljson": _LJSON}
+_NEWER = {".tsv": _TSV, ".txt": _TXT, ".nts": _NTS, ".fcsv": _FCSV}
+_JSON = {".json": _COCO, ".ljson": _LJSON, ".geojson": _GEOJSON}
+_BINARY = (".roi", ".zip", ".xlsx")
+
+
+# Files that are no text ---------------------------------------------------------------------------
+
+
+def _roi(points: list[list[float]], options: int = 128) -> bytes:
+    """A selection of ImageJ."""
+    n = len(points)
+    header = struct.pack(">4shBBhhhhH", b"Iout", 228, 10, 0, 2, 1, 30, 40, n).ljust(50, b"\0")
+    body = np.array(points).T.astype(">i2").tobytes() + np.array(points).T.astype(">f4").tobytes()
+    return (header + struct.pack(">hiii", options, 0, 0, 0)).ljust(64, b"\0") + body
+
+
+def _zip(files: dict[str, bytes]) -> bytes:
+    buffer = io.BytesIO()
+    with zipfile.ZipFile(buffer, "w", zipfile.ZIP_DEFLATED) as archive:
+        for name, data in files.items():
+            archive.writestr(zipfile.ZipInfo(name), data)
+    return buffer.getvalue()
+
+
+_MAIN = b"http://schemas.openxmlformats.org/spreadsheetml/2006/main"
+_ROW = (
+    b'<row r="%d"><c r="A%d" t="s"><v>%d</v></c><c r="B%d"><v>%d</v></c><c t="inlineStr"><is><t>%d</t></is></c></row>'
+)
+_CELLS = b"".join(_ROW % (i, i, i % 4, i, i, i) for i in range(2, 6))
+_SHEET_PARTS = {
+    "xl/workbook.xml": b'<workbook xmlns="%s" xmlns:r="o/relationships"><sheets>'
+    b'<sheet name="a" r:id="r1"/></sheets></workbook>' % _MAIN,
+    "xl/_rels/workbook.xml.rels": b"<Relationships>"
+    b'<Relationship Id="r1" Target="worksheets/sheet1.xml"/></Relationships>',
+    "xl/sharedStrings.xml": b'<sst xmlns="%s"><si><t>image</t></si><si><t>x</t></si>'
+    b"<si><t>y</t></si><si><t>01</t></si></sst>" % _MAIN,
+    "xl/worksheets/sheet1.xml": b'<worksheet xmlns="%s"><sheetData><row r="1"><c r="A1" t="s"><v>0</v></c>'
+    b'<c r="B1" t="s"><v>1</v></c><c r="C1" t="s"><v>2</v></c></row>%s</sheetData></worksheet>' % (_MAIN, _CELLS),
+}
+_XML_WORDS = (b"<c r='XFD9'>", b"<row>", b"</row>", b"<v>9999999</v>", b"t='s'", b"&amp;", b"<!DOCTYPE a>", b"\0")
+_ROI_WORDS = (b"Iout", b"\xff\xff", b"\x7f\xc0\0\0")
+
+
+@cache
+def _packed(suffix: str) -> tuple[dict[str, bytes], ...]:
+    """The parts of valid files that are archives."""
+    if suffix == ".xlsx":
+        return (_SHEET_PARTS,)
+    named = {f"{name}.roi": _roi([point]) for name, point in zip("abcd", POINTS, strict=True)}
+    return named, {"a.roi": _roi(POINTS), "b.roi": _roi(POINTS[::-1])}
+
+
+def _make_packed(suffix: str, rng: Random) -> bytes:
+    """Pack parts of which one is spoilt or promises too much, or spoil an archive."""
+    if rng.random() < 0.3:
+        return spoilt(rng, corpus(suffix), (b"PK\1\2", b"PK\3\4", b"PK\5\6", b"\xff\xff\xff\xff"))
+    parts = dict(one_of(rng, _packed(suffix)))
+    name = one_of(rng, list(parts))
+    if rng.random() < 0.1:
+        parts[name] += one_of(rng, (b"\0", b"<c>", b"<row><c><v>1</v></c></row>")) * int(rng.integers(200_000))
+    else:
+        parts[name] = spoilt(rng, [parts[name]], _XML_WORDS if suffix == ".xlsx" else _ROI_WORDS)
+    return _zip(parts)
 
 
 @cache
 def corpus(suffix: str) -> tuple[bytes, ...]:
     """Valid files of a format."""
+    if suffix == ".roi":
+        return _roi(POINTS), _roi(POINTS[:2], options=0)
+    if suffix in _BINARY:
+        return tuple(map(_zip, _packed(suffix)))
     if suffix in _JSON:
         return tuple(json.dumps(document).encode() for document in _JSON[suffix])
     return {".pts": _PTS, ".tem": _TEM, ".asf": _ASF, ".csv": _CSV, ".xml": _XML, ".tps": _TPS, **_NEWER}[suffix]
@@ -150,6 +303,8 @@ def corpus(suffix: str) -> tuple[bytes, ...]:
 def make(suffix: str, rng: Random) -> bytes:
     """Corrupt a file of a format."""
     kind = rng.random()
+    if suffix in (".zip", ".xlsx"):
+        return _make_packed(suffix, rng)
     if suffix == ".xml" and kind < 0.4:
         return _tree(rng)
     if suffix in _JSON and kind < 0.7:

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import io
 import struct
 import tempfile
 import zlib
+from collections.abc import Iterator
 from functools import cache, partial
 from pathlib import Path
 
@@ -125,7 +127,25 @@ def _tiffs() -> tuple[bytes, ...]:
     deep = _noise(7, 5, 3, "uint16"), _noise(7, 5, 1, "uint16"), _noise(7, 5, 3).astype(np.float32)
     packed = [cv2.imencode(".tif", image)[1].tobytes() for image in deep]
     squeezed = [_saved("TIFF", _modes("RGB"), compression=name)[0] for name in ("tiff_lzw", "tiff_deflate", "packbits")]
-    return (*_saved("TIFF", _modes("RGB", "RGBA", "L", "P", "1", "CMYK")), *packed, *squeezed)
+    return (*_saved("TIFF", _modes("RGB", "RGBA", "L", "P", "1", "CMYK")), *packed, *squeezed, *_tiffs_of_pages())
+
+
+def _tiffs_of_pages() -> Iterator[bytes]:
+    """A picture behind its preview, and colours as ImageJ saves them, a page each."""
+    from PIL import Image
+    from PIL.TiffImagePlugin import ImageFileDirectory_v2
+
+    picture = Image.fromarray(_noise(6, 8, 3))
+    grey = Image.fromarray(_noise(6, 8, 1))
+    composite = ImageFileDirectory_v2()
+    composite[270] = "ImageJ=1.54f\nimages=3\nchannels=3\nhyperstack=true\nmode=composite\n"
+    for first, others, tags in (
+        (picture.resize((4, 3)), [picture], ImageFileDirectory_v2()),
+        (grey, [grey, grey], composite),
+    ):
+        buffer = io.BytesIO()
+        first.save(buffer, "TIFF", save_all=True, append_images=others, tiffinfo=tags)
+        yield buffer.getvalue()
 
 
 def _bmps() -> tuple[bytes, ...]:

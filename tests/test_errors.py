@@ -70,3 +70,15 @@ def test_values_are_shortened_in_their_middle():
     assert shortened("a" * 200) == "a" * 200
     cut = shortened("a" * 150 + "b" * 150)
     assert len(cut) == 200 and cut.startswith("aaa") and " ... " in cut and cut.endswith("bbb")
+
+
+def test_names_that_people_expect_are_answered_with_those_that_there_are():
+    with pytest.raises(OptionError, match=r"unknown option 'start'; choose from margin; did you mean 'init'\?"):
+        errors.check_options(["start"], ["margin"])
+
+
+def test_a_name_of_no_model_is_answered_with_the_names_of_models():
+    with pytest.raises(
+        ModelFileError, match=r"^'fase' is not a model; .*the name of one that comes with liaam \('face'"
+    ):
+        liaam.fit("fase", np.zeros((9, 9, 3), np.uint8))

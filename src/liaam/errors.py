@@ -134,12 +134,24 @@ def missing(error: type[LiaamError]) -> type[LiaamError]:
     return next((each for each in error.__subclasses__() if issubclass(each, MissingFileError)), error)
 
 
+_SYNONYMS = {
+    "start": "init",
+    "initial": "init",
+    "initialization": "init",
+    "shape": "init",
+    "bbox": "init",
+    "box": "init",
+}
+"""Arguments that people expect by another name, as users have tried them."""
+
+
 def check_options(given: Iterable[str], allowed: Sequence[str], remedies: Mapping[str, str] | None = None) -> None:
     """Raise for the first given option that is not known, and suggest a known one, or its remedy if there is one."""
     for name in given:
         if name in allowed:
             continue
         close = difflib.get_close_matches(name, allowed, n=1)
-        remedy = (remedies or {}).get(name) or (f"did you mean {close[0]!r}?" if close else "")
+        meant = _SYNONYMS.get(name) or (close[0] if close else "")
+        remedy = (remedies or {}).get(name) or (f"did you mean {meant!r}?" if meant else "")
         listed = f"unknown option {name!r}; choose from {', '.join(allowed)}"
         raise OptionError(f"{listed}; {remedy}" if remedy else listed)

@@ -1,5 +1,6 @@
 """The command line as a person types it."""
 
+import errno
 import json
 import subprocess
 import sys
@@ -568,3 +569,19 @@ def test_tables_that_go_to_a_file_are_not_cut(capsys):
     table.add_row("a" * 150, "1.234")
     show_table(table)
     assert "a" * 150 in capsys.readouterr().out
+
+
+def test_a_full_disk_ends_a_fit_with_one_error(run, model_file, portraits, tmp_path, monkeypatch):
+    def full(path, _):
+        try:
+            raise OSError(errno.ENOSPC, "No space left on device")
+        except OSError as fault:
+            raise LiaamError(f"{path} cannot be written (No space left on device)") from fault
+
+    monkeypatch.setattr("liaam.cli.fit.write_image", full)
+    images = [portraits[0] / f"face{i}.png" for i in range(3)]
+    code, _, err = run("fit", model_file, *images, "--init", portraits[2], "-o", tmp_path / "fits")
+    assert code == 1
+    assert err.count("error: ") == 1
+    assert "stopped: 0 of 3 images are done; make room, and fit the others" in err
+    assert not list((tmp_path / "fits").iterdir())  # no results without their pictures

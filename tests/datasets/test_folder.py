@@ -265,10 +265,10 @@ def test_missing_folder_no_images_no_pairs(tmp_path: Path) -> None:
 NTS = "1 4 2 0 dim=2\n1.0 1.0 5.0 1.0 5.0 4.0 1.0 4.0\n"
 
 
-@pytest.mark.parametrize("name", ["a.dta", "a.roi", "points.txt", "all.dat"])
+@pytest.mark.parametrize("name", ["a.dta", "a.fit3", "points.txt", "all.dat"])
 def test_files_in_an_unknown_format_are_named_with_the_formats_that_can_be_read(tmp_path: Path, name: str) -> None:
     add_image(tmp_path / "a.png")
-    (tmp_path / name).write_bytes(b"\0Iout\xff" if name == "a.roi" else NTS.encode())
+    (tmp_path / name).write_bytes(b"\0Iout\xff" if name == "a.fit3" else NTS.encode())
     (tmp_path / "README.txt").write_text("These 12 images are ours. Do not copy them.")
     with pytest.raises(LandmarkError, match=rf"unknown format: {name}\. Convert them to one of \.pts, "):
         load_folder(tmp_path)

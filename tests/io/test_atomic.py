@@ -295,3 +295,11 @@ def test_a_lock_is_taken_or_not_supported(number, is_taken, monkeypatch, tmp_pat
                 atomic.lock(file.fileno())
         else:
             assert not atomic.lock(file.fileno())
+
+
+def test_a_full_disk_is_told_from_other_faults(tmp_path: Path) -> None:
+    for number, expected in ((errno.ENOSPC, True), (errno.EACCES, False)):
+        with pytest.raises(LiaamError) as caught, atomic_path(tmp_path / "a"):
+            raise OSError(number, os.strerror(number))
+        assert atomic.is_disk_full(caught.value) is expected
+    assert not atomic.is_disk_full(LiaamError("of another kind"))

@@ -9,7 +9,7 @@ import pytest
 from liaam import fit, train
 from liaam.datasets import Dataset, load_folder
 from liaam.datasets.label_faults import find_label_faults
-from liaam.errors import LandmarkError, LiaamError
+from liaam.errors import ImageError, LandmarkError, LiaamError
 from liaam.fitting.search.starts import read_start
 from liaam.io import Landmarks, read_landmarks, write_landmarks
 from liaam.io.landmarks import FORMATS, Reading
@@ -78,6 +78,71 @@ RIGHT = [
     ("G1-coco-case", 10, "named in another case in the landmark file: img00.JPG"),
     ("G2-csv-case", 10, "named in another case in the landmark file: img00.JPG"),
 ]
+
+
+TOOLS = [
+    ("105-tiff-channels-as-pages", 10, ""),
+    ("106-tiff-thumbnail-first", 10, ""),
+    ("109-napari-points", 10, "napari"),
+    ("110-via-csv", 10, "VGG Image Annotator"),
+    ("111-yolo-pose", 10, "YOLO"),
+    ("113-labelstudio-csv", 10, "Label Studio"),
+    ("114-labelstudio-relations", 20, "Label Studio"),
+    ("116-xlsx-beside-images", 10, "xlsx"),
+    ("117-tps-txt-ending", 10, "tpsDig"),
+    ("118-old-copy-of-the-file", 10, r"disagree in 'all.tps' and 'all \(1\).tps'; remove one \('all.tps' is used\)"),
+    ("122-makesense-points-csv", 10, "makesense"),
+    ("123-geojson-points", 10, "GeoJSON"),
+    ("124-labelme-points-in-boxes", 20, "LabelMe"),
+]
+FIRST_OF_TOOLS = (125.48, 61.96)
+"""The first landmark of img00 in the cases from 101 on, but for those of two objects an image."""
+
+
+@pytest.mark.parametrize(("name", "count", "said"), TOOLS, ids=[name for name, *_ in TOOLS])
+def test_exports_of_tools_are_read(cases: Path, name: str, count: int, said: str) -> None:
+    data = load_folder(cases / name / "data")
+    assert len(data) == count
+    assert {len(sample.landmarks) for sample in data} == {8}
+    assert_matches(said, data)
+    if count == 10:
+        first = data[0].landmarks
+        first = first.in_order_of([f"p{i}" for i in range(8)]) if "p0" in first.names else first
+        np.testing.assert_allclose(first.points[0], FIRST_OF_TOOLS, atol=0.5)
+
+
+@pytest.mark.parametrize(
+    ("name", "words"),
+    [
+        ("115-json-of-other-tools/data/darwin", "an export of Darwin"),
+        ("115-json-of-other-tools/data/encord", "an export of Encord"),
+        ("115-json-of-other-tools/data/createml", "an export of CreateML"),
+        ("115-json-of-other-tools/data/voc", "an export of labelImg"),
+    ],
+)
+def test_tools_whose_exports_are_not_read_are_named(cases: Path, name: str, words: str) -> None:
+    with pytest.raises(LandmarkError, match=words):
+        load_folder(cases / name)
+
+
+@pytest.mark.parametrize(
+    ("name", "words"),
+    [
+        ("107-tiff-two-photos-in-a-file/data", "holds 2 pictures"),
+        ("119-tiff-not-damaged/data/jpeg2000", "compressed by JPEG 2000, which is not read"),
+        ("119-tiff-not-damaged/data/fiveband", "has 5 bands"),
+        ("119-tiff-not-damaged/data/bigendian", "a BigTIFF of big-endian order, which is not read"),
+    ],
+)
+def test_sound_tiffs_that_are_not_read_are_not_called_damaged(cases: Path, name: str, words: str) -> None:
+    with pytest.raises(ImageError, match=words) as caught:
+        load_folder(cases / name)[0].read_image()
+    assert "is damaged" not in str(caught.value)
+
+
+def test_pages_that_are_colours_are_read_as_colours(cases: Path) -> None:
+    image = load_folder(cases / "105-tiff-channels-as-pages/data")[0].read_image()
+    assert image[62, 125].tolist() == [220, 60, 50]
 
 
 @pytest.mark.parametrize(("name", "count", "said"), RIGHT, ids=[name for name, *_ in RIGHT])

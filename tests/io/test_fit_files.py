@@ -139,3 +139,10 @@ def test_damaged_fits_are_refused(fit, landmarks):
     path, content = fit()
     with pytest.raises(LandmarkError, match=r"a\.json: the landmarks are damaged"):
         corrected_file(path, content | {"landmarks": landmarks})
+
+
+def test_fits_in_tps_have_three_decimals(tmp_path):
+    points = np.array([[10.123456, 20.5], [30.1, 119 - 57.123], [np.nan, np.nan]])
+    write_fit(tmp_path / "a.tps", Landmarks(points, image_name="a.png"), {}, (200, 120))
+    lines = (tmp_path / "a.tps").read_text().splitlines()
+    assert lines[1:4] == ["10.123 98.5", "30.1 57.123", "NaN NaN"]

@@ -168,8 +168,8 @@ REFUSED = [
     ("a.csv", "image;name;x;y\na;p;1.010;20,5\na;q;30,5;40,5\n", "'20,5' and '1.010' have a comma and a point"),
     (
         "a.json",
-        json.dumps({"_via_img_metadata": {}}),
-        "this is none of LabelMe, Label Studio, COCO keypoints, fit by liaam: export",
+        json.dumps({"_of_no_tool": {}}),
+        "this is none of LabelMe, .*, Label Studio, COCO keypoints, fit by liaam: export",
     ),
     ("a.json", label_studio({"image": "a.png"}, image_rotation=90), "was labelled on a turned picture"),
     ("a.nts", "1 1 4 1 .. DIM=2\n1 2 3 4\n", "there is no header of a matrix"),

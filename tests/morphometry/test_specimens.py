@@ -299,4 +299,4 @@ def test_specimens_of_one_name_with_other_landmarks_are_named(tmp_path):
         (tmp_path / f"{name}.csv").write_text(f"image,x,y\nwing1,1,2\nwing1,3,{4 + more}\n")
     said: list[str] = []
     assert [own.points.tolist() for own in read_specimens(tmp_path, said.append)] == [[[1, 2], [3, 4]]]
-    assert said == ["left out of c.csv, because others of these names were read before: wing1"]
+    assert said == ["left out of c.csv, because others of these names were read before, from a.csv: wing1"]

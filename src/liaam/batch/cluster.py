@@ -17,7 +17,8 @@ from liaam.batch.work import FitJob, JournalRow, Pool
 from liaam.errors import LiaamError
 from liaam.workers import AHEAD, one_thread
 
-PATIENCE = 30  # Timeout in seconds for the scheduler, and for its first worker
+ANSWER = 8  # Timeout in seconds for the scheduler, which answers in less than one
+PATIENCE = 30  # Timeout in seconds for its first worker
 
 
 class _Ready(WorkerPlugin):
@@ -93,7 +94,7 @@ def _connected(address: str) -> Iterator[Client]:
         get_backend(scheme)
         if scheme in ("tcp", "tls"):
             parse_host_port(place)
-        client = Client(address, timeout=PATIENCE, set_as_default=False, name="liaam-batch")
+        client = Client(address, timeout=ANSWER, set_as_default=False, name="liaam-batch")
     except (OSError, ValueError, ImportError) as error:  # a timeout is an OSError
         raise LiaamError(
             f"{address}: no scheduler answers ({error}); start one with 'dask scheduler' and give the address "

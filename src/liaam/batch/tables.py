@@ -17,6 +17,7 @@ from liaam.errors import LiaamError, installing
 from liaam.fitting.result import USABLE
 from liaam.io import Contour, Landmarks, atomic_path
 from liaam.io.files import json_object
+from liaam.io.fit_files import TPS_DECIMALS
 from liaam.io.landmarks.writers import tps_text, upwards
 
 GROUP = 1000  # Rows per Parquet row group, which are in memory together
@@ -164,7 +165,7 @@ def _write_tps(path: Path, table: BatchTable) -> None:
             if row["status"] in USABLE:
                 points = np.array(row["landmarks"], dtype=np.float64).reshape(-1, 2)
                 landmarks = Landmarks(points, table.contours, image_name=row["path"], scale=row["scale"])
-                file.write(tps_text(upwards(landmarks, row["size"])))
+                file.write(tps_text(upwards(landmarks, row["size"]), TPS_DECIMALS))
 
 
 TABLE_SUFFIXES = (".parquet", ".csv", ".jsonl")  # Suffixes of tables that can be read

@@ -74,6 +74,7 @@ def check_pixels(data: Dataset) -> bool:
 
     Return whether any cannot be used.
     """
+    from liaam.datasets.units import units_fault
     from liaam.photometry import is_grey
     from liaam.photometry.encoding import as_colour, refuse_unscaled
     from liaam.training.images import describe_outside, grey_use
@@ -94,6 +95,9 @@ def check_pixels(data: Dataset) -> bool:
 
     verdicts = in_threads(look, data.samples)
     unusable = [each for each in verdicts if isinstance(each, str)]
+    units = units_fault(data.samples)
+    if units:
+        unusable = [units]
     for fault in unusable:
         complain(fault)
     grey, colour = (
@@ -160,7 +164,10 @@ def write_faults(output: Path, folder: Path, faults: "list[tuple[Sample, list[La
 def warn_of_faults(data: Dataset, folder: Path, shapes: int | str = inputs.AUTO) -> None:
     """Warn, before training, about landmarks in another order than in the other images, or far off."""
     from liaam.datasets.label_faults import LEAST_PICTURES
+    from liaam.datasets.units import units_fault
 
+    if units := units_fault(data.samples):
+        complain(units)
     complete = [sample for sample in data if not sample.landmarks.missing.any()]
     if len(complete) < LEAST_PICTURES:
         return

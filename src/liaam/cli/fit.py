@@ -2,6 +2,7 @@
 
 from collections import defaultdict
 from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -15,6 +16,7 @@ from liaam.cli import inputs
 from liaam.cli.terminal import cell, complain, progress_bar, say, show_table, table_of
 from liaam.errors import LiaamError
 from liaam.io import IMAGE_SUFFIXES, Contour, Landmarks, make_folder, write_image
+from liaam.io.atomic import is_disk_full
 from liaam.io.files import count_of
 from liaam.io.fit_files import FIT_SUFFIXES, corrected_file, read_fit, write_fit
 from liaam.morphometry.schemes import in_scheme
@@ -124,6 +126,9 @@ def fit(
             progress(i, len(images), image.name)
             if isinstance(outcome, LiaamError):
                 report.add_error(outcome)
+                if is_disk_full(outcome):  # the others would end like this
+                    complain(f"stopped: {i - 1} of {len(images)} images are done; make room, and fit the others")
+                    break
             else:
                 report.add_results(image, outcome)
     report.show(output)
@@ -290,13 +295,26 @@ def fit_object(
         landmarks = Landmarks(points, image_name=image.name, scale=scale)
         facts = {key: value for key, value in facts.items() if key not in OF_LANDMARKS}
     height, width = pixels.shape[:2]
-    for suffix in outputs.suffixes:
-        write_fit(outputs.path_of(name, suffix), landmarks, facts, (width, height))
-    if outputs.picture is not None:
-        covariances = result.landmark_covariances if outputs.ellipses else None
-        picture = overlay(pixels, result.landmarks, model, covariances=covariances)
-        write_image(outputs.path_of(name, outputs.picture), picture)
+    with all_or_none([outputs.path_of(name, suffix) for suffix in outputs.suffixes]) as paths:
+        for path in paths:
+            write_fit(path, landmarks, facts, (width, height))
+        if outputs.picture is not None:
+            covariances = result.landmark_covariances if outputs.ellipses else None
+            picture = overlay(pixels, result.landmarks, model, covariances=covariances)
+            write_image(outputs.path_of(name, outputs.picture), picture)
     return result
+
+
+@contextmanager
+def all_or_none(paths: list[Path]) -> Iterator[list[Path]]:
+    """Yield the paths of the files of a fit. If the block fails, remove those that it made, which would lack others."""
+    new = [path for path in paths if not path.exists()]
+    try:
+        yield paths
+    except LiaamError:
+        for path in new:
+            path.unlink(missing_ok=True)
+        raise
 
 
 def refuse_to_overwrite(paths: list[Path]) -> None:

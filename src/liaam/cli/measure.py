@@ -99,6 +99,8 @@ def measure(
         write_columns(beside, error)
         _show(error)
         say(f"{beside}: measurement error")
+        for line in morphometry.exchanged_landmarks(specimens, replicates or ""):
+            complain(line)
     _complain_of_gaps(columns)
 
 

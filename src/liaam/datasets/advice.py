@@ -10,6 +10,7 @@ from pathlib import Path
 from liaam.io.files import is_number, some_names
 from liaam.io.images import PICTURE_SUFFIXES, UNREAD_SUFFIXES
 from liaam.io.landmarks import LANDMARK_SUFFIXES
+from liaam.io.landmarks.formats import ALSO_OTHER, NOT_READ
 
 NO_IMAGE = "no image has its name"  # Reason for leaving out a landmark file
 # Reason for leaving out a file that seems to hold landmarks
@@ -31,7 +32,16 @@ def unread_landmarks(files: Sequence[Path], bare: Sequence[Path], unrecognised: 
     stems = {image.with_suffix("") for image in bare}
     suffixes = {*PICTURE_SUFFIXES, *LANDMARK_SUFFIXES}
     others = [file for file in files if file.suffix.lower() not in suffixes or file in unrecognised]
-    return [file for file in others if stems and (file.with_suffix("") in stems or _has_numbers(file))]
+
+    holders = {*NOT_READ, *ALSO_OTHER} - {".txt"}
+    read = {file.with_suffix("") for file in files if file.suffix.lower() in LANDMARK_SUFFIXES}
+
+    def seems_to_hold(file: Path) -> bool:
+        if file.with_suffix("") in read - stems and file not in unrecognised:  # as DeepLabCut's .h5 beside its .csv
+            return False
+        return file.with_suffix("") in stems or file.suffix.lower() in holders or _has_numbers(file)
+
+    return [file for file in others if stems and seems_to_hold(file)]
 
 
 def unread_images(files: Sequence[Path], orphans: Sequence[Path]) -> list[Path]:
@@ -83,7 +93,9 @@ def no_pairs(
         names = some_names([file.name for file in unread])
         suffixes = ", ".join(LANDMARK_SUFFIXES)
         simplest = "the simplest is a .csv of a line 'x,y' and then x,y of each landmark, in pixels"
-        return f"{text} Files in an unknown format: {names}. Convert them to one of {suffixes}; {simplest}."
+        remedies = {file.suffix.lower(): NOT_READ.get(file.suffix.lower()) for file in unread}
+        more = "".join(f" Of {suffix} files: {remedy}." for suffix, remedy in remedies.items() if remedy)
+        return f"{text} Files in an unknown format: {names}. Convert them to one of {suffixes}; {simplest}.{more}"
     absent = [f"{path.name}: {reason}." for path, reason in left_out if reason.startswith(ABSENT)]
     faults = [reason for _, reason in left_out if "cannot be read" in reason]
     if faults:

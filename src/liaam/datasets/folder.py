@@ -19,19 +19,21 @@ import numpy as np
 from liaam.datasets import advice
 from liaam.datasets.dataset import Dataset, Sample, UnusedFile
 from liaam.errors import ImageError, LandmarkError, MissingImageError
-from liaam.io.files import natural_key, some_names
+from liaam.io.files import is_copy, natural_key, some_names
 from liaam.io.images import PICTURE_SUFFIXES, size_and_orientation
 from liaam.io.landmarks import LANDMARK_SUFFIXES, LandmarkFile, Landmarks
 from liaam.io.landmarks.base import Placing
-from liaam.io.landmarks.formats import may_hold_many, rank_of
+from liaam.io.landmarks.formats import ALSO_OTHER, may_hold_many, name_of, rank_of
 from liaam.io.landmarks.matching import ImageNames
 from liaam.io.landmarks.reading import USUAL, Notes, Reading, UnrecognisedError
+from liaam.io.landmarks.yolo import in_images, labels_of
 from liaam.progress import progress_bar
 
 _BARE = "the image has no landmarks"
 _UNREAD = "the landmarks cannot be read"
 _SAME = 1.5  # Largest difference of positions in pixels that the conventions of programs and rounding explain
 
+_HIDDEN = (".", "~$")  # beginnings of names of hidden files, and of those by which Excel marks open ones
 _LESSER = "another landmark file takes precedence"
 _PARTIAL = "one of several objects in an image lacks landmarks"
 
@@ -79,14 +81,17 @@ def load_folder(
     files = _list_files(root, recursive)
     marks = [file for file in files if file.suffix.lower() in LANDMARK_SUFFIXES]
     images = _images(files)
-    images_root = root
+    images_root = place = root
     if marks and not images:
-        images_root = root.parent
+        images_root = in_images(root) or root.parent
         images = _images(_list_files(images_root, recursive))
+    elif images and not marks and (labels := labels_of(root)):
+        place = labels
+        marks = [file for file in _list_files(labels, recursive) if file.suffix.lower() in LANDMARK_SUFFIXES]
     wanted = [image for image in images if pattern is None or _matches(images_root, image, pattern)]
     if not wanted:
         raise ImageError(advice.no_images(root, files, pattern, recursive))
-    pairing = _Pairing(images_root, root, images, wanted, reading)
+    pairing = _Pairing(images_root, place, images, wanted, reading)
     with progress_bar("landmark files", len(marks), progress) as tell:
         for done, file in enumerate(marks, 1):
             pairing.add(file)
@@ -138,7 +143,7 @@ def _list_files(root: Path, recursive: bool) -> list[Path]:
         raise error(f"{root} {what}: name the folder with the images and their landmarks.")
     try:
         paths = root.rglob("*") if recursive else root.iterdir()
-        seen = (path for path in paths if not any(part.startswith(".") for part in path.relative_to(root).parts))
+        seen = (path for path in paths if not any(part.startswith(_HIDDEN) for part in path.relative_to(root).parts))
         files = [path for path in seen if path.is_file()]
     except OSError as fault:
         raise ImageError(f"{root} cannot be read ({fault.strerror}): check the rights on the folder.") from fault
@@ -196,10 +201,11 @@ class _Pairing:
 
     def add(self, file: Path) -> None:
         """Read one landmark file if a wanted image may need it."""
-        beside = self._beside(file)
-        image = self.by_stem.get(beside.with_suffix("")) or self.names.of_file(beside)
+        image = self._image_of_name(file)
         if not may_hold_many(file) and (image is None or image not in self.options):
-            if image is None:
+            if image is None and file.suffix.lower() in ALSO_OTHER and "roi" not in file.stem.lower():
+                self.unrecognised.append(file)
+            elif image is None:
                 self._leave_out(file, advice.NO_IMAGE)
             return
         notes = Notes(self.reading.strict, done=self.notes.done)
@@ -207,7 +213,7 @@ class _Pairing:
             read = LandmarkFile.read(file, self.reading, notes=notes)
             entries = read.entries
         except LandmarkError as fault:
-            if isinstance(fault, UnrecognisedError) and file.suffix.lower() == ".txt":
+            if isinstance(fault, UnrecognisedError) and file.suffix.lower() in ALSO_OTHER:
                 self.unrecognised.append(file)
             else:
                 self._leave_out(file, f"{_UNREAD}: {fault}", image)
@@ -230,7 +236,11 @@ class _Pairing:
         for image in self.wanted:
             used_image = used_images[image.with_suffix("")]
             # Files of a single image take precedence over files of many, then the order of formats decides.
-            options = sorted(self.options[image], key=lambda each: (not each.is_single, rank_of(each.landmarks)))
+            # A copy of a file comes behind the file.
+            options = sorted(
+                self.options[image],
+                key=lambda each: (not each.is_single, rank_of(each.landmarks), is_copy(each.file)),
+            )
             if image != used_image:
                 self._leave_out(image, f"another image has the same name: {used_image.name} is used")
             elif options:
@@ -263,9 +273,12 @@ class _Pairing:
         if not is_recorded:
             self.left_out.append(UnusedFile(option.file, f"{_LESSER}: {used.file.name} is used"))
         if _disagree(used.landmarks, option.landmarks):
-            kinds = f"{used.file.suffix} and {option.file.name}"
-            remedy = f"remove one (the {used.file.suffix} is used)"
-            self.notes.repair(f"landmarks disagree in {kinds}; {remedy}", image.name)
+            # Files of one image have its name, which follows.
+            name = f"the {used.file.suffix}" if used.is_single else f"'{used.file.name}'"
+            both = f"{name.removeprefix('the ')} and {option.file.name}"
+            if not used.is_single:
+                both = f"{name} and '{option.file.name}'"
+            self.notes.repair(f"landmarks disagree in {both}; remove one ({name} is used)", image.name)
 
     def _add_single(self, file: LandmarkFile, image: Path | None, entry: str) -> None:
         """Add the landmarks of a file for one image, which has its name, or else is the one that it names."""
@@ -320,6 +333,15 @@ class _Pairing:
             self._leave_out(file.path, f"{_UNREAD}: {fault}", image)
             return
         self.options[image].append(_Option(file.path, landmarks, file.is_single))
+
+    def _image_of_name(self, file: Path) -> Path | None:
+        """Return the image of a landmark file's name, beside it, or in ``images`` where the file is in ``labels``."""
+        stem = name_of(file)
+        for place in (self._beside(file), in_images(self._beside(file))):
+            image = place and (self.by_stem.get(place.with_name(stem)) or self.names.of_file(place, stem))
+            if image:
+                return image
+        return None
 
     def _beside(self, file: Path) -> Path:
         """Return where a landmark file would be among the images."""

@@ -85,6 +85,16 @@ def atomic_path(path: AnyPath, error: type[LiaamError] = LiaamError) -> Iterator
             temp.unlink()
 
 
+def is_disk_full(error: BaseException) -> bool:
+    """Return whether an error, or one that caused it, says that there is no room on the disk."""
+    cause: BaseException | None = error
+    while cause is not None:
+        if isinstance(cause, OSError) and cause.errno in (errno.ENOSPC, errno.EDQUOT):
+            return True
+        cause = cause.__cause__
+    return False
+
+
 def write_bytes_atomically(path: AnyPath, data: bytes, error: type[LiaamError] = LiaamError) -> None:
     """Write `data` to `path` atomically (see :func:`atomic_path`)."""
     with atomic_path(path, error) as temp:

@@ -21,11 +21,22 @@ MAX_PIXELS = 200_000_000  # default limit on width x height. Larger images are r
 MAX_PIXELS_VARIABLE = "LIAAM_MAX_PIXELS"  # environment variable of another limit
 
 
+# What file managers put behind the name of a copy.
+_COPY = re.compile(
+    r"(?:[ _]\(\d{1,3}\)|[ _]?-[ _]?(?:copy|kopie|copie|copia)(?: \(\d+\))?|[ _]copy(?: \d+)?|~)\Z", re.I
+)
+
+
 def natural_key(text: str) -> list[Any]:
     """Return a case-insensitive sort key that puts ``img2`` before ``img10``."""
     words = re.split(r"([0-9]+)", text.casefold())  # every second one is a number, perhaps too long for int
     numbers = ((len(digits), digits) for digits in (word.lstrip("0") for word in words[1::2]))
     return [*chain.from_iterable(zip(words[::2], numbers, strict=False)), words[-1]]
+
+
+def is_copy(path: Path) -> bool:
+    """Return whether a file has the name of a copy of another, such as ``all (1).tps`` or ``all - Copy.tps``."""
+    return _COPY.search(path.stem) is not None
 
 
 def name_key(name: str) -> str:

@@ -12,6 +12,7 @@ from liaam.io.files import json_object
 from liaam.io.landmarks import LandmarkFile, Landmarks, write_landmarks
 from liaam.io.landmarks.annotations import is_fit
 from liaam.io.landmarks.reading import read_text
+from liaam.io.landmarks.writers import tps_text, upwards
 
 FIT_SUFFIXES = (".pts", ".csv", ".tps", ".json")
 """Suffixes of the files that a fit can have."""
@@ -20,12 +21,19 @@ ROUNDING, FARTHEST = 0.02, 1e6
 """Difference in pixels below which points of two files are the same; coordinate beyond which all are the same."""
 
 
+TPS_DECIMALS = 3
+"""Decimals of pixels of a fit in a ``.tps`` file: a hundredth of the error of a good fit, and easy to read."""
+
+
 def write_fit(path: Path, landmarks: Landmarks, facts: dict, image_size: tuple[int, int]) -> None:
     """Write the landmarks of a fit, and in a .json file its further facts.
 
     Landmarks are in pixels from the centre of the top-left one, and ``image_size`` is width and height. In .json files,
     numbers that are not finite become null.
     """
+    if path.suffix.lower() == ".tps":
+        text = tps_text(upwards(landmarks, image_size), TPS_DECIMALS)
+        return write_text_atomically(path, text, LandmarkError)
     if path.suffix.lower() != ".json":
         return write_landmarks(path, landmarks, image_size)
     return write_text_atomically(path, fit_text(landmarks, {**facts, "image_size": image_size}))

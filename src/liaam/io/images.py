@@ -12,13 +12,14 @@ import os
 import re
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from liaam.errors import ImageError, installing
+from liaam.io import tiff
 from liaam.io.atomic import write_bytes_atomically
 from liaam.io.files import AnyPath, as_three_channels, check_file_size, check_size, enough_memory, existing_file
 from liaam.io.raw import RAW_SUFFIXES, is_raw, raw_size, read_raw
@@ -37,7 +38,7 @@ _DEEP_SUFFIXES, _FLOAT_SUFFIXES = (".png", ".tif", ".tiff", ".ppm", ".pgm", ".pn
 _SIGNATURES = {  # first bytes of the formats, by Pillow's name
     "PNG": rb"\x89PNG\r\n\x1a\n",
     "JPEG": rb"\xff\xd8\xff",
-    "TIFF": rb"II[*+]\0|MM\0\*",  # + is BigTIFF; Pillow cannot read that of the other byte order
+    "TIFF": rb"II[*+]\0|MM\0[*+]",  # + is BigTIFF
     "BMP": rb"BM",
     "PPM": rb"P[1-6]",
     "GIF": rb"GIF8",
@@ -54,9 +55,6 @@ _NEEDS = {
 _MAX_BYTES = 4_000_000_000  # of a file: readers of some formats look for their end, in all of it
 _KINDS = "PNG, JPEG, TIFF, BMP, PPM, PGM, WebP, AVIF, HEIC, GIF or JPEG 2000"
 _EXIF_ORIENTATION = 0x0112
-# Tags of the TIFF 6.0 specification.
-_WIDTH, _HEIGHT, _BITS, _PHOTOMETRIC, _SAMPLES, _PLANAR, _FORMAT = 256, 257, 258, 262, 277, 284, 339
-_EXTENTS = ((273, 279), (324, 325))  # offsets and byte counts, of strips or of tiles
 ROWS_AT_ONCE = 256  # rows converted at a time, because Pillow's conversions take several times the image's memory
 # Modes of Pillow's images that the colour profiles of each colour space are for.
 _PROFILE_MODES = {"RGB": ("RGB", "RGBA", "P"), "GRAY": ("L", "LA"), "CMYK": ("CMYK",)}
@@ -76,6 +74,7 @@ class _Opened:
     deep: bool = False  # whether channels have more than 8 bits
     orientation: int = 1
     fault: str = ""  # why the pixels cannot be decoded, or empty
+    pages: tuple[tiff.Page, ...] = ()  # of a TIFF: that of the picture, or those of its red, green and blue
 
     @property
     def size(self) -> tuple[int, int]:
@@ -89,7 +88,7 @@ def read_image(path: AnyPath, max_pixels: int | None = None) -> np.ndarray:
     Parameters
     ----------
     path : path-like
-        A PNG, JPEG, TIFF (first page), BMP, PPM, PGM, WebP, AVIF, GIF, JPEG 2000 or HEIC file of one still, or a RAW
+        A PNG, JPEG, TIFF, BMP, PPM, PGM, WebP, AVIF, GIF, JPEG 2000 or HEIC file of one still, or a RAW
         file, recognised by its suffix. HEIC needs the extra ``heic``. RAW values are linear light.
     max_pixels : int, optional
         Larger images are rejected before decoding. By default the environment variable ``LIAAM_MAX_PIXELS``, or 200
@@ -127,6 +126,8 @@ def read_preview(
         check_size(opened.name, opened.width, opened.height, max_pixels)
         if opened.fault:
             raise ImageError(f"{opened.name} {opened.fault}")
+        if len(opened.pages) > 1:
+            return _upright(_decode_colours(opened), opened)
         if opened.deep:
             return _upright(_decode_deep(opened), opened)
         if size is not None:
@@ -137,6 +138,49 @@ def read_preview(
 def decode_image(data: bytes, name: str = "image", max_pixels: int | None = None) -> np.ndarray:
     """Decode the bytes of an image file, except RAW files. Errors call it `name`. See :func:`read_image`."""
     return read_preview(data, None, max_pixels, name)
+
+
+def as_pixels(image: Any, name: str = "image") -> Any:
+    """Return the pixels of an image of Pillow, of the bytes of an image file, or of a file that is open.
+
+    They are upright, and as :func:`read_image` gives those of a file. Anything else, such as an array, is returned as
+    it is. Errors call the image by its name.
+    """
+    if isinstance(image, bytes | bytearray | memoryview):
+        return decode_image(bytes(image), name)
+    if hasattr(image, "read") and not hasattr(image, "__array_interface__"):
+        return decode_image(_bytes_of(image, name), name)
+    if hasattr(image, "getexif") and hasattr(image, "getbands"):
+        return _of_pillow(image, name)
+    return image
+
+
+def _bytes_of(file: Any, name: str) -> bytes:
+    """Read an open file from its start, if it can go there."""
+    if hasattr(file, "seek") and (not hasattr(file, "seekable") or file.seekable()):
+        file.seek(0)
+    data = file.read(_MAX_BYTES + 1)
+    if not isinstance(data, bytes) or len(data) > _MAX_BYTES:
+        what = f"more than {_MAX_BYTES:,} bytes" if isinstance(data, bytes) else "text, not bytes"
+        raise ImageError(f"{name}: the open file holds {what}: open an image file with open(path, 'rb').")
+    return data
+
+
+def _of_pillow(image: Any, name: str) -> np.ndarray:
+    """Return the pixels of an image of Pillow, upright."""
+    from PIL import ImageOps
+
+    check_size(name, *image.size)
+    try:
+        with enough_memory(name, ImageError):
+            turned = ImageOps.exif_transpose(image)
+            if turned.mode.startswith(("I", "F")):  # of more than 8 bits
+                return as_three_channels(np.asarray(turned))
+            return rgb_of(turned)
+    except (ImageError, MemoryError):
+        raise
+    except Exception as fault:  # Pillow decodes only now, and raises many classes on bad bytes
+        raise ImageError(f"{name} is damaged or cut short ({fault}): open another copy of it.") from fault
 
 
 def image_size(path: AnyPath | bytes, name: str = "image") -> tuple[int, int]:
@@ -270,42 +314,61 @@ def _open_tiff(file: Any, name: object) -> _Opened:
     """Read the tags before Pillow does, because it cannot open a float RGB file."""
     from PIL.TiffImagePlugin import ImageFileDirectory_v2
 
+    pages = tiff.pages_of(file)
+    file.seek(0)
     start = file.read(8)
+    if start[:4] == b"MM\0+":  # Pillow takes the header for that of another kind
+        what = "is a BigTIFF of big-endian order, which is not read"
+        raise ImageError(f"{name} {what}: save it as a usual TIFF, or save it as PNG.")
     if start[2] == 43:  # BigTIFF has a longer header
         start += file.read(8)
     tags = ImageFileDirectory_v2(start)
     file.seek(tags.next)
     tags.load(file)
-    fault, deep = _tiff_fault(tags, file.seek(0, os.SEEK_END)), max(tags.get(_BITS, (1,))) > 8
+    used, fault = tiff.picture_in(pages, tags)
+    if used[0] > 0:
+        tags = ImageFileDirectory_v2(start)
+        file.seek(pages[used[0]].offset)
+        tags.load(file)
+    fault = fault or tiff.fault_of(tags, file.seek(0, os.SEEK_END))
+    deep = max(tags.get(tiff.BITS, (1,))) > 8
     file.seek(0)
-    image = None if deep or fault else _pillow(file, "TIFF")
-    width, height = int(tags[_WIDTH]), int(tags[_HEIGHT])
-    return _Opened(file, name, "TIFF", image, width, height, deep, _orientation(tags), fault)
+    try:
+        image = None if deep or fault else _page_of_tiff(file, used[0])
+    except SyntaxError as error:
+        if str(error) != "unknown pixel mode":
+            raise
+        image, fault = None, "stores its pixels in a form that is not read: save it as RGB of 8 bits, or as PNG."
+    width, height = int(tags[tiff.WIDTH]), int(tags[tiff.HEIGHT])
+    of_picture = tuple(pages[i] for i in used if i < len(pages))
+    return _Opened(file, name, "TIFF", image, width, height, deep, _orientation(tags), fault, of_picture)
+
+
+def _page_of_tiff(file: Any, index: int) -> Any:
+    """Open a page of a TIFF with Pillow."""
+    image = _pillow(file, "TIFF")
+    if index:
+        image.seek(index)
+    return image
+
+
+def _decode_colours(opened: _Opened) -> np.ndarray:
+    """Decode a picture whose red, green and blue are a page each."""
+    if opened.deep:
+        channels = [_decode_deep(replace(opened, pages=(page,)))[..., 0] for page in opened.pages]
+    else:
+        channels = []
+        for page in opened.pages:
+            opened.file.seek(0)
+            channels.append(rgb_of(_page_of_tiff(opened.file, page.index))[..., 0])
+    if len({channel.shape for channel in channels}) > 1:
+        raise ValueError("its colours have different sizes")
+    return np.stack(channels, axis=-1)
 
 
 def _orientation(tags: Any) -> int:
     value = tags.get(_EXIF_ORIENTATION, 1)
     return value if value in range(1, 9) else 1
-
-
-def _tiff_fault(tags: Any, n_bytes: int) -> str:
-    """Describe why the pixels cannot be decoded; empty if they can."""
-    for offsets, counts in _EXTENTS:
-        pairs = zip(tags.get(offsets, ()), tags.get(counts, ()), strict=False)
-        if any(offset + count > n_bytes for offset, count in pairs):
-            return "is cut short (it ends before its pixels do): copy it again."
-    bits = set(tags.get(_BITS, (1,)))
-    if max(bits) <= 8:
-        return ""
-    kinds = {(depth, form) for depth in bits for form in tags.get(_FORMAT, (1,))}
-    if kinds not in ({(16, 1)}, {(32, 3)}, {(64, 3)}):
-        return "does not hold 8- or 16-bit unsigned integers or 32-bit floats: convert it to one of these."
-    n_samples = tags.get(_SAMPLES, 1)
-    if n_samples not in (1, 3, 4) or tags.get(_PHOTOMETRIC) not in (1, 2):
-        return "is not a grey or RGB image: convert it to RGB."
-    if n_samples > 1 and tags.get(_PLANAR, 1) != 1:
-        return "stores its channels in separate planes: save it with interleaved channels."
-    return ""
 
 
 def rgb_of(image: Any) -> np.ndarray:
@@ -358,7 +421,10 @@ def _decode_deep(opened: _Opened) -> np.ndarray:
     if file.seek(0, os.SEEK_END) > _MAX_BYTES:
         raise ValueError(f"more than {_MAX_BYTES:,} bytes")
     file.seek(0)
-    array = cv2.imdecode(np.frombuffer(file.read(), np.uint8), cv2.IMREAD_UNCHANGED)
+    data: Any = file.read()
+    if opened.pages and opened.pages[0].index:  # OpenCV reads the first page
+        data = tiff.starting_at(data, opened.pages[0])
+    array = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_UNCHANGED)
     if array is None:
         raise ValueError("its pixels cannot be decoded")
     if white != 65535:  # of a PPM, which OpenCV does not scale

@@ -216,7 +216,13 @@ def load_model(path: str | os.PathLike) -> AAM:
 
 
 def named_model(model: AAM | str) -> AAM:
-    """Return a model, also by the name of one that comes with liaam; anything else is returned as it is."""
+    """Return a model, also by the name of one that comes with liaam; what is no text is returned as it is."""
+    if isinstance(model, str) and model not in MODELS:
+        names = ", ".join(map(repr, MODELS))
+        raise ModelFileError(
+            f"{model!r} is not a model; give a model first, or the name of one that comes with liaam ({names}); of a "
+            "file, give liaam.load_model(path)"
+        )
     return _included(model) if isinstance(model, str) and model in MODELS else model  # type: ignore[return-value]
 
 

@@ -2,8 +2,9 @@
 
 from liaam.morphometry.curves import with_even_curves
 from liaam.morphometry.measures import Measure, ScaleBar
-from liaam.morphometry.replicates import measurement_error
-from liaam.morphometry.specimens import Specimen, read_specimens
+from liaam.morphometry.reading import read_specimens
+from liaam.morphometry.replicates import exchanged_landmarks, measurement_error
+from liaam.morphometry.specimens import Specimen
 from liaam.morphometry.table import alike, measure
 
 __all__ = [
@@ -11,6 +12,7 @@ __all__ = [
     "ScaleBar",
     "Specimen",
     "alike",
+    "exchanged_landmarks",
     "measure",
     "measurement_error",
     "read_specimens",

@@ -2,6 +2,8 @@
 
 import math
 import re
+import warnings
+from collections import defaultdict
 from collections.abc import Sequence
 
 import numpy as np
@@ -12,6 +14,9 @@ from liaam.io.files import some_names
 from liaam.morphometry.curves import semilandmarks
 from liaam.morphometry.specimens import Specimen
 from liaam.morphometry.table import Columns
+
+_FEWEST_PAIRS = 2  # objects that two files share, to compare the orders of their landmarks
+_CLEARLY = 4.0  # least factor by which another order must bring landmarks closer together
 
 _SQUARES = ("df_among", "df_within", "ms_among", "ms_within", "F", "P", "repeatability")
 
@@ -26,8 +31,9 @@ def measurement_error(specimens: Sequence[Specimen], columns: Columns, by: str, 
     columns : dict of str to list
         What :func:`liaam.measure` made of them.
     by : str
-        ``"image"``: records of one image are replicates (``wing1``, ``wing1#2``). Otherwise the text before the number
-        of a replicate in names, such as ``"_"`` in ``wing1_1`` and ``wing1_2``.
+        ``"image"``: records of one object of an image are replicates, as :func:`liaam.read_specimens` found
+        (`Specimen.replicate_of`); where that is unknown, those of one name before a ``#`` (``wing1``, ``wing1#2``).
+        Otherwise the text before the number of a replicate in names, such as ``"_"`` in ``wing1_1`` and ``wing1_2``.
     slid : bool
         Whether semilandmarks slid. Each then has one degree of freedom instead of two.
 
@@ -43,12 +49,12 @@ def measurement_error(specimens: Sequence[Specimen], columns: Columns, by: str, 
     LiaamError
         If no specimen has replicates.
     """
-    mark = "#" if by == "image" else by
-    groups = [(mark and name.rpartition(mark)[0]) or name for name in columns["specimen"]]
+    groups = _groups(specimens, by)
     if len(set(groups)) == len(groups):
         raise LiaamError(
             f"no specimen has replicates, as all names differ ({some_names(groups, 3)}): give 'image' if records of an "
-            "image are replicates, or the text before the number of a replicate in names, such as _ in wing1_2"
+            "image that lie on each other are replicates, or the text before the number of a replicate in names, such "
+            "as _ in wing1_2"
         )
     sizes = np.array(columns["centroid_size"])
     scales = np.array(columns.get("scale", [1.0] * len(sizes)))
@@ -75,6 +81,68 @@ def measurement_error(specimens: Sequence[Specimen], columns: Columns, by: str, 
         row = {"measure": f"landmark {names[number - 1] if names else number}"} | anova(points, groups, pixels)
         rows.append(row | dict.fromkeys(_SQUARES, math.nan))  # positions in different images do not compare
     return {name: [row[name] for row in rows] for name in rows[0]}
+
+
+def _groups(specimens: Sequence[Specimen], by: str) -> list[str]:
+    """Return what the replicates of each specimen have in common; see :func:`measurement_error`."""
+    if by == "image":
+        return [specimen.replicate_of or specimen.name.rpartition("#")[0] or specimen.name for specimen in specimens]
+    return [(by and specimen.name.rpartition(by)[0]) or specimen.name for specimen in specimens]
+
+
+def exchanged_landmarks(specimens: Sequence[Specimen], by: str) -> list[str]:
+    """Find landmarks that files number in different orders, from replicates in them.
+
+    Parameters
+    ----------
+    specimens : sequence of Specimen
+        As :func:`liaam.morphometry.alike` gives them.
+    by : str
+        What tells replicates, as in :func:`measurement_error`.
+
+    Returns
+    -------
+    list of str
+        A sentence for each file whose order differs from that of the first.
+    """
+    records: dict[str, dict[str, np.ndarray]] = defaultdict(dict)  # points by file, of each object
+    for specimen, group in zip(specimens, _groups(specimens, by), strict=True):
+        if specimen.file and len(specimen.points):
+            records[specimen.file].setdefault(group, specimen.points)
+    names = next((specimen.names for specimen in specimens if specimen.names), ())
+    first, *others = records or [""]
+    found = []
+    for other in others:
+        shared = records[first].keys() & records[other].keys()
+        pairs = [(records[first][group], records[other][group]) for group in sorted(shared)]
+        order = _order_between(pairs) if len(pairs) >= _FEWEST_PAIRS else np.arange(0)
+        moved = np.flatnonzero(order != np.arange(len(order))).tolist()
+        if not moved:
+            continue
+        labels = [names[i] if names else str(i + 1) for i in moved]
+        which = f"{', '.join(labels[:-1])} and {labels[-1]}"
+        how = "are exchanged" if len(moved) == 2 else "are in different orders"
+        found.append(f"landmarks {which} {how} between {first} and {other}: number them alike, and measure again")
+    return found
+
+
+def _order_between(pairs: Sequence[tuple[np.ndarray, np.ndarray]]) -> np.ndarray:
+    """Return the order of the second landmarks (n, 2) of pairs that suits the first best; as it is unless clear."""
+    from scipy.optimize import linear_sum_assignment
+
+    distances = []
+    for points, others in pairs:
+        moved = others + np.nanmedian(points - others, axis=0)  # files may count y from another side
+        distances.append(np.linalg.norm(points[:, None] - moved, axis=2))
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", RuntimeWarning)  # of landmarks that are missing in all
+        usual = np.nan_to_num(np.nanmedian(distances, axis=0), nan=0.0)
+    identity = np.arange(len(usual))
+    _, order = linear_sum_assignment(usual)
+    moved_at = order != identity
+    before = usual[identity, identity][moved_at].sum()
+    after = usual[identity, order][moved_at].sum()
+    return order if before > _CLEARLY * after else identity
 
 
 def anova(values: np.ndarray, groups: Sequence[str], sizes: np.ndarray, freedom: float = 1) -> dict[str, float]:

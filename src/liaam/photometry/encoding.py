@@ -6,13 +6,14 @@ This module alone defines the result for NaN, black, saturated, 16-bit and float
 
 import os
 from functools import lru_cache
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from liaam import _core
 from liaam.encoding_constants import ALL, UNUSABLE
 from liaam.errors import ImageError, LiaamError, MethodError
+from liaam.io.images import as_pixels
 from liaam.photometry.features import Encoder
 from liaam.photometry.invariant import LUMINANCE
 from liaam.photometry.response import Response, from_linear, linear_to_srgb, log_slope, srgb_to_linear, to_linear
@@ -45,15 +46,16 @@ BRIGHTEST = 1e6  # upper bound of stored values and linear light of float images
 FLOATS_AT_ONCE = 4_000_000  # pixels of a picture of floats whose light is worked out at a time, 40 bytes a pixel
 
 
-def as_colour(image: np.ndarray, name: str = "image") -> np.ndarray:
+def as_colour(image: Any, name: str = "image") -> np.ndarray:
     """Validate an image (h, w), or (h, w, c) of 1, 3 or 4 channels, and convert it to (h, w, 3), floats to float32.
 
-    Integers range from 0 to their type's maximum, floats from 0 to 1. A fourth channel (alpha) is dropped. Raises an
-    ImageError that begins with the name if the array is not an image of at least 8 by 8 pixels.
+    An image of Pillow, the bytes of an image file and an open file are read like a file, upright. Integers range from 0
+    to their type's maximum, floats from 0 to 1. A fourth channel (alpha) is dropped. Raises an ImageError that begins
+    with the name if the array is not an image of at least 8 by 8 pixels.
     """
     if isinstance(image, str | os.PathLike):
         raise ImageError(f"{name}: {os.fspath(image)!r} is a path, not an image; give liaam.read_image(path)")
-    image = np.asarray(image)
+    image = np.asarray(as_pixels(image, name))
     if image.ndim == 2:
         image = image[..., None]
     if image.ndim != 3 or image.shape[2] not in (1, 3, 4):

@@ -6,17 +6,20 @@ from pathlib import Path
 import numpy as np
 
 from liaam.errors import ImageError
+from liaam.io.images import as_pixels, read_image
 from liaam.photometry.encoding import as_colour
 
 
 def load_picture(image, name: str) -> tuple[np.ndarray, str]:
-    """Return an image with three channels from an array or a path, and its name in messages (a path's file name)."""
+    """Return an image with three channels, and its name in messages (a path's file name).
+
+    It is given as an array, a path, an image of Pillow, the bytes of an image file, or an open one.
+    """
     if not isinstance(image, (str, os.PathLike)):
+        image = as_pixels(image, name)
         if np.ndim(image) < 2:
             raise ImageError(f"{name}: {described(image)} is not an image; give a path, or an array (height, width, 3)")
         return as_colour(image, name), name
-    from liaam.io import read_image
-
     path = Path(image)
     return as_colour(read_image(path), path.name), path.name
 

@@ -15,8 +15,10 @@ import numpy as np
 from liaam.errors import LandmarkError, TrainingError
 from liaam.io import Landmarks, image_size, read_image, read_landmarks
 from liaam.io.files import count_of, some_names
+from liaam.io.images import as_pixels
 from liaam.io.landmarks.base import Contour, contour_of
-from liaam.model.file_format import MAX_POINTS
+from liaam.io.landmarks.formats import needs_image
+from liaam.model.file import MAX_POINTS
 from liaam.model.mesh import FOLD_TOLERANCE, delaunay, folded_share, signed_areas, triangles_from_edges
 from liaam.model.shape import align, procrustes_mean
 
@@ -27,8 +29,6 @@ FEWEST = 3  # Fewest images to learn from
 FEWEST_LANDMARKS = 3  # Fewest landmarks of a mesh, which is then one triangle
 # Least extent of the landmarks in pixels: less is no object, but coordinates in other units, such as fractions.
 LEAST_EXTENT = 2.0
-# Formats of landmark files whose coordinates are relative to the image, or count from its lower border.
-NEED_IMAGE_SIZE = (".asf", ".tps", ".nts")
 
 IndexedContours = tuple[tuple[tuple[int, ...], bool], ...]
 """Lines through landmarks: the indices of these in turn, and whether the line is closed."""
@@ -250,7 +250,7 @@ def _pair_of(item: Any, i: int) -> tuple[Any, Any]:
         raise TrainingError(
             f"training item {i + 1} is not an (image, landmarks) pair; for a folder give liaam.load_folder(folder)"
         ) from None
-    return image, landmarks
+    return as_pixels(image, f"image {i + 1}"), landmarks
 
 
 def _image_of_pair(image: Any, i: int) -> tuple[str, Callable[[], np.ndarray]]:
@@ -269,7 +269,7 @@ def _read_landmarks_of(image: Any, path: str | os.PathLike) -> Landmarks:
 
 def _size_for(path: str | os.PathLike, image: Any) -> tuple[int, int] | None:
     """Return (width, height) of an image, (h, w, ...) or a path, if the format of a landmark file needs it."""
-    if Path(path).suffix.lower() not in NEED_IMAGE_SIZE:
+    if not needs_image(Path(path)):
         return None
     if isinstance(image, str | os.PathLike):
         return image_size(image)

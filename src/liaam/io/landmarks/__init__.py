@@ -10,18 +10,29 @@ from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path, PureWindowsPath
+from typing import Any
 
 import numpy as np
 
 from liaam.errors import ImageError, LandmarkError
 from liaam.io.atomic import write_text_atomically
-from liaam.io.files import AnyPath, existing_file
+from liaam.io.files import AnyPath, existing_file, read_bytes
 from liaam.io.images import PICTURE_SUFFIXES, size_and_orientation
 from liaam.io.landmarks import formats, writers
 from liaam.io.landmarks.base import Contour, Landmarks, Placing, Size
 from liaam.io.landmarks.formats import FORMATS, LANDMARK_SUFFIXES
 from liaam.io.landmarks.matching import ImageNames
-from liaam.io.landmarks.reading import LACKING, USUAL, Notes, Reading, Source, read_text
+from liaam.io.landmarks.reading import (
+    LACKING,
+    MAX_BINARY,
+    USUAL,
+    Notes,
+    Reading,
+    Source,
+    UnrecognisedError,
+    read_text,
+)
+from liaam.io.landmarks.spreadsheets import csv_of_sheet
 
 __all__ = [
     "FORMATS",
@@ -71,9 +82,19 @@ class LandmarkFile(Source):
         cls, path: Path, reading: Reading = USUAL, data: bytes | None = None, notes: Notes | None = None
     ) -> "LandmarkFile":
         """Read a file, or take its content from memory."""
-        formats.formats_of(path)
+        is_binary = formats.is_binary(path)
         path = existing_file(path, LandmarkError, "landmark file") if data is None else path
-        return cls(path, read_text(path, data), reading, notes or Notes(reading.strict))
+        notes = notes or Notes(reading.strict)
+        is_spreadsheet = formats.ending_of(path) == ".xlsx"
+        if not is_binary and not is_spreadsheet:
+            return cls(path, read_text(path, data), reading, notes)
+        content = read_bytes(path, UnrecognisedError, MAX_BINARY) if data is None else data
+        if not is_spreadsheet:
+            return cls(path, "", reading, notes, content)
+        try:
+            return cls(path, csv_of_sheet(content, path.name, notes), reading, notes)
+        except LandmarkError as fault:
+            raise type(fault)(f"{path}: {fault}") from fault
 
     @cached_property
     def form(self) -> formats.Format:
@@ -91,14 +112,20 @@ class LandmarkFile(Source):
         except LandmarkError as fault:
             raise type(fault)(f"{self.path}: {fault}") from fault
         except LACKING as fault:
-            if "json" not in self.path.suffix.lower():
+            if "json" not in formats.ending_of(self.path):
                 raise
             raise LandmarkError(f"{self.path} lacks the parts of a {self.form.title} file: export it again.") from fault
         if not parsed:
             remedy = "place those of at least one image, or export it again."
             raise LandmarkError(f"{self.path}: no landmarks in it ({self.form.title}): {remedy}")
         objects_by_image = defaultdict[str, list[Landmarks]](list)
+        seen: set[tuple[Any, ...]] = set()
         for landmarks in parsed:
+            record = landmarks.image_name, landmarks.label, landmarks.names, landmarks.points.tobytes()
+            if record in seen:
+                self.notes.say("records that occur twice are read once", landmarks.image_name or self.path.name)
+                continue
+            seen.add(record)
             objects_by_image[landmarks.image_name or ""].append(replace(landmarks, format=self.form.title))
         return {image: _joined(objects) for image, objects in objects_by_image.items()}
 
@@ -108,8 +135,13 @@ class LandmarkFile(Source):
         first = next(iter(self.entries.values()))
         return first.image_name is None or not self.form.many
 
+    def zeros_of(self, landmarks: Landmarks) -> tuple[int, ...]:
+        """Return the indices of those landmarks of an entry that the file has at 0, 0."""
+        return tuple(np.flatnonzero((landmarks.points == self.form.zero).all(axis=1)).tolist())
+
     @cached_property
-    def _beside(self) -> "ImagesBeside":
+    def beside(self) -> "ImagesBeside":
+        """The images in its folder."""
         return ImagesBeside(self.path.parent)
 
     def all_placed(self, size: Size | None = None) -> dict[str, Landmarks]:
@@ -126,7 +158,7 @@ class LandmarkFile(Source):
         name = name or entry or self.path.name
         try:
             if size is None and landmarks.placing != Placing():
-                size, orientation = self._beside.size_of(entry, landmarks.placing.size)
+                size, orientation = self.beside.size_of(entry, landmarks.placing.size)
             return landmarks if size is None else self._placed(landmarks, size, orientation, name)
         except LandmarkError as fault:
             raise LandmarkError(f"{self.path}: {fault}") from fault

@@ -90,8 +90,9 @@ def parse_labelme(source: Source) -> list[Landmarks]:
     """Parse the shapes of an image.
 
     Those of the type ``point`` are the landmarks, named by their labels if these differ. Points of one ``group_id``
-    are an object; those without one belong to the only object that lacks their labels. Without points, the only polygon
-    or line is read.
+    are an object; those without one belong to the only object that lacks their labels. If no point has a group and
+    labels occur several times, points belong to the rectangle that holds them. Without points, the only polygon or line
+    is read.
     """
     shapes, groups = source.json["shapes"], defaultdict[str, list[Mark]](list)
     lines = [shape for shape in shapes if shape.get("shape_type") in ("polygon", "linestrip", "points")]
@@ -106,6 +107,10 @@ def parse_labelme(source: Source) -> list[Landmarks]:
         groups = {"": sorted(named, key=lambda mark: natural_key(mark[0]))}
     if len(groups) == 2 and distinct and "" in groups:
         groups = {"": marks}
+    boxes = [_box_of(shape["points"]) for shape in shapes if shape.get("shape_type") == "rectangle"]
+    if boxes and not distinct and groups.keys() == {""}:
+        inside = rd.in_boxes(marks, boxes)
+        groups = {str(i): marks_inside for i, marks_inside in enumerate(inside, 1)} if len(inside) > 1 else groups
     if not groups and len(lines) == 1:
         groups = {"": [("", *pair[:2], SEEN) for pair in lines[0]["points"]]}
     if not groups:
@@ -121,23 +126,32 @@ def parse_labelme(source: Source) -> list[Landmarks]:
     return [landmarks for landmarks in made if len(landmarks) == usual]
 
 
+def _box_of(corners: Any) -> rd.Box:
+    """Return a box given by two corners or more."""
+    xs, ys = ([rd.parse_number(pair[axis], "a corner") for pair in corners] for axis in (0, 1))
+    return min(xs), min(ys), max(xs), max(ys)
+
+
 def parse_label_studio(source: Source) -> list[Landmarks]:
     """Parse tasks, also in the short form: percent of the image's width and height, which the file states.
 
-    Keypoints are named by their labels. Those with one parent are an object. Of several annotations of an image the
-    first that was not cancelled is read.
+    Keypoints are named by their labels. Those with one parent, or related to one region, are an object. Of several
+    annotations of an image the first that was not cancelled is read.
     """
     tasks = source.json if isinstance(source.json, list) else [source.json]
     records = ((f"task {i}", task) for i, task in enumerate(tasks, 1))
-    objects = source.each(records, partial(_objects_of_task, source))
+    objects = source.each(records, partial(objects_of_task, source))
     return rd.named_points(source, list(chain.from_iterable(objects)))
 
 
-def _objects_of_task(source: Source, task: dict[str, Any]) -> list[Landmarks]:
+def objects_of_task(source: Source, task: dict[str, Any]) -> list[Landmarks]:
+    """Return the objects of a task of Label Studio, in the long or the short form."""
     done = [each for each in task.get("annotations") or task.get("completions") or () if not each.get("was_cancelled")]
     if len(done) > 1:
         source.notes.say("of several annotations the first is read", str(task.get("id", "")))
+    related: dict[str, str] = {}
     if done:
+        related = _related(done[0]["result"])
         marks = [{**each, **each["value"]} for each in done[0]["result"] if each.get("value")]
     else:  # the short form
         lists = [value for value in task.values() if isinstance(value, list)]
@@ -147,8 +161,39 @@ def _objects_of_task(source: Source, task: dict[str, Any]) -> list[Landmarks]:
     groups: dict[Any, list[Any]] = defaultdict(list)
     for mark in marks:
         if "keypointlabels" in mark or ({"labels", "x"} <= mark.keys() and "height" not in mark):
-            groups[mark.get("parentID")].append(mark)
+            groups[mark.get("parentID") or related.get(str(mark.get("id")))].append(mark)
+    boxes = [mark for mark in marks if {"x", "y", "width", "height"} <= mark.keys() and "rectanglelabels" in mark]
+    if boxes and list(groups) == [None]:
+        return [_marked(image, group_marks) for group_marks in _inside(groups[None], boxes)]
     return [_marked(image, group_marks) for group_marks in groups.values()]
+
+
+def _inside(marks: list[Any], boxes: list[Any]) -> list[list[Any]]:
+    """Return keypoints by the box that holds them, if labels occur several times; else all as one object."""
+    labels = [_label_of(mark) for mark in marks]
+    if len(set(labels)) == len(labels) or len(set(labels)) == 1:
+        return [marks]
+    corners = [_box_of([(box["x"], box["y"]), (box["x"] + box["width"], box["y"] + box["height"])]) for box in boxes]
+    named: list[Mark] = [(label, mark["x"], mark["y"], mark) for label, mark in zip(labels, marks, strict=True)]
+    return [[mark[-1] for mark in inside] for inside in rd.in_boxes(named, corners)]
+
+
+def _label_of(mark: Any) -> str:
+    """Return the label of a keypoint."""
+    return str((mark.get("keypointlabels") or mark["labels"])[0])
+
+
+def _related(results: Any) -> dict[str, str]:
+    """Return the region that each keypoint of an annotation is related to, by their ids."""
+    keypoints = {str(each.get("id")) for each in results if each.get("type") == "keypointlabels"}
+    related = {}
+    for each in results:
+        ends = str(each.get("from_id")), str(each.get("to_id"))
+        if each.get("type") == "relation":
+            for point, region in (ends, ends[::-1]):
+                if point in keypoints and region not in keypoints:
+                    related[point] = region
+    return related
 
 
 def _marked(image: str, marks: list[Any]) -> Landmarks:
@@ -157,7 +202,7 @@ def _marked(image: str, marks: list[Any]) -> Landmarks:
         raise LandmarkError(f"'{image}' has keypoints for several sizes, or none: label it again.")
     if any(mark.get("image_rotation") for mark in marks):
         raise LandmarkError(f"'{image}' was labelled on a turned picture: turn the image itself, and label that.")
-    labels = [str((mark.get("keypointlabels") or mark["labels"])[0]) for mark in marks]
+    labels = [_label_of(mark) for mark in marks]
     landmarks = rd.object_of(
         [(label, mark["x"], mark["y"], SEEN) for label, mark in zip(labels, marks, strict=True)], image
     )

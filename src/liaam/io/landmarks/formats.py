@@ -2,15 +2,17 @@
 
 A new format is a function that makes landmarks of a `Source`, as those of :mod:`~liaam.io.landmarks.plain` do, and a
 row in `FORMATS`. If others have its suffix, the row also has a function that tells the format from those that come
-later.
+later. Files of tools that are recognised but not read are rows in `OTHER_TOOLS`.
 """
 
+import re
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 from liaam.errors import LandmarkError
-from liaam.io.landmarks import annotations, plain, tables, writers
+from liaam.io.landmarks import annotations, exports, imagej, plain, tables, writers, yolo
 from liaam.io.landmarks.base import Landmarks
 from liaam.io.landmarks.reading import Source, UnrecognisedError
 
@@ -36,10 +38,18 @@ class Format:
         Makes the landmarks of each object in a file, as the file counts them.
     is_format_of : callable
         Whether a file is of this format, and not of one with the same suffix that comes later in `FORMATS`.
+    zero : float
+        What 0 in its files is in pixels.
     many : bool
         Whether one file can hold many images.
     contours, names : bool
         Whether the format holds contours, and names of landmarks.
+    needs_image : bool
+        Whether the size of the image is needed to place the landmarks in it.
+    names_image : bool
+        Whether a file of one image may name another than that of its own name.
+    binary : bool
+        Whether its files are no text.
     text : callable, optional
         Formats the landmarks of one image as the content of a file. None if the format is not written, or only for
         many images.
@@ -52,9 +62,13 @@ class Format:
     origin: str
     parse: Callable[[Source], list[Landmarks]]
     is_format_of: Callable[[Source], bool] = _any_file
+    zero: float = 0.0
     many: bool = False
     contours: bool = False
     names: bool = False
+    needs_image: bool = False
+    names_image: bool = False
+    binary: bool = False
     text: Callable[[Landmarks], str] | None = None
     text_of_many: Callable[[Mapping[str, Landmarks], writers.Sizes], str] | None = None
 
@@ -105,13 +119,14 @@ def _is_lines_of_points(source: Source) -> bool:
 
 _CENTRES = "centres counted from 0"
 _TAKEN_AS_CENTRES = f"taken as {_CENTRES}"  # of formats that do not say what their numbers count from
-_SUFFIXES_OF_TABLES = (".csv", ".tsv", ".txt")
+_SUFFIXES_OF_TABLES = (".csv", ".tsv", ".txt", ".xlsx")
 
 FORMATS: tuple[Format, ...] = (
     Format(
         title="300-W points",
         suffixes=(".pts",),
         origin="(1, 1) is the centre of the top-left pixel",
+        zero=-1.0,
         parse=plain.parse_pts,
         text=writers.pts_text,
     ),
@@ -136,6 +151,8 @@ FORMATS: tuple[Format, ...] = (
         suffixes=(".asf",),
         origin="fractions of width and height; needs the image",
         contours=True,
+        needs_image=True,
+        names_image=True,
         parse=plain.parse_asf,
     ),
     Format(
@@ -145,6 +162,44 @@ FORMATS: tuple[Format, ...] = (
         names=True,
         is_format_of=_is_labelme,
         parse=annotations.parse_labelme,
+    ),
+    Format(
+        title="GeoJSON, QuPath",
+        suffixes=(".geojson", ".json"),
+        origin=_TAKEN_AS_CENTRES,
+        names=True,
+        is_format_of=exports.is_geojson,
+        parse=exports.parse_geojson,
+    ),
+    Format(
+        title="3D Slicer markups",
+        suffixes=(".json",),
+        origin="pixels of a picture without spacing, on one plane",
+        names=True,
+        is_format_of=exports.is_slicer,
+        parse=exports.parse_slicer,
+    ),
+    Format(
+        title="3D Slicer fiducials",
+        suffixes=(".fcsv",),
+        origin="pixels of a picture without spacing, on one plane",
+        names=True,
+        parse=exports.parse_fcsv,
+    ),
+    Format(
+        title="ImageJ selection",
+        suffixes=(".roi",),
+        origin="whole pixels, or fractions from the corner of the first",
+        binary=True,
+        parse=imagej.parse_roi,
+    ),
+    Format(
+        title="ImageJ selections",
+        suffixes=(".zip",),
+        origin="as .roi",
+        names=True,
+        binary=True,
+        parse=imagej.parse_roi_set,
     ),
     Format(
         title="CVAT for images",
@@ -162,6 +217,15 @@ FORMATS: tuple[Format, ...] = (
         many=True,
         names=True,
         parse=annotations.parse_dlib,
+    ),
+    Format(
+        title="VGG Image Annotator",
+        suffixes=(".json",),
+        origin=_TAKEN_AS_CENTRES,
+        many=True,
+        names=True,
+        is_format_of=exports.is_via,
+        parse=exports.parse_via,
     ),
     Format(
         title="Label Studio",
@@ -198,6 +262,7 @@ FORMATS: tuple[Format, ...] = (
         origin="(0, 0) is the centre of the bottom-left pixel, y upwards; needs the image",
         many=True,
         contours=True,
+        needs_image=True,
         parse=plain.parse_tps,
         text=writers.tps_text,
         text_of_many=writers.tps_of_many,
@@ -207,6 +272,7 @@ FORMATS: tuple[Format, ...] = (
         suffixes=(".nts",),
         origin="as .tps",
         many=True,
+        needs_image=True,
         parse=plain.parse_nts,
     ),
     Format(
@@ -216,6 +282,68 @@ FORMATS: tuple[Format, ...] = (
         names=True,
         is_format_of=_is_stereomorph,
         parse=plain.parse_shapes,
+    ),
+    Format(
+        title="Morphologika",
+        suffixes=(".txt",),
+        origin=_TAKEN_AS_CENTRES,
+        many=True,
+        contours=True,
+        is_format_of=plain.is_morphologika,
+        parse=plain.parse_morphologika,
+    ),
+    Format(
+        title="YOLO pose",
+        suffixes=(".txt",),
+        origin="fractions of width and height; needs the image",
+        names=True,
+        needs_image=True,
+        is_format_of=yolo.is_yolo,
+        parse=yolo.parse_yolo,
+    ),
+    Format(
+        title="VGG Image Annotator table",
+        suffixes=_SUFFIXES_OF_TABLES,
+        origin=_TAKEN_AS_CENTRES,
+        many=True,
+        names=True,
+        is_format_of=exports.is_via_table,
+        parse=exports.parse_via_table,
+    ),
+    Format(
+        title="Label Studio table",
+        suffixes=_SUFFIXES_OF_TABLES,
+        origin="percent of width and height",
+        many=True,
+        names=True,
+        is_format_of=exports.is_label_studio_table,
+        parse=exports.parse_label_studio_table,
+    ),
+    Format(
+        title="makesense.ai points",
+        suffixes=_SUFFIXES_OF_TABLES,
+        origin=_TAKEN_AS_CENTRES,
+        many=True,
+        names=True,
+        is_format_of=exports.is_makesense,
+        parse=exports.parse_makesense,
+    ),
+    Format(
+        title="napari points",
+        suffixes=_SUFFIXES_OF_TABLES,
+        origin=f"[y, x], {_CENTRES}",
+        names=True,
+        is_format_of=exports.is_napari,
+        parse=exports.parse_napari,
+    ),
+    Format(
+        title="SLEAP table",
+        suffixes=_SUFFIXES_OF_TABLES,
+        origin=_CENTRES,
+        many=True,
+        names=True,
+        is_format_of=exports.is_sleap_table,
+        parse=exports.parse_sleap_table,
     ),
     Format(
         title="DeepLabCut table",
@@ -288,35 +416,141 @@ KNOWN_FILES = _formats_by_suffixes()
 """All formats by suffix, for help and messages."""
 
 
+ALSO_OTHER = (".txt", ".zip", ".xlsx")
+"""Suffixes of files that often hold something else, so that they are passed over unless landmarks are in them."""
+
+
+@dataclass(frozen=True)
+class OtherTool:
+    """Files of a tool that are recognised, to say what to export instead."""
+
+    suffixes: tuple[str, ...]
+    is_file_of: Callable[[Source], bool]
+    fault: str
+
+
+def _first_of_list(source: Source) -> dict[str, Any]:
+    first = source.json[0] if isinstance(source.json, list) and source.json else None
+    return first if isinstance(first, dict) else {}
+
+
+def _is_create_ml(source: Source) -> bool:
+    marks = _first_of_list(source).get("annotations")
+    return isinstance(marks, list) and any(isinstance(mark, dict) and "coordinates" in mark for mark in marks)
+
+
+def _is_napari_shapes(source: Source) -> bool:
+    return "vertex-index" in source.text[:1000] and {"axis_0", "vertex_index"} <= {*source.header}
+
+
+_AS_TABLE = "save a table of the columns image, landmark, x and y, in pixels"
+
+OTHER_TOOLS: tuple[OtherTool, ...] = (
+    OtherTool(
+        (".json",),
+        lambda source: {"item", "annotations"} <= source.object.keys(),
+        f"this is an export of Darwin (V7), which is not read: {_AS_TABLE}.",
+    ),
+    OtherTool(
+        (".json",),
+        lambda source: "data_units" in _first_of_list(source) or "data_units" in source.object,
+        f"this is an export of Encord, which is not read: export COCO keypoints, or {_AS_TABLE}.",
+    ),
+    OtherTool((".json",), _is_create_ml, f"this is an export of CreateML, which holds boxes, not points: {_AS_TABLE}."),
+    OtherTool(
+        (".xml",),
+        lambda source: source.xml.tag == "annotation" and source.xml.find(".//bndbox") is not None,
+        f"this is an export of labelImg (Pascal VOC), which holds boxes, not points: {_AS_TABLE}.",
+    ),
+    OtherTool(
+        _SUFFIXES_OF_TABLES,
+        _is_napari_shapes,
+        "this holds shapes of napari, not points: place the landmarks in a layer of points, and save that.",
+    ),
+)
+"""Files that are recognised and not read."""
+
+
+NOT_READ = {
+    ".h5": "DeepLabCut writes a .csv beside it; in SLEAP, export the analysis as CSV",
+    ".hdf5": "export a table as CSV",
+    ".slp": "in SLEAP, export the analysis as CSV",
+    ".mat": "in MATLAB, save a table with writetable",
+    ".xls": "save it as .xlsx, or as CSV",
+    ".ods": "save it as .xlsx, or as CSV",
+    ".numbers": "export it as CSV",
+    ".rds": "in R, save a table with write.csv",
+    ".rdata": "in R, save a table with write.csv",
+    ".npy": "save a table, or give the array to liaam.io.write_landmarks",
+    ".npz": "save a table, or give the arrays to liaam.io.write_landmarks",
+}
+"""Suffixes of files that often hold landmarks and are not read, since they need other programs; and what to do."""
+
+
+def ending_of(path: Path) -> str:
+    """Return the ending that tells a file's format, lower case: of ``all.tps.txt``, as Windows hides it, ``.tps``."""
+    suffix = path.suffix.lower()
+    inner = Path(path.stem).suffix.lower()
+    return inner if suffix == ".txt" and inner in LANDMARK_SUFFIXES else suffix
+
+
+def name_of(path: Path) -> str:
+    """Return the name of the image of a file for one: its own without what tells the format.
+
+    Examples
+    --------
+    >>> name_of(Path("wing.pts")), name_of(Path("wing.pts.txt")), name_of(Path("wing.mrk.json"))
+    ('wing', 'wing', 'wing')
+    """
+    stem = path.stem if ending_of(path) == path.suffix.lower() else Path(path.stem).stem
+    return re.sub(r"(?i)(?<=.)(\.mrk|[ _-]?RoiSet)\Z", "", stem)
+
+
 def formats_of(path: Path) -> list[Format]:
-    """Return the formats of a file's suffix. Raise if there are none."""
-    formats = [form for form in FORMATS if path.suffix.lower() in form.suffixes]
+    """Return the formats of a file's ending. Raise if there are none."""
+    formats = [form for form in FORMATS if ending_of(path) in form.suffixes]
     if not formats:
         fault = f"has the extension '{path.suffix}', not that of a landmark format"
-        raise LandmarkError(f"{path} {fault}: use {KNOWN_FILES}.")
+        remedy = NOT_READ.get(path.suffix.lower(), f"use {KNOWN_FILES}")
+        raise LandmarkError(f"{path} {fault}: {remedy}.")
     return formats
 
 
 def format_of(source: Source) -> Format:
-    """Return the format that a file has, of those of its suffix. Raise if it has none."""
+    """Return the format that a file has, of those of its ending. Raise if it has none."""
+    ending = ending_of(source.path)
+    for tool in OTHER_TOOLS:
+        if ending in tool.suffixes and tool.is_file_of(source):
+            raise LandmarkError(tool.fault)
     for form in formats_of(source.path):
         if form.is_format_of(source):
             return form
-    suffix = source.path.suffix.lower()
-    if suffix == ".json":
-        raise UnrecognisedError(f"this is none of {titles_of(suffix)}: export it as one of these.")
+    if ending == ".txt" and plain.is_tps(source):
+        return next(form for form in FORMATS if form.parse is plain.parse_tps)
+    if ending == ".json":
+        raise UnrecognisedError(f"this is none of {titles_of(ending)}: export it as one of these.")
     remedy = "name the columns in the first line, as x,y"
     raise UnrecognisedError(f"there are no columns x and y, or rows of x and y: {remedy}.")
 
 
 def may_hold_many(path: Path) -> bool:
-    """Return whether files of this suffix may hold many images, or one that does not have the file's name."""
-    return path.suffix.lower() == ".asf" or any(form.many for form in formats_of(path))
+    """Return whether files of this ending may hold many images, or one that does not have the file's name."""
+    return any(form.many or form.names_image for form in formats_of(path))
+
+
+def needs_image(path: Path) -> bool:
+    """Return whether files of this ending may need the size of their image."""
+    return any(form.needs_image for form in FORMATS if ending_of(path) in form.suffixes)
+
+
+def is_binary(path: Path) -> bool:
+    """Return whether files of this ending are no text."""
+    return all(form.binary for form in formats_of(path))
 
 
 def writer_of(path: Path, many: bool = False) -> Callable[..., str]:
     """Return the function that formats the landmarks of one image, or of many, for a suffix. Raise if there is none."""
-    formats = formats_of(path)
+    formats = [form for form in formats_of(path) if path.suffix.lower() in form.suffixes]
     for form in formats:
         writer = form.text_of_many if many else form.text
         if writer is not None:

@@ -4,6 +4,8 @@ import re
 from collections import defaultdict
 from collections.abc import Iterable, Iterator
 from contextlib import suppress
+from functools import lru_cache
+from itertools import takewhile
 from pathlib import Path, PurePosixPath, PureWindowsPath
 from urllib.parse import unquote
 
@@ -37,12 +39,16 @@ class ImageNames:
                 return image, how or spelling
         return None, ""
 
-    def of_file(self, file: Path) -> Path | None:
-        """Return the image beside a landmark file, ``a.pts`` or ``a.png.pts``, if possible in the same case."""
-        key = name_key(file.stem)
+    def of_file(self, file: Path, stem: str = "") -> Path | None:
+        """Return the image beside a landmark file, ``a.pts`` or ``a.png.pts``, if possible in the same case.
+
+        Its stem may be given, as of ``a.mrk.json``.
+        """
+        stem = stem or file.stem
+        key = name_key(stem)
         named = self._by_stem.get(key) or self._by_name.get(key, [])
         beside = [image for image in named if image.parent == file.parent]
-        return next((image for image in beside if image.stem == file.stem), beside[0] if beside else None)
+        return next((image for image in beside if image.stem == stem), beside[0] if beside else None)
 
     def _find(self, path: PurePosixPath, folder: Path) -> tuple[Path | None, str]:
         named = self._by_name.get(name_key(path.name), [])
@@ -76,6 +82,7 @@ def names_picture(entry: str) -> bool:
     return PurePosixPath(_path_of(entry)).suffix.lower() in _SUFFIXES
 
 
+@lru_cache(10_000)  # tables repeat the name in each row
 def without_title(name: str) -> str:
     """Return an image's name without what ImageJ adds to it: ``a.png:eye``, ``stack.tif:a.png``."""
     return next((part for part in reversed(re.split(r":(?![\\/])", name)) if names_picture(part)), name)
@@ -84,6 +91,43 @@ def without_title(name: str) -> str:
 def stem_of(entry: str) -> str:
     """Return an image's name without folders, its suffix, and what Label Studio puts before it."""
     return re.sub(_UPLOADED, "", PureWindowsPath(_path_of(entry)).stem)
+
+
+def _shared_parts(paths: Iterable[PureWindowsPath]) -> tuple[str, ...]:
+    """Return the parts of the folder that all paths share."""
+    folders = [path.parent.parts for path in paths]
+    shared = takewhile(lambda parts: len({*parts}) == 1, zip(*folders, strict=False))
+    return tuple(parts[0] for parts in shared)
+
+
+def shared_folder(entries: Iterable[str]) -> str:
+    """Return the last part of the folder that all images share, or nothing."""
+    parts = _shared_parts(PureWindowsPath(_path_of(entry)) for entry in entries)
+    return parts[-1] if parts else ""
+
+
+def unique_names(entries: Iterable[str]) -> dict[str, str]:
+    """Return a name for each image: its stem, or, where several have one stem, as much of its path as tells all apart.
+
+    The names then are the paths below the folder that all share, without suffix, or with it if only that differs.
+
+    Examples
+    --------
+    >>> unique_names(["data/left/w0.png", "data/right/w0.png"])
+    {'data/left/w0.png': 'left/w0', 'data/right/w0.png': 'right/w0'}
+    """
+    entries = list(dict.fromkeys(entries))
+    paths = {entry: PureWindowsPath(_path_of(entry)) for entry in entries}
+    shared = len(_shared_parts(paths.values()))
+    below = {entry: PurePosixPath(*path.parts[shared:]) for entry, path in paths.items()}
+    tried = (
+        {entry: stem_of(entry) for entry in entries},
+        {entry: str(path.with_name(stem_of(path.name))) for entry, path in below.items() if path.name},
+        {entry: str(path) for entry, path in below.items()},
+    )
+    return next(
+        (names for names in tried if len({*names.values()}) == len(entries)), {entry: entry for entry in entries}
+    )
 
 
 def _path_of(entry: str) -> str:

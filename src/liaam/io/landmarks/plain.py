@@ -1,4 +1,4 @@
-"""Text files of points: 300-W, ``.tem``, ``.asf``, StereoMorph, lines of x and y, and ``.tps`` and ``.nts``.
+"""Text files of points: 300-W, ``.tem``, ``.asf``, StereoMorph, Morphologika, lines of x and y, ``.tps`` and ``.nts``.
 
 A missing landmark is written ``nan nan``, or by another of the usual words. In ``.tps`` and ``.nts`` y counts
 **upwards from the bottom** row.
@@ -17,7 +17,7 @@ import numpy as np
 from liaam.errors import LandmarkError
 from liaam.io.files import is_number
 from liaam.io.landmarks import reading as rd
-from liaam.io.landmarks.base import Contour, Landmarks, Placing, chain_edges, contour_of
+from liaam.io.landmarks.base import Contour, Landmarks, Placing, chain_edges, contour_of, edges_from
 from liaam.io.landmarks.matching import names_picture
 from liaam.io.landmarks.reading import Source
 
@@ -25,6 +25,8 @@ _COUNT = re.compile(r"n_?points\s*(?:[:=]\s*)?(\S+)", re.IGNORECASE)  # \s*[:=]?
 _COMMENT = re.compile(r"(#|//|%).*")
 _ASF_COLUMNS = 7  # path, type, x, y, point, from, to; further columns are optional
 _SHAPES = re.compile(r"<landmarks\.pixel\b[^<>]*>")
+_SCALING = re.compile(r"<scaling\b[^<>]*>([^<]*)</scaling\s*>")
+_SECTION = re.compile(r"^[ \t]*\[(\w+)\][^\S\n]*$", re.MULTILINE)  # of Morphologika
 _IMAGE = re.compile(r"<image\.name\b[^<>]*>([^<]*)</image\.name\s*>")
 _NUMBER = r"(?:[-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?|nan|na)"
 _LINE = re.compile(
@@ -38,6 +40,7 @@ _MATRIX = re.compile(
     re.IGNORECASE,
 )
 _FEWEST, _LONGEST = 2, 300
+_MISSING = 9999.0  # what Morphologika writes for a missing x or y
 
 
 def parse_pts(source: Source) -> list[Landmarks]:
@@ -109,7 +112,10 @@ def parse_tem(source: Source) -> list[Landmarks]:
 
 
 def parse_shapes(source: Source) -> list[Landmarks]:
-    """Parse StereoMorph's matrix ``landmarks.pixel`` of name, x and y: centres counted from 0. Curves are not read."""
+    """Parse StereoMorph's matrix ``landmarks.pixel`` of name, x and y: centres counted from 0.
+
+    ``scaling`` is the length of a pixel. Curves are not read.
+    """
     start, image = _SHAPES.search(source.text), _IMAGE.search(source.text)
     matrix, end, _ = source.text[start.end() :].partition("</landmarks.pixel") if start else ("", "", "")
     if not end:
@@ -119,7 +125,53 @@ def parse_shapes(source: Source) -> list[Landmarks]:
     rows = [[cell.strip("\"' ") for cell in row] for row in rows if len(row) in (2, 3) and row[-1].strip("\"'") != "y"]
     points: Any = [rd.parse_point(row[-2:], f"'{row[0]}'") for row in rows]
     names = tuple(row[0] for row in rows if len(row) == 3)
-    return [Landmarks(points, (), names, image[1].strip("\"' \n\t") if image else None)]
+    scaling = _SCALING.search(source.text)
+    length = scaling[1].strip() if scaling else ""
+    scale = float(length) if is_number(length) and float(length) > 0 else None
+    if scaling and scale is None and length.upper() not in ("NA", ""):
+        source.notes.repair("there is no scale, because scaling is not a positive number", source.path.name)
+    return [Landmarks(points, (), names, image[1].strip("\"' \n\t") if image else None, scale=scale)]
+
+
+def is_morphologika(source: Source) -> bool:
+    """Whether it has Morphologika's sections of counts and points."""
+    names = {match[1].lower() for match in _SECTION.finditer(source.text)}
+    return {"individuals", "landmarks", "rawpoints"} <= names
+
+
+def parse_morphologika(source: Source) -> list[Landmarks]:
+    """Parse Morphologika's points of specimens, of two dimensions: taken as centres counted from 0, y downwards.
+
+    The names of specimens are those of images. A wireframe becomes the contours. Missing points are 9999.
+    """
+    matches = list(_SECTION.finditer(source.text))
+    ends = [match.start() for match in matches[1:]] + [len(source.text)]
+    parts = {
+        match[1].lower(): [line.strip() for line in source.text[match.end() : end].splitlines() if line.strip()]
+        for match, end in zip(matches, ends, strict=True)
+    }
+    n, n_points = (rd.parse_count(" ".join(parts[name]), name) for name in ("individuals", "landmarks"))
+    if parts.get("dimensions", ["2"])[:1] != ["2"]:
+        raise LandmarkError("it has points with x, y and z (Morphologika): export two dimensions.")
+    lines = [line for line in parts["rawpoints"] if not line.startswith("'")]
+    rd.check_count("file of Morphologika", n * n_points, lines)
+    headings = [line.strip("' \t") for line in parts["rawpoints"] if line.startswith("'")]
+    names = next((each for each in (parts.get("names", []), headings) if len(each) == n), None)
+    names = names or [str(i + 1) for i in range(n)]
+    edges = edges_from([[_whole(word) for word in line.split()] for line in parts.get("wireframe", [])], n_points)
+
+    def make(i: int) -> Landmarks:
+        rows = lines[i * n_points : (i + 1) * n_points]
+        points: Any = [rd.parse_pair(line, f"point {number} of '{names[i]}'") for number, line in enumerate(rows, 1)]
+        points = [rd.NOWHERE if x == y == _MISSING else (x, y) for x, y in points]
+        return Landmarks(points, chain_edges(edges), image_name=names[i])
+
+    return list(source.each(((names[i], i) for i in range(n)), make))
+
+
+def _whole(word: str) -> int | str:
+    """Return a word as a number if it is one."""
+    return int(word) if word.isascii() and word.isdigit() and len(word) < 9 else word
 
 
 def parse_lines(source: Source) -> list[Landmarks]:
@@ -173,6 +225,12 @@ class _Block:
     key: str
     value: str
     body: list[tuple[int, str]] = field(default_factory=list)
+
+
+def is_tps(source: Source) -> bool:
+    """Whether the first line is one of a record of tpsDig."""
+    match = _KEY.fullmatch(source.lines[0])
+    return match is not None and match[1].upper() in ("LM", "LM3")
 
 
 def parse_tps(source: Source) -> list[Landmarks]:

@@ -19,6 +19,8 @@ from liaam.io.files import is_number, natural_key, read_bytes, some_names
 from liaam.io.landmarks.base import Landmarks, Placing, Size, without_zeros
 
 MAX_BYTES = 500_000_000  # of a landmark file
+MAX_BINARY = 100_000_000  # bytes of a landmark file that is no text
+MAX_LINES_OF_NUMBERS = 1_000_000  # letters of a file of few lines of numbers, such as YOLO's of one image
 
 TableLine = tuple[int, list[str]]  # a line number, and the cells of the line
 
@@ -38,8 +40,11 @@ R = TypeVar("R")
 # Errors of a reader where parts of a file are absent, or are of another type.
 LACKING = (TypeError, KeyError, IndexError, ValueError, AttributeError, OverflowError)
 
+_MOST_COMPARED = 1_000_000  # pairs of a point and a box of an image
+
 NOWHERE = (math.nan, math.nan)
 MISSING, HIDDEN, SEEN = range(3)  # how a landmark is marked
+Box = tuple[float, float, float, float]  # left, top, right, bottom
 Mark = tuple[Any, ...]  # the name of a landmark, x and y as numbers or text, and how it is marked
 
 
@@ -115,15 +120,12 @@ class Source:
     text: str
     reading: Reading = USUAL
     notes: Notes = field(default_factory=Notes)
+    data: bytes = b""  # of a file that is no text
 
     @cached_property
     def json(self) -> Any:
         """Its content as JSON."""
-        try:
-            return json.loads(self.text)
-        except (ValueError, RecursionError) as fault:
-            why = short(str(fault), 100)
-            raise LandmarkError(f"this is not complete JSON ({why}): it may be cut short; export it again.") from fault
+        return json_of(self.text)
 
     @property
     def object(self) -> dict[str, Any]:
@@ -199,6 +201,15 @@ class Source:
             raise first
 
 
+def json_of(text: str) -> Any:
+    """Parse JSON."""
+    try:
+        return json.loads(text)
+    except (ValueError, RecursionError) as fault:
+        why = short(str(fault), 100)
+        raise LandmarkError(f"this is not complete JSON ({why}): it may be cut short; export it again.") from fault
+
+
 def size_of(record: Any, *keys: str) -> Size | None:
     """Return the width and height, which may have other keys, of an image that a record states, if it does."""
     width, height = map(record.get, keys or ("width", "height"))
@@ -221,6 +232,22 @@ def object_of(marks: Iterable[Mark], image: str | None, size: Size | None = None
     hidden = tuple(i for i, mark in enumerate(marks) if mark[-1] == HIDDEN)
     names = names_of([mark[0] for mark in marks])
     return Landmarks(points, (), names, image, hidden, label=label, placing=Placing(size))
+
+
+def in_boxes(marks: Iterable[Mark], boxes: Sequence[Box]) -> list[list[Mark]]:
+    """Return the marks inside each box; raise if one lies in none, or in several."""
+    marks = list(marks)
+    if len(marks) * len(boxes) > _MOST_COMPARED:
+        raise LandmarkError(f"{len(marks):,} points and {len(boxes):,} boxes are too many: group the points by object.")
+    inside: list[list[Mark]] = [[] for _ in boxes]
+    for mark in marks:
+        x, y = parse_point(mark[1:3], f"point '{mark[0]}'")
+        holding = [i for i, (left, top, right, bottom) in enumerate(boxes) if left <= x <= right and top <= y <= bottom]
+        if len(holding) != 1:
+            several = "in several boxes" if holding else "in no box"
+            raise LandmarkError(f"point '{short(str(mark[0]))}' lies {several}: group the points by object.")
+        inside[holding[0]].append(mark)
+    return [marks_inside for marks_inside in inside if marks_inside]
 
 
 def names_of(labels: Sequence[str]) -> tuple[str, ...]:

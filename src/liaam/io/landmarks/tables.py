@@ -64,9 +64,16 @@ def _check_width(header: Sequence[str], row: TableLine) -> TableLine:
     return row
 
 
-def _whole(source: Source, header: Sequence[str], rows: Sequence[TableLine]) -> list[TableLine]:
+def whole(source: Source, header: Sequence[str], rows: Sequence[TableLine]) -> list[TableLine]:
     """Return the rows that have as many cells as the header, and leave out others."""
     return list(source.each(((f"line {row[0]}", row) for row in rows), partial(_check_width, header)))
+
+
+def is_of_imagej(source: Source) -> bool:
+    """Whether a table holds ImageJ's results, which are in the unit of the image if that is calibrated."""
+    header = source.rows[0][1]
+    # Its first column has a blank as its name, or one of two is "Label".
+    return {"X", "Y"} <= {*header} and (source.text[:2] in (" ,", " \t") or "Label" in header[:2])
 
 
 def parse_long(source: Source) -> list[Landmarks]:
@@ -80,9 +87,7 @@ def parse_long(source: Source) -> list[Landmarks]:
     columns = columns_of(header, [row for _, row in rows])
     if columns.landmark is not None and header[columns.landmark] not in LANDMARKS | {*UNCLEAR}:
         source.notes.say("landmarks are named by the values of a column", header[columns.landmark])
-    # ImageJ's first column has a blank as its name, or one of two is "Label".
-    raw = source.rows[0][1]
-    shift = 0.5 if {"X", "Y"} <= {*raw} and (source.text[:2] in (" ,", " \t") or "Label" in raw[:2]) else 0.0
+    shift = 0.5 if is_of_imagej(source) else 0.0
 
     def make(group: tuple[tuple[str, str], list[TableLine]]) -> Landmarks:
         (image, specimen), lines = group
@@ -146,7 +151,7 @@ def parse_wide(source: Source) -> list[Landmarks]:
     the image or specimen, or else by the only other column with text.
     """
     (_, header), *rows = source.rows
-    rows = _whole(source, header, [row for row in rows if any(row[1])])
+    rows = whole(source, header, [row for row in rows if any(row[1])])
     given = pairs_of(header)
     others = [key for key in given if not key.isdigit()]
     if len(others) < len(given) - 1:
@@ -176,7 +181,7 @@ def parse_dlc(source: Source) -> list[Landmarks]:
     coords = headers["coords"]
     for header in headers.values():
         _check_width(coords, (0, header))
-    rows = _whole(source, coords, rows[len(headers) :])
+    rows = whole(source, coords, rows[len(headers) :])
     first = next((i for i, cell in enumerate(coords) if cell in ("x", "y")), len(coords))
     scorer, *others = dict.fromkeys(headers["scorer"][first:]) or [""]
     if others:

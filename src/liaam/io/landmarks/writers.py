@@ -59,12 +59,14 @@ def upwards(landmarks: Landmarks, image_size: Size) -> Landmarks:
     return replace(landmarks, points=np.stack([x, image_size[1] - 1 - y], axis=1))
 
 
-def tps_text(landmarks: Landmarks) -> str:
+def tps_text(landmarks: Landmarks, decimals: int | None = None) -> str:
     """Return the text of a record of ``.tps``. y counts upwards; a missing landmark is NaN, which R and Python read.
 
-    Open contours of the last landmarks in order are written as curves, as these are read; others are not.
+    Open contours of the last landmarks in order are written as curves, as these are read; others are not. Points have
+    at most so many decimals, or all that they need.
     """
-    lines = ["NaN NaN" if x != x else f"{x!r} {y!r}" for x, y in landmarks.points.tolist()]
+    points = landmarks.points if decimals is None else np.round(landmarks.points, decimals)
+    lines = ["NaN NaN" if x != x else f"{x!r} {y!r}" for x, y in points.tolist()]
     curves = [contour.indices for contour in landmarks.contours if not contour.closed]
     tail = [index for curve in curves for index in curve]
     first = len(lines) - len(tail)

@@ -1,0 +1,153 @@
+"""Pose labels of Ultralytics' YOLO: a text file for each image, and ``data.yaml``."""
+
+import re
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from liaam.errors import LandmarkError
+from liaam.io.files import is_number
+from liaam.io.landmarks import reading as rd
+from liaam.io.landmarks.base import Landmarks, Placing
+from liaam.io.landmarks.reading import NOWHERE, Source
+
+IMAGES, LABELS = "images", "labels"
+"""Folders of one layout: ``images/train/a.jpg`` has ``labels/train/a.txt``."""
+
+_BOX = 5  # numbers before the points: the class, and a box
+_FEWEST = 2  # points
+_FLAGS = ("0", "1", "2")  # a point is missing, hidden, or seen
+_SETTINGS = ("data.yaml", "data.yml", "dataset.yaml")
+_PARENTS = 3  # folders above the labels in which the settings may lie
+_MOST_BYTES = 100_000  # of the settings
+_SLACK = 0.5  # share of the image's size that objects may extend beyond it
+
+
+def in_images(path: Path) -> Path | None:
+    """Return the path in the folder of images of one in a folder of labels, if there is that folder.
+
+    Of ``data/labels/train/a.txt`` it is ``data/images/train/a.txt``.
+    """
+    return _exchanged(path, LABELS, IMAGES)
+
+
+def labels_of(folder: Path) -> Path | None:
+    """Return the folder of labels of a folder of images, if there is one."""
+    labels = _exchanged(folder, IMAGES, LABELS)
+    return labels if labels is not None and labels.is_dir() else None
+
+
+def _exchanged(path: Path, folder: str, other: str) -> Path | None:
+    """Return a path with another folder in the place of the last of a name; None if it has none, or there is none."""
+    parts = list(path.parts)
+    if folder not in parts:
+        return None
+    at = len(parts) - 1 - parts[::-1].index(folder)
+    parts[at] = other
+    return Path(*parts) if Path(*parts[: at + 1]).is_dir() else None
+
+
+def is_yolo(source: Source) -> bool:
+    """Whether lines have a class and a box as fractions of the image, and more numbers."""
+    if len(source.text) > rd.MAX_LINES_OF_NUMBERS:
+        return False
+    rows = [line.split() for line in source.lines]
+    return len({len(row) for row in rows}) == 1 and all(map(_is_label, rows))
+
+
+def _is_label(row: list[str]) -> bool:
+    if len(row) < _BOX or not (row[0].isascii() and row[0].isdigit()) or not all(map(is_number, row)):
+        return False
+    box = [float(cell) for cell in row[1:_BOX]]
+    is_fraction = all(-_SLACK <= value <= 1 + _SLACK for value in box)
+    return is_fraction and box[2] > 0 and box[3] > 0
+
+
+def parse_yolo(source: Source) -> list[Landmarks]:
+    """Parse lines of a class, a box and points: x and y as fractions of the image's size, and perhaps a flag.
+
+    A flag of 0 says that a point is missing, and 1 that it is hidden. ``kpt_shape`` in ``data.yaml``, beside the file
+    or above, says how many points there are; ``kpt_names`` names them. The largest object comes first.
+    """
+    rows = [line.split() for line in source.lines]
+    settings = _settings_of(source.path)
+    n_points, n_values = _form_of(rows, settings)
+    names = _names_in(settings, n_points)
+    wanted = source.reading.category
+    classes = _classes_in(settings)
+    objects = []
+    for row in sorted(rows, key=lambda row: -float(row[3]) * float(row[4])):
+        label = classes.get(row[0], row[0])
+        if wanted is None or wanted in (label, row[0]):
+            objects.append(_object_of(row[_BOX:], n_values, names))
+    if not objects:
+        raise LandmarkError(
+            f"no objects of the class '{wanted}': it has {', '.join(sorted({row[0] for row in rows}))}."
+        )
+    return objects
+
+
+def _object_of(cells: list[str], n_values: int, names: tuple[str, ...]) -> Landmarks:
+    values = np.array([float(cell) for cell in cells]).reshape(-1, n_values)
+    flags = values[:, 2] if n_values == 3 else np.full(len(values), 2.0)
+    points = np.where(flags[:, None] == 0, NOWHERE, values[:, :2])
+    hidden = tuple(np.flatnonzero(flags == 1).tolist())
+    return Landmarks(points, (), names, None, hidden, placing=Placing(fractions=True))
+
+
+def _form_of(rows: list[list[str]], settings: str) -> tuple[int, int]:
+    """Return the number of points, and of values for each."""
+    n = len(rows[0]) - _BOX
+    shape = re.search(r"^\s*kpt_shape\s*:\s*\[\s*(\d{1,6})\s*,\s*([23])\s*\]", settings, re.MULTILINE)
+    if shape is None:
+        listed = re.search(r"^\s*kpt_shape\s*:\s*-\s*(\d{1,6})\s*-\s*([23])\s*$", settings, re.MULTILINE)
+        shape = listed
+    if shape is not None:
+        if int(shape[1]) * int(shape[2]) != n:
+            have = f"data.yaml says {shape[1]} points of {shape[2]} numbers, but a line has {n} numbers behind its box"
+            raise LandmarkError(f"YOLO's {have}: correct one of them.")
+        return int(shape[1]), int(shape[2])
+    has_flags = n % 3 == 0 and all(cell in _FLAGS for row in rows for cell in row[_BOX + 2 :: 3])
+    n_values = 3 if has_flags else 2
+    if n % n_values or n < _FEWEST * n_values:
+        what = "has boxes only" if n == 0 else f"has {n} numbers behind its boxes"
+        raise LandmarkError(f"this file of YOLO {what}, not x and y of points: export pose labels, with data.yaml.")
+    return n // n_values, n_values
+
+
+def _settings_of(path: Path) -> str:
+    """Return the text of the settings beside a file of labels, or above it; empty if there are none."""
+    if not path.is_file():  # its content was given in memory
+        return ""
+    for folder in (path.parent, *list(path.parent.parents)[:_PARENTS]):
+        for name in _SETTINGS:
+            file = folder / name
+            try:
+                if file.is_file() and file.stat().st_size <= _MOST_BYTES:
+                    return file.read_text(encoding="utf-8", errors="replace")
+            except OSError:
+                continue
+    return ""
+
+
+def _list_in(settings: str, key: str) -> str:
+    """Return what stands below a key of the settings, or behind it."""
+    found = re.search(rf"^{key}\s*:(.*(?:\n[ \t-].*)*)", settings, re.MULTILINE)
+    return found[1] if found is not None else ""
+
+
+def _classes_in(settings: str) -> dict[str, str]:
+    """Return the names of classes by number."""
+    pairs: Any = re.findall(r"(\d{1,6})\s*:\s*['\"]?([^,'\"\n}]+)", _list_in(settings, "names"))
+    if pairs:
+        return {number: name.strip() for number, name in pairs}
+    listed = re.findall(r"[^\s,'\"\[\]-][^,'\"\[\]\n]*", _list_in(settings, "names"))
+    return {str(i): name.strip() for i, name in enumerate(listed)}
+
+
+def _names_in(settings: str, n_points: int) -> tuple[str, ...]:
+    """Return the names of the points, if the settings have as many."""
+    text = re.sub(r"\d+\s*:\s*(?=\[|\n)", "", _list_in(settings, "kpt_names"))
+    names = [name.strip() for name in re.findall(r"[^\s,'\"\[\]-][^,'\"\[\]\n]*", text)]
+    return tuple(names) if len(names) == n_points == len({*names}) else ()

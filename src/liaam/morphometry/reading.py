@@ -1,0 +1,254 @@
+"""Read specimens: fits, tables of batches, and landmark files."""
+
+from __future__ import annotations
+
+import os
+import warnings
+from collections import defaultdict
+from collections.abc import Callable, Iterable, Iterator
+from dataclasses import replace
+from functools import partial
+from itertools import islice
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from liaam.batch.tables import TABLE_SUFFIXES, is_table, read_rows
+from liaam.datasets.units import CORNER, FEWEST
+from liaam.errors import LandmarkError, LiaamError
+from liaam.io.files import existing_file, is_copy, natural_key, some_names
+from liaam.io.fit_files import corrected_file, points_of_fit, read_fit
+from liaam.io.landmarks import LANDMARK_SUFFIXES, Contour, LandmarkFile, Landmarks
+from liaam.io.landmarks.formats import ALSO_OTHER, name_of
+from liaam.io.landmarks.matching import shared_folder, unique_names
+from liaam.io.landmarks.reading import USUAL, Reading, UnrecognisedError
+from liaam.io.landmarks.tables import is_of_imagej, parse_long
+from liaam.morphometry.records import Record, doubts_about, objects_of_records
+from liaam.morphometry.specimens import MOST, Specimen
+
+_LOOKED_AT = 20  # Images of a file that are looked at to judge the unit of its positions
+_SAME = 2.0  # Difference in pixels that rounding to whole pixels can make between distances, and a little more
+
+
+def read_specimens(
+    path: str | os.PathLike[str],
+    on_fault: Callable[[str], object] | None = None,
+    reading: Reading = USUAL,
+    replicates: bool = False,
+) -> tuple[Specimen, ...]:
+    """Read the specimens of a folder or a file.
+
+    Parameters
+    ----------
+    path : path-like
+        A ``.json`` of ``liaam fit``; a table of ``liaam batch``; a landmark file in any format, also with many images;
+        or a folder of such files. Of several files of an image, its ``.json`` is read, or else the first in the order
+        of `liaam.io.LANDMARK_SUFFIXES`. Images are not needed, except for ``.asf``.
+    on_fault : callable, optional
+        Called with a message for each file of a folder that is skipped because it cannot be read, and about records
+        that are left out. Default: a warning.
+    reading : Reading, optional
+        How to read landmark files. If strict, a file or record that cannot be read is an error.
+    replicates : bool
+        Whether to keep an image's records in all files, named ``image#file`` from the second on, not only in the first.
+
+    Returns
+    -------
+    tuple of Specimen
+        In natural order of their names (2 before 10) for a folder, otherwise in the order of the file. Each has a name
+        of its own: that of its image, with folders where images of several folders have one name, and a number or ID
+        where the image has several records. Records of one image that lie on each other are of one object; others are
+        of several (see `replicate_of`).
+
+    Raises
+    ------
+    LiaamError
+        If the path does not exist, a file cannot be read, or a folder holds none that can.
+    """
+    path, complain = Path(path), on_fault or partial(warnings.warn, stacklevel=2)
+    if not path.is_dir():
+        records = list(_of_file(existing_file(path, LiaamError, "file of results"), complain, reading))
+        for line in doubts_about(records):
+            complain(line)
+        return tuple(objects_of_records(records))
+    read: list[Record] = []
+    for file in _chosen(path):
+        try:
+            read += list(_of_file(file, complain, reading))
+        except LiaamError as fault:
+            if isinstance(fault, UnrecognisedError) and file.suffix.lower() in ALSO_OTHER:
+                continue
+            if reading.strict:
+                raise
+            complain(f"skipped {file.name}: {str(fault).removeprefix(f'{file}: ')}")
+    if not read:
+        raise LiaamError(
+            f"{path} holds no results that can be read: name a folder of 'liaam fit', a table of 'liaam batch', or "
+            f"landmark files ({', '.join(LANDMARK_SUFFIXES)})"
+        )
+    for line in doubts_about(read):
+        complain(line)
+    specimens = objects_of_records(read) if replicates else _of_first_files(read, complain)
+    return tuple(sorted(specimens, key=lambda specimen: natural_key(specimen.name)))
+
+
+def _of_first_files(records: Iterable[Record], complain: Callable[[str], object]) -> list[Specimen]:
+    """Return the specimens of each image in the first file that has it, and tell of others that differ."""
+    first_file: dict[str, str] = {}
+    used: list[Record] = []
+    by_name: dict[str, Specimen] = {}
+    others: dict[tuple[str, str], list[str]] = defaultdict(list)
+    for record in records:
+        specimen = record.specimen
+        file = first_file.setdefault(record.image, specimen.file)
+        if specimen.file == file:
+            used.append(record)
+            by_name.setdefault(specimen.name, specimen)
+        elif specimen.name not in by_name or _differ(by_name[specimen.name].points, specimen.points):
+            others[specimen.file, file].append(specimen.name)
+    for (file, first), names in others.items():
+        complain(
+            f"left out of {file}, because others of these names were read before, from {first}: {some_names(names)}"
+        )
+    return objects_of_records(used)
+
+
+def _differ(points: np.ndarray, others: np.ndarray) -> bool:
+    """Return whether landmarks have other distances than by rounding to whole pixels; those of y upwards do not."""
+    if points.shape != others.shape:
+        return True
+    steps, other_steps = (np.linalg.norm(np.diff(each, axis=0), axis=1) for each in (points, others))
+    return bool((np.abs(steps - other_steps) > _SAME).any())
+
+
+def _chosen(folder: Path) -> list[Path]:
+    """Return one file per stem, so that the files of a fit count once; copies of files come last."""
+    order = (".json", *TABLE_SUFFIXES, *LANDMARK_SUFFIXES)
+    files = [
+        file for file in folder.iterdir() if file.suffix.lower() in order and not file.name.startswith((".", "~$"))
+    ]
+    chosen: dict[str, Path] = {}
+
+    def rank(file: Path) -> tuple[Any, ...]:
+        return is_copy(file), order.index(file.suffix.lower()), natural_key(file.name)
+
+    for file in sorted(files, key=rank):
+        chosen.setdefault(file.stem, file)
+    return list(chosen.values())
+
+
+def _of_file(path: Path, complain: Callable[[str], object], reading: Reading) -> Iterator[Record]:
+    fit = read_fit(path) if path.suffix.lower() == ".json" else None
+    if fit:  # other .json files hold landmarks only
+        fitted = _specimen(path, path.stem, fit, fit.get("covariance"))
+        yield Record(path.stem, _corrected(path, fit, fitted, complain))
+    elif is_table(path):
+        rows = list(read_rows(path))
+        names = unique_names(row["path"] for row in rows)
+        for row in rows:
+            name = names[row["path"]] + (f"#{row['object']}" if row.get("object") else "")
+            yield Record(name, _specimen(path, name, row, row.get("covariance")))
+    else:
+        yield from _of_landmarks(path, reading, complain)
+
+
+def _specimen(path: Path, name: str, facts: dict[str, Any], covariances: Any) -> Specimen:
+    try:
+        points = _numbers(facts["landmarks"] or []).reshape(-1, 2)
+        spread = None
+        if covariances:
+            xx, xy, yy = _numbers(covariances).reshape(len(points), 3).T
+            spread = np.stack([xx, xy, xy, yy], axis=1).reshape(-1, 2, 2)
+        scale = facts.get("scale")
+        names = tuple(map(str, facts.get("landmark_names") or ()))
+        curves = Contour.all_of(facts.get("contours") or ())
+        length = scale and float(scale)
+        return Specimen(name, points, spread, names, length, str(facts["status"]), curves, file=path.name)
+    except (TypeError, ValueError, OverflowError, LandmarkError) as fault:
+        raise LandmarkError(f"{path}: the landmarks of {name} are damaged ({fault}): fit the image again") from fault
+
+
+def _corrected(path: Path, fit: dict, fitted: Specimen, complain: Callable[[str], object]) -> Specimen:
+    """Return a fit's specimen with the points of a landmark file beside it that was changed since, if there is one."""
+    file = corrected_file(path, fit)
+    if file is None:
+        return fitted
+    try:
+        points = points_of_fit(file, fit)
+        names, curves = (fitted.names, fitted.curves) if len(points) == len(fitted.points) else ((), ())
+        corrected = replace(fitted, points=points, covariances=None, names=names, status="", curves=curves)
+    except LandmarkError as fault:
+        complain(f"{path.stem}: {fault}; the points of the fit are used")
+        return fitted
+    complain(f"{path.stem}: measured from {file.name}, whose points were changed after the fit")
+    return corrected
+
+
+def _numbers(values: Any) -> np.ndarray:
+    """Convert to float64. What is out of range, as in fits that diverged, is NaN."""
+    numbers = np.array(values, dtype=np.float64)
+    return np.where(np.abs(numbers) <= MOST, numbers, np.nan)
+
+
+def _of_landmarks(path: Path, reading: Reading, complain: Callable[[str], object]) -> Iterator[Record]:
+    file = LandmarkFile.read(path, reading)
+
+    names = {"": name_of(path)} if file.is_single else unique_names(file.entries)
+    folder = "" if file.is_single else shared_folder(file.entries)
+
+    def make(entry: str) -> list[Record]:
+        # Measures depend on neither the height of an image nor its orientation, but on its size if the file states one.
+        placing = file.entries[entry].placing
+        placed = file.placed(entry, None if placing.size or placing.fractions else (1, 1))
+        image = names[""] if file.is_single else names[entry]
+        raw = (file.entries[entry], *file.entries[entry].others)
+        zeros = {
+            id(each): file.zeros_of(as_in_file) for each, as_in_file in zip((placed, *placed.others), raw, strict=True)
+        }
+        return [
+            Record(image, _specimen_of(name, landmarks, path), folder, zeros[id(landmarks)])
+            for name, landmarks in placed.objects(image)
+        ]
+
+    try:
+        for records in file.each(((entry or path.stem, entry) for entry in file.entries), make):
+            yield from records
+    except LandmarkError as fault:
+        raise LandmarkError(f"{path}: {str(fault).removeprefix(f'{path}: ')}") from fault
+    if not file.is_single and (doubt := _doubt_about_units(file)):
+        complain(f"{path.name}: {doubt}")
+    for line in file.notes.lines():
+        complain(f"{path.name}: {line.replace(f'{path}: ', '')}")
+
+
+def _specimen_of(name: str, landmarks: Landmarks, path: Path) -> Specimen:
+    """Return the specimen of the landmarks of a name in a file."""
+    return Specimen(
+        name,
+        landmarks.points,
+        names=landmarks.names,
+        scale=landmarks.scale,
+        curves=landmarks.contours,
+        file=path.name,
+    )
+
+
+def _doubt_about_units(file: LandmarkFile) -> str:
+    """Return what has to be said about the unit of the positions of many images: nothing if the images suit them."""
+    n_images = 0
+    for entry, landmarks in islice(file.entries.items(), _LOOKED_AT):
+        if landmarks.placing.upwards or landmarks.placing.fractions:
+            return ""
+        try:
+            size, _ = file.beside.size_of(entry)
+        except LandmarkError:
+            continue
+        n_images += 1
+        if np.nanmax(landmarks.points / size, initial=0.0) > CORNER:
+            return ""
+    if n_images >= FEWEST:
+        return "all landmarks lie in the top-left corner of their images: x and y are not pixels, but in another unit"
+    if file.form.parse is parse_long and is_of_imagej(file):
+        return "X and Y of ImageJ's results are taken for pixels; those of a calibrated image are in its unit"
+    return ""
