@@ -74,7 +74,8 @@ def real_path(path: AnyPath) -> Path:
 
 def existing_file(path: AnyPath, error: type[LiaamError], kind: str) -> Path:
     """Return the path of a file of a kind, such as "image". Raise if it is missing, a folder, empty or not readable."""
-    path, there = Path(path), True
+    path = Path(path)
+    there = True
     try:
         there = path.exists()
         if path.is_dir():

@@ -17,7 +17,8 @@ from liaam.io.landmarks.writers import tps_text, upwards
 FIT_SUFFIXES = (".pts", ".csv", ".tps", ".json")
 """Suffixes of the files that a fit can have."""
 
-ROUNDING, FARTHEST = 0.02, 1e6
+ROUNDING = 0.02
+FARTHEST = 1e6
 """Difference in pixels below which points of two files are the same; coordinate beyond which all are the same."""
 
 

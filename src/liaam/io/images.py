@@ -34,7 +34,8 @@ PICTURE_SUFFIXES = (*STILL_SUFFIXES, *RAW_SUFFIXES)
 UNREAD_SUFFIXES = (".jxl", ".svg", ".psd", ".exr")
 VIDEO_SUFFIXES = (".mp4", ".m4v", ".mov", ".mkv", ".avi", ".webm")
 
-_DEEP_SUFFIXES, _FLOAT_SUFFIXES = (".png", ".tif", ".tiff", ".ppm", ".pgm", ".pnm"), (".tif", ".tiff")  # to write
+_DEEP_SUFFIXES = (".png", ".tif", ".tiff", ".ppm", ".pgm", ".pnm")  # of files that 16 bits can be written to
+_FLOAT_SUFFIXES = (".tif", ".tiff")  # of files that floats can be written to
 _SIGNATURES = {  # first bytes of the formats, by Pillow's name
     "PNG": rb"\x89PNG\r\n\x1a\n",
     "JPEG": rb"\xff\xd8\xff",
@@ -268,9 +269,11 @@ def _open(file: Any, name: object, kind: str) -> _Opened:
     from PIL import Image
 
     image: Any = _pillow(file, kind)
-    fault, deep = "", image.mode.startswith("I")
+    fault = ""
+    deep = image.mode.startswith("I")
     if kind == "PNG":
-        deep, exif = "16" in image.tile[0][3], _png_exif(file)
+        deep = "16" in image.tile[0][3]
+        exif = _png_exif(file)
         fault = "is cut short (it ends within a chunk): copy it again." if exif is None else ""
         image.info |= {"exif": exif} if exif else {}
     elif kind == "PPM":
@@ -291,7 +294,10 @@ def _png_exif(file: Any) -> bytes | None:
     """Return the eXIf chunk of a PNG, also from behind the pixels; None if the file is cut short."""
     from PIL.PngImagePlugin import ChunkStream
 
-    n_bytes, exif, end, chunks = file.seek(0, os.SEEK_END), b"", 8, ChunkStream(file)
+    n_bytes = file.seek(0, os.SEEK_END)
+    exif = b""
+    end = 8
+    chunks = ChunkStream(file)
     while end + 12 <= n_bytes:
         file.seek(end)
         tag, start, size = chunks.read()
@@ -338,8 +344,10 @@ def _open_tiff(file: Any, name: object) -> _Opened:
     except SyntaxError as error:
         if str(error) != "unknown pixel mode":
             raise
-        image, fault = None, "stores its pixels in a form that is not read: save it as RGB of 8 bits, or as PNG."
-    width, height = int(tags[tiff.WIDTH]), int(tags[tiff.HEIGHT])
+        image = None
+        fault = "stores its pixels in a form that is not read: save it as RGB of 8 bits, or as PNG."
+    width = int(tags[tiff.WIDTH])
+    height = int(tags[tiff.HEIGHT])
     of_picture = tuple(pages[i] for i in used if i < len(pages))
     return _Opened(file, name, "TIFF", image, width, height, deep, _orientation(tags), fault, of_picture)
 
@@ -375,7 +383,8 @@ def rgb_of(image: Any) -> np.ndarray:
     """Decode a Pillow image to (h, w, 3) uint8, in sRGB."""
     image.load()
     width, height = image.size
-    array, convert = np.empty((height, width, 3), np.uint8), _to_srgb(image) or _to_rgb
+    array = np.empty((height, width, 3), np.uint8)
+    convert = _to_srgb(image) or _to_rgb
     for top in range(0, height, ROWS_AT_ONCE):
         strip = image.crop((0, top, width, min(top + ROWS_AT_ONCE, height)))
         array[top : top + strip.height] = convert(strip)
@@ -415,7 +424,8 @@ def _decode_deep(opened: _Opened) -> np.ndarray:
     """Decode images of more than 8 bits per channel."""
     import cv2
 
-    file, white = opened.file, _white_of(opened.image) if opened.kind == "PPM" else 65535
+    file = opened.file
+    white = _white_of(opened.image) if opened.kind == "PPM" else 65535
     if opened.image is not None:  # Pillow detects truncation, where OpenCV may fill missing pixels with zeros
         opened.image.load()
     if file.seek(0, os.SEEK_END) > _MAX_BYTES:
@@ -464,7 +474,8 @@ def write_image(path: AnyPath, array: np.ndarray) -> None:
     ImageError
         If the suffix, the shape or the type cannot be written, or writing fails.
     """
-    path, array = Path(path), np.asarray(array)
+    path = Path(path)
+    array = np.asarray(array)
     suffix = _check_writable(path, array)
     import cv2
 

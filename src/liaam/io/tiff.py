@@ -11,12 +11,22 @@ from dataclasses import dataclass
 from typing import Any, BinaryIO
 
 # Tags of the TIFF 6.0 specification.
-NEW_SUBFILE_TYPE, SUBFILE_TYPE = 254, 255
-WIDTH, HEIGHT, BITS, COMPRESSION, PHOTOMETRIC, DESCRIPTION = 256, 257, 258, 259, 262, 270
-SAMPLES, PLANAR, FORMAT, SUB_PAGES = 277, 284, 339, 330
+NEW_SUBFILE_TYPE = 254
+SUBFILE_TYPE = 255
+WIDTH = 256
+HEIGHT = 257
+BITS = 258
+COMPRESSION = 259
+PHOTOMETRIC = 262
+DESCRIPTION = 270
+SAMPLES = 277
+PLANAR = 284
+FORMAT = 339
+SUB_PAGES = 330
 EXTENTS = ((273, 279), (324, 325))  # offsets and byte counts, of strips or of tiles
 # Tags of ImageJ: the lengths of its blocks of facts, and these blocks.
-IMAGEJ_COUNTS, IMAGEJ_BLOCKS = 50838, 50839
+IMAGEJ_COUNTS = 50838
+IMAGEJ_BLOCKS = 50839
 
 MOST_PAGES = 1000
 """Pages that are looked at. A file of more holds several pictures in any case."""
@@ -149,7 +159,8 @@ def picture_in(pages: Sequence[Page], tags: Any) -> tuple[tuple[int, ...], str]:
 
 def _is_preview(page: Page, picture: Page) -> bool:
     """Whether a page is a reduced copy of a picture by its size."""
-    (width, height), (whole_width, whole_height) = page.size, picture.size
+    width, height = page.size
+    whole_width, whole_height = picture.size
     is_copy = abs(width * whole_height - height * whole_width) <= max(whole_width, whole_height)
     return is_copy and _PREVIEW * width <= whole_width
 
@@ -177,7 +188,8 @@ def _colours_of_tables(tags: Any) -> list[tuple[int, ...]] | None:
     blocks = tags.get(IMAGEJ_BLOCKS)
     if not isinstance(counts, tuple) or not isinstance(blocks, bytes):
         return None
-    header, at = blocks[: counts[0]], counts[0]
+    header = blocks[: counts[0]]
+    at = counts[0]
     order = ">" if header[:4] == b"IJIJ" else "<"
     kinds: list[bytes] = []
     for start in range(4, len(header) - 7, 8):

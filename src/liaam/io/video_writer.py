@@ -24,7 +24,9 @@ class VideoWriter:
     """Encoder for the frames of a video; see :func:`video_writer`."""
 
     def __init__(self, container: Any, path: Path, rate: Fraction):
-        self._container, self._path, self._rate = container, path, rate
+        self._container = container
+        self._path = path
+        self._rate = rate
         self._stream: Any = None
         self._size = (0, 0)
         # An .avi has a fixed rate and stores no times.
@@ -50,9 +52,11 @@ class VideoWriter:
         if not self.n_frames:
             self._begin(*image.shape[:2])
         frame = av.VideoFrame.from_ndarray(self._fitted(image), format="rgb24")
-        frame.pts, frame.time_base = self._stamp(time), self._base
+        frame.pts = self._stamp(time)
+        frame.time_base = self._base
         self._container.mux(self._stream.encode(frame))
-        self.n_frames, self._last = self.n_frames + 1, frame.pts
+        self.n_frames = self.n_frames + 1
+        self._last = frame.pts
 
     def _stamp(self, time: float | None) -> int:
         """Return the time of the next frame in units of the time base, later than that of the previous one."""

@@ -66,7 +66,8 @@ def read_specimens(
     LiaamError
         If the path does not exist, a file cannot be read, or a folder holds none that can.
     """
-    path, complain = Path(path), on_fault or partial(warnings.warn, stacklevel=2)
+    path = Path(path)
+    complain = on_fault or partial(warnings.warn, stacklevel=2)
     if not path.is_dir():
         records = list(_of_file(existing_file(path, LiaamError, "file of results"), complain, reading))
         for line in doubts_about(records):

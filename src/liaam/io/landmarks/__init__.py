@@ -246,9 +246,11 @@ def _refuse_fractions(points: np.ndarray, frame: Size) -> None:
     """Raise if three or more points (n, 2), none missing, look like fractions of the size of their image."""
     if len(points) < 3 or np.abs(points).max() > _FRACTION or min(frame) <= _SMALL:
         return
-    low, high = points.min(), points.max()
+    low = points.min()
+    high = points.max()
     if low >= 0 and high <= 1:
-        low, high = 0, 1
+        low = 0
+        high = 1
     between = f"all positions lie between {low:.3g} and {high:.3g}"
     raise LandmarkError(f"{between}, as fractions of the image's size do: give pixels.")
 

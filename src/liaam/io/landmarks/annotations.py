@@ -41,15 +41,18 @@ def parse_coco(source: Source) -> list[Landmarks]:
     outline = cache(lambda key, n: _outline(source, categories.get(key, {}), n))
 
     def rank(annotation: Any) -> tuple[int, float]:
-        area, box = rd.area_of(annotation.get("area")), annotation.get("bbox")
+        area = rd.area_of(annotation.get("area"))
+        box = annotation.get("bbox")
         area = area or rd.area_of(*(box[2:4] if isinstance(box, list) else ()))
         return order.get(str(annotation.get("image_id")), -1), -area
 
     def make(annotation: Any) -> tuple[str, Landmarks]:
-        key, number = str(annotation.get("category_id")), str(annotation.get("image_id"))
+        key = str(annotation.get("category_id"))
+        number = str(annotation.get("image_id"))
         if number not in images:
             raise LandmarkError(f"the file has no image {number}: add it, or number several of this number anew.")
-        name, values = str(images[number]["file_name"]), annotation["keypoints"]
+        name = str(images[number]["file_name"])
+        values = annotation["keypoints"]
         if len(values) % 3:
             raise LandmarkError(f"image '{name}' has {len(values)} keypoint values, not x, y, v of each: correct it.")
         seen = (rd.parse_number(value, f"a keypoint of '{name}'") for value in values[2::3])
@@ -74,7 +77,8 @@ def _by_number(records: Any, what: str) -> tuple[dict[str, Any], list[str]]:
 
 def _outline(source: Source, category: Any, n: int) -> tuple[tuple[str, ...], tuple[Contour, ...]]:
     """Return the names of a category's keypoints, and their contours, as far as they suit n keypoints."""
-    names, skeleton = tuple(map(str, category.get("keypoints") or ())), category.get("skeleton") or ()
+    names = tuple(map(str, category.get("keypoints") or ()))
+    skeleton = category.get("skeleton") or ()
     if names and len(names) != n:
         source.notes.repair("keypoints are read without names, because a category has", f"{len(names)} names for {n}")
         names = ()
@@ -94,7 +98,8 @@ def parse_labelme(source: Source) -> list[Landmarks]:
     labels occur several times, points belong to the rectangle that holds them. Without points, the only polygon or line
     is read.
     """
-    shapes, groups = source.json["shapes"], defaultdict[str, list[Mark]](list)
+    shapes = source.json["shapes"]
+    groups = defaultdict[str, list[Mark]](list)
     lines = [shape for shape in shapes if shape.get("shape_type") in ("polygon", "linestrip", "points")]
     for shape in shapes:
         if shape.get("shape_type") == "point":
@@ -222,7 +227,8 @@ def parse_fit(source: Source) -> list[Landmarks]:
     ]
     lines = Contour.all_of(fit.get("contours") or ())
     _check_indices(index for line in lines for index in line.indices)
-    names, scale = tuple(map(str, fit.get("landmark_names") or ())), fit.get("scale")
+    names = tuple(map(str, fit.get("landmark_names") or ()))
+    scale = fit.get("scale")
     return [Landmarks(points, lines, names, scale=None if scale is None else rd.parse_number(scale, "the scale"))]
 
 
@@ -258,14 +264,18 @@ def _group(content: Any, wanted: str | None) -> Any:
         return content
     if version not in (1, 3):
         raise LandmarkError(f"this is not .ljson version 1, 2 or 3 (it says {version}): export it again with menpo.")
-    groups, points, edges, labels = content["groups"], [], [], []
+    groups = content["groups"]
+    points = []
+    edges = []
+    labels = []
     if version == 3 and ((len(groups) > 1 and wanted is None) or (wanted is not None and wanted not in groups)):
         several = f"{len(groups)} groups of landmarks ({', '.join(groups)})"
         raise LandmarkError(f"it holds {several}: choose one of them with --category.")
     if version == 3:
         return groups[wanted or next(iter(groups), "")]
     for group in groups:
-        first, group_points = len(points), [mark["point"] for mark in group["landmarks"]]
+        first = len(points)
+        group_points = [mark["point"] for mark in group["landmarks"]]
         points += group_points
         edges += [(start + first, end + first) for start, end in group.get("connectivity") or ()]
         labels.append({"label": group["label"], "mask": list(range(first, len(points)))})
@@ -304,7 +314,9 @@ def parse_cvat(source: Source) -> list[Landmarks]:
 
 def _parts_of_image(image: Any) -> list[tuple[str, list[Any]]]:
     """Return the label and the elements of points of each object."""
-    skeletons, points, groups = image.findall("skeleton"), image.findall("points"), defaultdict[str, list[Any]](list)
+    skeletons = image.findall("skeleton")
+    points = image.findall("points")
+    groups = defaultdict[str, list[Any]](list)
     if skeletons:
         return [(each.get("label", ""), each.findall("points")) for each in skeletons]
     if any(";" in each.get("points", "") for each in points):

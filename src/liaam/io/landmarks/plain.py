@@ -39,7 +39,8 @@ _MATRIX = re.compile(
     r"(?:\s+(?P<missing>[01])(?:\s+(?P<value>-?(?:\d+(?:\.\d*)?|\.\d+)))?)?(?:\s+dim\s*=\s*(?P<dim>\d))?\s*",
     re.IGNORECASE,
 )
-_FEWEST, _LONGEST = 2, 300
+_FEWEST = 2
+_LONGEST = 300
 _MISSING = 9999.0  # what Morphologika writes for a missing x or y
 
 
@@ -74,7 +75,8 @@ def parse_asf(source: Source) -> list[Landmarks]:
     columns = [line.split() for line in lines[1:]]
     rows = [row for row in columns if len(row) >= _ASF_COLUMNS]
     rd.check_count("header", count, rows)
-    points, edges = {}, []
+    points = {}
+    edges = []
     for row in rows:
         index, _, target = (rd.parse_count(token, "a point") for token in row[4:7])
         if max(index, target) >= count:
@@ -100,7 +102,8 @@ def parse_tem(source: Source) -> list[Landmarks]:
     pairs = source.lines[1 : count + 1]
     rd.check_count("first line", count, pairs)
     points: Any = [rd.parse_pair(line, f"point {number}") for number, line in enumerate(pairs, 1)]
-    tokens, contours = " ".join(source.lines[count + 1 :]).split(), []
+    tokens = " ".join(source.lines[count + 1 :]).split()
+    contours = []
     numbers = (rd.parse_count(token, "a line template") for token in tokens)
     try:
         for _ in range(next(numbers) if tokens else 0):
@@ -116,7 +119,8 @@ def parse_shapes(source: Source) -> list[Landmarks]:
 
     ``scaling`` is the length of a pixel. Curves are not read.
     """
-    start, image = _SHAPES.search(source.text), _IMAGE.search(source.text)
+    start = _SHAPES.search(source.text)
+    image = _IMAGE.search(source.text)
     matrix, end, _ = source.text[start.end() :].partition("</landmarks.pixel") if start else ("", "", "")
     if not end:
         raise LandmarkError("it is cut short within its landmarks: export it again.")
@@ -179,7 +183,8 @@ def parse_lines(source: Source) -> list[Landmarks]:
 
     HELEN's begin with the image's name. A first line with the number of points is skipped.
     """
-    matches, first = lines_of(source), _first(source)
+    matches = lines_of(source)
+    first = _first(source)
     points: Any = [rd.parse_point(match.group("x", "y"), match[0]) for match in matches]
     names = rd.names_of([match["name"] for match in matches if match["name"]])
     return rd.named_points(source, [Landmarks(points, (), names, None if first.isdigit() else first or None)])
@@ -274,7 +279,9 @@ def _facts(record: list[_Block]) -> dict[str, str]:
 
 def _specimen(source: Source, record: list[_Block], only: bool) -> Landmarks | None:
     """Make the landmarks of a record; None if it has no points."""
-    facts, curves, section = _facts(record), [], ""
+    facts = _facts(record)
+    curves = []
+    section = ""
     points: Any = _points(record[0])
     for block in record[1:]:
         section = block.key if block.key in ("CURVES", "OUTLINES") else section
@@ -291,7 +298,8 @@ def _specimen(source: Source, record: list[_Block], only: bool) -> Landmarks | N
     scale = float(written) if is_number(written) else 0.0
     if scale <= 0 and "SCALE" in facts:
         source.notes.repair("there is no scale, because SCALE= is not a positive number", name or source.path.name)
-    label, length = facts.get("ID", ""), scale if scale > 0 else None
+    label = facts.get("ID", "")
+    length = scale if scale > 0 else None
     return Landmarks(points, tuple(curves), image_name=name, scale=length, label=label, placing=_UPWARDS)
 
 
@@ -301,7 +309,8 @@ def _points(block: _Block) -> list[tuple[float, float]]:
         raise LandmarkError(f"{block.where} begins points with x, y and z: export x and y only, as LM=.")
     if not (block.value.isascii() and block.value.isdigit()):
         raise LandmarkError(f"{block.where} has no number of points after '=': correct it, such as LM=12.")
-    count, n = float(block.value), len(block.body)  # int has a limit of digits
+    count = float(block.value)  # int has a limit of digits
+    n = len(block.body)
     if n > count:
         number, line = block.body[int(count)]
         where = f"line {number} ('{rd.short(line)}')"
@@ -323,7 +332,9 @@ def parse_nts(source: Source) -> list[Landmarks]:
     header = _MATRIX.fullmatch(" ".join(lines[0].split())) if lines else None
     if header is None:
         raise LandmarkError("there is no header of a matrix, such as '1 10L 16 0 DIM=2': export it again.")
-    n, width, dim = int(header["rows"]), int(header["columns"]), int(header["dim"] or 2)
+    n = int(header["rows"])
+    width = int(header["columns"])
+    dim = int(header["dim"] or 2)
     if dim != 2 or width % 2:
         raise LandmarkError(f"it holds {width} columns of {dim} dimensions: export x and y only.")
     words = " ".join(lines[1:]).split()
@@ -345,7 +356,8 @@ def _labels_and_values(header: re.Match[str], words: list[str], n: int, width: i
     kind = header["named"].lower()
     names = [str(i + 1) for i in range(n)]
     if kind == "l":
-        names, words = words[:n], words[n:]
+        names = words[:n]
+        words = words[n:]
     words = words[width:] if header["columns_named"] else words
     if kind in ("b", "e") and len(words) == n * (width + 1):
         at = 0 if kind == "b" else width

@@ -146,10 +146,12 @@ class Source:
     @cached_property
     def rows(self) -> list[TableLine]:
         """Its rows of cells, without blank ones. Decimal commas become points if commas do not separate."""
-        text, separator = re.sub(r"\A(?:[^\S\r\n]*[\r\n])+", "", self.text), ""
+        text = re.sub(r"\A(?:[^\S\r\n]*[\r\n])+", "", self.text)
+        separator = ""
         declared = re.match(r"\"?sep=(.)\"?[^\S\n\r]*[\r\n]+", text, re.IGNORECASE)
         if declared is not None:  # as Excel writes it
-            separator, text = declared[1], text[declared.end() :]
+            separator = declared[1]
+            text = text[declared.end() :]
         first = text.splitlines()[0] if text else ""
         most = max(";\t,|", key=first.count)
         separator = separator or (most if most in first else " ")
@@ -185,7 +187,8 @@ class Source:
 
     def each(self, records: Iterable[tuple[str, T]], make: Callable[[T], R]) -> Iterator[R]:
         """Yield what is made of each record; leave out those with faults. Raise the first fault if none is sound."""
-        first, some = None, False
+        first = None
+        some = False
         for which, record in records:
             try:
                 made = make(record)
@@ -227,7 +230,8 @@ def area_of(*sides: Any) -> float:
 
 def object_of(marks: Iterable[Mark], image: str | None, size: Size | None = None, label: str = "") -> Landmarks:
     """Make the landmarks of an object as an annotation tool has them."""
-    marks, of = list(marks), f" of '{image}'" if image else ""
+    marks = list(marks)
+    of = f" of '{image}'" if image else ""
     points: Any = [parse_point(at, f"point '{name}'{of}") if how else NOWHERE for name, *at, how in marks]
     hidden = tuple(i for i, mark in enumerate(marks) if mark[-1] == HIDDEN)
     names = names_of([mark[0] for mark in marks])
@@ -309,7 +313,8 @@ def of_category(
 
     A category has a key and may have a title. Those of the same names are one, if they may be alike.
     """
-    objects, groups = list(objects), defaultdict[str, list[Landmarks]](list)
+    objects = list(objects)
+    groups = defaultdict[str, list[Landmarks]](list)
     for key, landmarks in objects:
         groups[key].append(landmarks)
     named = {key: titles.get(key, key) for key in groups}

@@ -130,7 +130,8 @@ def _grouped(
     for image, specimen, row in zip(images, _filled(source, rows, columns.specimen), rows, strict=True):
         groups[image, specimen.strip()].append(row)
     for (image, specimen), lines in groups.items():
-        parts, seen = defaultdict[int, list[TableLine]](list), Counter[str]()
+        parts = defaultdict[int, list[TableLine]](list)
+        seen = Counter[str]()
         for number, row in lines:
             name = "" if columns.landmark is None else row[columns.landmark].strip()
             seen[name] += 1
@@ -251,7 +252,8 @@ def parse_list(source: Source) -> list[Landmarks]:
     def make(words: list[str]) -> tuple[str, np.ndarray]:
         if _name_at(words) != at or len(words) % 2 == 0:
             raise LandmarkError("it has other parts than x y of landmarks and a name: correct it.")
-        name, values = words[at], words[1:] if at == 0 else words[:-1]
+        name = words[at]
+        values = words[1:] if at == 0 else words[:-1]
         return name, np.array([parse_point(pair, f"'{name}'") for pair in zip(values[::2], values[1::2], strict=True)])
 
     rows = list(source.each(((f"line {i}", words) for i, words in enumerate(lines, 1)), make))
@@ -273,7 +275,10 @@ def _has_box(pairs: np.ndarray) -> bool:
     """Whether the first four numbers are a box around all points: two corners, or one and the size."""
     if len(pairs) < 2 + _FEW:
         return False
-    corner, other, low, high = pairs[0], pairs[1], pairs[2:].min(axis=0), pairs[2:].max(axis=0)
+    corner = pairs[0]
+    other = pairs[1]
+    low = pairs[2:].min(axis=0)
+    high = pairs[2:].max(axis=0)
     around = (other >= high).all() or (corner + other >= high).all()
     return bool((corner <= low).all() and around and (other > 0).all())
 
@@ -304,7 +309,8 @@ def columns_of(header: list[str], rows: Sequence[Sequence[str]]) -> Columns:
     specimen = _one(header, values, [i for i in texts if header[i] in SPECIMENS])
     landmark = _one(header, values, [i for i in texts if header[i] in LANDMARKS])
     if image in (None, specimen):
-        image, specimen = specimen, None
+        image = specimen
+        specimen = None
     unclear = [i for name in UNCLEAR for i in texts if header[i] == name and i not in (image, specimen, landmark)]
     for i in unclear:
         present = [value for value in values[i] if value]
@@ -369,7 +375,8 @@ def pairs_of(header: list[str]) -> dict[str, dict[str, int]]:
 
 def _columns_of_axes(header: list[str]) -> Iterator[tuple[int, str, str]]:
     """Yield the index, the landmark and the axis of the columns of landmarks. Repeated x, y are numbered."""
-    cells, numbers = [cell.strip() for cell in header], defaultdict[str, Iterator[int]](count)
+    cells = [cell.strip() for cell in header]
+    numbers = defaultdict[str, Iterator[int]](count)
     axes = [cell for cell in cells if cell in ("x", "y", "X", "Y")]
     numbered = len(axes) > len({*axes}) or any(re.fullmatch(r"[xyXY]\.1", cell) for cell in cells)
     for i, cell in enumerate(cells):

@@ -42,7 +42,8 @@ def csv_text(landmarks: Landmarks) -> str:
 
 def csv_of_many(collection: Mapping[str, Landmarks], _: Sizes) -> str:
     """Return the text of a table of the landmarks of many images, by file name."""
-    buffer, titled = io.StringIO(newline=""), any(collection)
+    buffer = io.StringIO(newline="")
+    titled = any(collection)
     named = any(landmarks.names for landmarks in collection.values())
     writer = csv.writer(buffer)  # lines end in \r\n, so that a \r in a name is quoted
     writer.writerow(["image"] * titled + ["x", "y"] + ["name"] * named)
@@ -71,7 +72,8 @@ def tps_text(landmarks: Landmarks, decimals: int | None = None) -> str:
     tail = [index for curve in curves for index in curve]
     first = len(lines) - len(tail)
     if len(curves) != len(landmarks.contours) or tail != list(range(first, len(lines))):
-        curves, first = [], len(lines)
+        curves = []
+        first = len(lines)
     text = [f"LM={first}", *lines[:first], *([f"CURVES={len(curves)}"] if curves else [])]
     for curve in curves:
         text += [f"POINTS={len(curve)}", *(lines[index] for index in curve)]
@@ -96,7 +98,8 @@ def coco_of_many(collection: Mapping[str, Landmarks], sizes: Sizes) -> str:
     first = next(iter(collection.values()))
     names = first.names or tuple(str(i + 1) for i in range(len(first)))
     edges = [[start + 1, end + 1] for start, end in edges_of(first.contours)]
-    images, annotations = [], []
+    images = []
+    annotations = []
     for number, (name, landmarks) in enumerate(collection.items(), 1):
         size = dict(zip(("width", "height"), sizes.get(name, ()), strict=False))
         images.append({"id": number, "file_name": name, **size})

@@ -12,7 +12,8 @@ from liaam.io.landmarks import reading as rd
 from liaam.io.landmarks.base import Landmarks, Placing
 from liaam.io.landmarks.reading import NOWHERE, Source
 
-IMAGES, LABELS = "images", "labels"
+IMAGES = "images"
+LABELS = "labels"
 """Folders of one layout: ``images/train/a.jpg`` has ``labels/train/a.txt``."""
 
 _BOX = 5  # numbers before the points: the class, and a box
