@@ -6,6 +6,7 @@ import weakref
 from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
+import pytest
 
 import liaam
 from liaam.fitting.single import FITTERS_KEPT
@@ -47,3 +48,9 @@ def test_threads_share_them(scenes, lit_scene):
     for method, fit in zip(methods, fits, strict=True):
         np.testing.assert_array_equal(fit.landmarks, liaam.fit(model, lit_scene.image, start, method).landmarks)
     assert len(vars(model)["_fitters"]) <= FITTERS_KEPT
+
+
+def test_a_start_by_the_name_of_another_library_is_told(model, lit_scene):
+    for start in (lit_scene.landmarks, lit_scene.landmarks.tolist()):
+        with pytest.raises(liaam.LiaamError, match="unknown option 'start'.*did you mean 'init'"):
+            liaam.fit(model, lit_scene.image, start=start)

@@ -22,6 +22,10 @@ def _kept_fitter(model: AAM | str, method: str | Method, camera: CameraModel | N
     named = named_model(model)
     cache = vars(named).setdefault("_fitters", {}) if isinstance(named, AAM) else {}
     key = method, id(camera), *sorted(settings.items())
+    try:
+        hash(key)
+    except TypeError:  # no setting is a list or an array: refused by name
+        return Fitter.of(named, method, camera=camera, caller=fit, **settings)
     with _turn:
         fitter = cache.get(key)
     if fitter is None or fitter.camera is not camera:
