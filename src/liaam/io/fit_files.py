@@ -18,8 +18,9 @@ FIT_SUFFIXES = (".pts", ".csv", ".tps", ".json")
 """Suffixes of the files that a fit can have."""
 
 ROUNDING = 0.02
+"""Difference in pixels below which points of two files are the same."""
 FARTHEST = 1e6
-"""Difference in pixels below which points of two files are the same; coordinate beyond which all are the same."""
+"""Coordinate beyond which all points are the same."""
 
 
 TPS_DECIMALS = 3

@@ -33,8 +33,9 @@ JPEG_QUALITY = 92
 CHROMA_STEP = 1 / 4096  # step of chroma's 16-bit integers: natural logarithm of a ratio of light
 CHROMA_MASKED = -32768  # of a pixel that is dark or saturated in a channel, so that its logarithm is undefined
 COPIED_FROM = 4_000_000
+"""Pixels of pictures from which on a copy is fitted."""
 COPY_SIDE = 1000
-"""Pixels of pictures from which on a copy is fitted, and the least of its sides; the longest has twice as many."""
+"""Pixels of the shortest side of that copy; the longest has at most twice as many."""
 
 DECODED_BYTES = 150_000_000  # of cached pictures, decoded
 ENCODED_BYTES = 50_000_000  # of cached pictures, encoded

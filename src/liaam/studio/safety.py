@@ -23,11 +23,11 @@ from liaam.errors import LiaamError
 from liaam.studio.settings import LOOPBACK, StudioSettings
 
 FITS = "/api/fits"
+# Paths that accept larger bodies
 UPLOADS = "/api/uploads"
 GUEST = "/api/model/guest"
 FILES = "/api/files"
 RECORDINGS = "/api/recordings"
-"""Paths that accept larger bodies."""
 
 HEADERS: dict[str, str] = {
     "content-security-policy": (

@@ -20,8 +20,9 @@ if TYPE_CHECKING:
 
 PORTS_TRIED = 20
 GRACE = 2
+"""Seconds for running requests to finish when the server stops."""
 KEEP_ALIVE = 5
-"""Seconds for running requests to finish when the server stops, and that a connection may be idle between requests."""
+"""Seconds that a connection may be idle between requests."""
 
 LARGE_BLOCK = 1 << 20  # bytes from which on a block of memory is returned to the system when it is freed
 ARENAS = 2  # number of heaps for smaller blocks. By default there are eight for each core, and each keeps freed memory
