@@ -23,7 +23,7 @@ struct AppearanceRoom {
     std::vector<float> block;
 };
 
-// The appearance of the best lambda under the weights (eq 9). It is in the room until the next.
+// The appearance of the best lambda under the weights (eq 9 and 10). It is in the room until the next.
 const FittedAppearance& fit_appearance(const Objective& objective, const Samples& samples, const Weights& weights,
                                        AppearanceRoom& room);
 

@@ -206,7 +206,7 @@ Trace run_level(const Objective& objective, const EncodedImage& image, const Con
     Trace trace;
     Loop loop{.damping = controls.damping, .rounds = controls.reweigh ? first_rounds(method) : 0};
     while (true) {
-        const Samples& samples = sample(objective, image, state, room.sampling);  // eq 2, 3 and 6 to 8
+        const Samples& samples = sample(objective, image, state, room.sampling);  // log and P at W(x; p): eq 3, 6 to 8
         turn_weights(objective, samples, weights, room.weighing);
         const FittedAppearance& fitted = fit_appearance(objective, samples, weights, room.appearance);  // eq 4 and 10
         state.lam = fitted.lam;

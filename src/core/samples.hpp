@@ -1,5 +1,5 @@
-// What a state sees (paper eq 2, 3 and 6 to 8): the image at W(x; p), projected by P(theta_2), and the appearance of the
-// model, projected by P(theta_1).
+// What a state sees: the image at W(x; p) of the shape s(p) (paper eq 2 and 3), projected by P(theta_2) (eq 7 and 8), and
+// the appearance of the model, projected by P(theta_1).
 #pragma once
 
 #include "objective.hpp"
