@@ -52,5 +52,5 @@ def test_threads_share_them(scenes, lit_scene):
 
 def test_a_start_by_the_name_of_another_library_is_told(model, lit_scene):
     for start in (lit_scene.landmarks, lit_scene.landmarks.tolist()):
-        with pytest.raises(liaam.LiaamError, match="unknown option 'start'.*did you mean 'init'"):
+        with pytest.raises(liaam.LiaamError, match=r"unknown option 'start'.*did you mean 'init'"):
             liaam.fit(model, lit_scene.image, start=start)
