@@ -93,7 +93,7 @@ def test_a_fit_that_sees_nothing_stays_where_it_is(model, lit_scene, method):
     p[-2:] = 1e6
     start = objective.start(p)
     solution = objective.solve(problem, start._replace(lam=start.lam + 1.0), SolverOptions())
-    assert solution.flat
+    assert solution.no_texture
     assert not solution.converged
     assert solution.costs.tolist() == [np.inf]
     np.testing.assert_array_equal(solution.p, p)
@@ -106,7 +106,7 @@ def test_a_start_that_is_no_number_ends_at_once(model, lit_scene, bad):
     problem, p = make_level(model, lit_scene.image, lit_scene.landmarks, objective)
     p[0] = bad
     solution = objective.solve(problem, objective.start(p), SolverOptions())
-    assert solution.flat
+    assert solution.no_texture
     assert solution.n_iterations == 0
 
 

@@ -2,7 +2,7 @@
 
 from collections import defaultdict
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import closing, contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -121,16 +121,17 @@ def fit(
     # With a single image, its search may use all cores.
     with one_thread() if threads > 1 else one_blas_thread(), progress_bar() as progress:
         progress(0, len(images), images[0].name)
-        outcomes = in_order(fit_or_error, zip(images, inputs.unique_stems(images), strict=True), threads)
-        for i, (image, outcome) in enumerate(zip(images, outcomes, strict=True), 1):
-            progress(i, len(images), image.name)
-            if isinstance(outcome, LiaamError):
+        tasks = zip(images, inputs.unique_stems(images), strict=True)
+        with closing(in_order(fit_or_error, tasks, threads)) as outcomes:  # at a full disk, fits under way end first
+            for i, (image, outcome) in enumerate(zip(images, outcomes, strict=True), 1):
+                progress(i, len(images), image.name)
+                if not isinstance(outcome, LiaamError):
+                    report.add_results(image, outcome)
+                    continue
                 report.add_error(outcome)
                 if is_disk_full(outcome):  # the others would end like this
                     complain(f"stopped: {i - 1} of {len(images)} images are done; make room, and fit the others")
                     break
-            else:
-                report.add_results(image, outcome)
     report.show(output)
     if report.failed:
         raise typer.Exit(1)
