@@ -13,7 +13,7 @@ from liaam.fitting.loop.encoded_image import MARGIN, NEAR
 from liaam.fitting.loop.levels import LinearImage, Target
 from liaam.fitting.loop.options import SolverOptions
 from liaam.fitting.methods import DEFAULT_METHOD, Method
-from liaam.fitting.one_shape_fitter import OneShapeFitter
+from liaam.fitting.one_shape_fitter import MAPPED_DEVIATIONS, OneShapeFitter
 from liaam.fitting.result import LEAST_QUALITY, FitResult, likeliness, with_prior
 from liaam.fitting.search.finder import Finder
 from liaam.fitting.search.other_places import PlacedFit, likeliest
@@ -26,9 +26,6 @@ from liaam.photometry import CameraModel, is_grey
 from liaam.photometry.camera import check_camera
 from liaam.photometry.encoding import refuse_unscaled, stored_values
 from liaam.photometry.picture import load_picture, path_of
-
-# Margin of fits from another landmarker's points, besides NEAR: their errors in standard deviations.
-MAPPED_DEVIATIONS = 2.0
 
 OWN_SETTINGS = ("camera", "rotations", "restarts", "margin")  # Fields of a fitter that users set by name
 
@@ -304,7 +301,7 @@ class Fitter(OneShapeFitter):
     @cached_property
     def _pull(self) -> np.ndarray | None:
         """Precision of the parameters of landmarks that are mapped from another landmarker's points, (n_p, n_p)."""
-        return None if self.model.points is None else self.model.points.precision(self.shapes)
+        return None if self.model.points is None else self.model.points.left_out.precision(self.shapes)
 
     @property
     def image_camera(self) -> CameraModel:

@@ -21,6 +21,8 @@ from liaam.fitting.quality.uncertainty import (
 )
 from liaam.fitting.result import LEAST_QUALITY, FitResult, FitStatus, trace
 from liaam.model import AAM, Reliability, View
+from liaam.model.regressor import LandmarkRegressor
+from liaam.model.sampling import within
 from liaam.model.shape import ShapeModel, own_parameters
 
 # Number of steps beyond which a fit of low quality is restarted, even if its status is not doubtful. Correct fits may
@@ -34,6 +36,11 @@ REACH = 0.35
 # SolverOptions.early_tolerance of these fits, unless it is set: a start of known precision needs fewer steps. On the
 # spot protocol two steps instead of three, and the same errors within 0.1 %.
 MAPPED_TOLERANCE = 1.0
+
+# Margin of fits from another landmarker's points, besides NEAR: their errors in standard deviations.
+MAPPED_DEVIATIONS = 2.0
+# Least share of the landmarks in the image, of those that the regressor finds
+LEAST_INSIDE = 0.5
 
 USUAL = SolverOptions()
 
@@ -106,15 +113,68 @@ class OneShapeFitter:
         return result.quality < least
 
     def fit_target(self, target: Target, options: SolverOptions | None = None) -> FitResult:
-        """Fit all levels; from another landmarker's points those that are sharp enough."""
+        """Fit all levels; from another landmarker's points those that are sharp enough.
+
+        If the model has a regressor, its landmarks are such points: those that it finds from the start, and those from
+        where the blurred levels lead if the first fit has low quality, or if there is no quality.
+        """
         options = self.options if options is None else options
         points = self.model.points
-        first = 0
         if target.pull is not None and points is not None:
-            first = self._first_level(REACH * points.deviation)
-            if options.early_tolerance is None:
-                options = replace(options, early_tolerance=MAPPED_TOLERANCE)
+            return self._fit_from_points(target, points.deviation, options)
+        if self.regressor is None:
+            return self.result_of(target, self.coarse_to_fine.fit(target, options))
+        first = self._fit_regressed(target, options)
+        if first is not None and self.reliability is not None and not self.falls_short(first):
+            return first
+        second = self._fit_blurred_and_regressed(target, options)
+        if first is None or second.evidence[0] > first.evidence[0]:
+            return second
+        return first
+
+    def _fit_blurred_and_regressed(self, target: Target, options: SolverOptions) -> FitResult:
+        """Fit all levels but the sharpest, and then from where the regressor leads."""
+        blurred = self.coarse_to_fine.fit(target, spare(options), last=max(1, len(self.objectives) - 1))
+        shape = blurred[-1].reached
+        if is_sane(shape, target.start):
+            regressed = self._fit_regressed(target._replace(start=shape), options)
+            if regressed is not None:
+                return regressed
+        return self.result_of(target, self.coarse_to_fine.fit(target, options))
+
+    def _fit_from_points(self, target: Target, deviation: float, options: SolverOptions) -> FitResult:
+        """Fit the levels that are sharp enough for points with a root mean square error, pixels of the frame."""
+        first = self._first_level(REACH * deviation)
+        if options.early_tolerance is None:
+            options = replace(options, early_tolerance=MAPPED_TOLERANCE)
         return self.result_of(target, self.coarse_to_fine.fit(target, options, first))
+
+    def _fit_regressed(self, target: Target, options: SolverOptions) -> FitResult | None:
+        """Fit from where the regressor leads from a start; None if that is no object, or outside the image."""
+        regressor = self.regressor
+        assert regressor is not None
+        landmarks = regressor(target.image, target.linear.response, target.start)
+        if not is_sane(landmarks, target.start) or within(landmarks, target.image).mean() < LEAST_INSIDE:
+            return None
+        deviation = regressor.left_out.deviation
+        margin = NEAR + MAPPED_DEVIATIONS * deviation / self.model.diagonal
+        regressed = target._replace(
+            start=landmarks, mapped=landmarks, pull=self._regressor_precision, margin=min(target.margin, margin)
+        )
+        return self._fit_from_points(regressed, deviation, options)
+
+    @property
+    def regressor(self) -> LandmarkRegressor | None:
+        """The model's regressor, for methods that fit with the shapes that its landmarks are combined under."""
+        regressor = self.model.regressor
+        if regressor is None or regressor.shape_model is not self.shapes:
+            return None
+        return regressor
+
+    @cached_property
+    def _regressor_precision(self) -> np.ndarray | None:
+        """Precision of the parameters of the regressor's landmarks, (n_p, n_p)."""
+        return None if self.regressor is None else self.regressor.left_out.precision(self.shapes)
 
     def _first_level(self, largest_blur: float) -> int:
         """Return the index of the first level whose blur is not larger, or else of the sharpest."""
@@ -137,6 +197,10 @@ class OneShapeFitter:
         n_blurred = len(self.objectives) - 1
         if not n_blurred or not fit.stages:
             return self.fit_target(fit.target, options)
+        if self.regressor is not None:
+            regressed = self._fit_regressed(fit.target._replace(start=fit.shape), options)
+            if regressed is not None:
+                return regressed
         from_there = fit.target._replace(start=fit.shape, margin=NEAR)
         return self.result_of(fit.target, [*fit.stages, *self.coarse_to_fine.fit(from_there, options, first=n_blurred)])
 

@@ -15,6 +15,7 @@ from liaam.model.light_basis import LightBasis
 from liaam.model.mesh import ReferenceFrame
 from liaam.model.mirror import mirrored_model
 from liaam.model.point_map import PointMap
+from liaam.model.regressor import LandmarkRegressor
 from liaam.model.shape import ShapeModel
 from liaam.model.views import MESH, Level, View
 from liaam.model.warp import PiecewiseAffineWarp
@@ -51,6 +52,8 @@ class AAM:
         What other lights do to the object and its surroundings; only of models trained with lamps.
     points : PointMap, optional
         Map from the points of another landmarker to the landmarks, if it was trained.
+    regressor : LandmarkRegressor, optional
+        Places the landmarks by regression, for fits to weigh in (:mod:`liaam.model.regressor`), if it was trained.
     features : Features, optional
         What is known of the function whose channels the appearance ``features`` holds. The function itself is given
         with the method (:func:`liaam.fitting.features_method`).
@@ -79,6 +82,7 @@ class AAM:
     n_lamps: int = 0
     light: LightBasis | None = None
     points: PointMap | None = None
+    regressor: LandmarkRegressor | None = None
     features: Features | None = None
     search_filter: np.ndarray | None = None
     is_colour: bool = True

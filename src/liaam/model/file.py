@@ -29,13 +29,14 @@ from liaam.model.file_parts import (
     read_features,
     read_light,
     read_point_map,
+    read_regressor,
     read_search_filter,
     read_view,
     tensors_below,
 )
 from liaam.model.mesh import signed_areas
 from liaam.model.shape import diagonal_of
-from liaam.model.views import MESH
+from liaam.model.views import MESH, shape_model_of
 from liaam.photometry import camera_from, parse_response
 
 
@@ -125,6 +126,7 @@ def _fields(header: dict, tensors: dict[str, np.ndarray]) -> dict[str, Any]:
         "n_lamps": n_lamps,
         "light": read_light(tensors, n) if "light.modes" in tensors else None,
         "points": read_point_map(tensors, n),
+        "regressor": read_regressor(tensors, shape_model_of(checked_views)),
         "features": features,
         "search_filter": search_filter,
         "is_colour": bool(header.get("colour", has_invariant)),

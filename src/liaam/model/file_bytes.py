@@ -10,6 +10,7 @@ from liaam.model import file_format
 from liaam.model.appearance import AppearanceModel
 from liaam.model.light_basis import LightBasis
 from liaam.model.mirror import mirrored_model
+from liaam.model.regressor import LandmarkRegressor
 from liaam.model.rounding import encoded
 from liaam.model.shape import mirror_order
 from liaam.model.views import View
@@ -117,6 +118,8 @@ def _tensors(model: "AAM") -> dict[str, np.ndarray]:
         tensors |= _named("light.", _light_tensors(model.light))
     if model.points is not None:
         tensors |= _named("points.", _stored_fields(model.points, "points"))
+    if model.regressor is not None:
+        tensors |= _named("regressor.", _regressor_tensors(model.regressor))
     if model.features is not None:
         tensors |= _named("features.", _stored_fields(model.features, "features"))
     for name, view in model.views.items():
@@ -149,6 +152,19 @@ def _appearance_tensors(appearance: AppearanceModel) -> dict[str, np.ndarray | N
         "eigenvalues": appearance.eigenvalues,
         "usable": _half_if_exact(appearance.usable[mask]),
         "unexplained": unexplained,
+    }
+
+
+def _regressor_tensors(regressor: LandmarkRegressor) -> dict[str, np.ndarray]:
+    """Return the tensors of a regressor: those of its steps, one after the other, and its errors."""
+    steps = regressor.steps
+    return {
+        "spacings": np.array([step.spacing for step in steps]),
+        "weights": _half_if_exact(np.stack([step.weights for step in steps])),
+        "offsets": np.stack([step.offsets for step in steps]),
+        "variances": np.stack([step.errors for step in steps]),
+        "errors": regressor.left_out.errors,
+        "noise": np.array(regressor.left_out.noise),
     }
 
 

@@ -38,9 +38,11 @@ STORED = {
     "light": ("mean", "remainder"),
     "points": ("weights", "errors", "noise"),
     "features": ("mean", "projection"),
+    "regressor": ("spacings", "weights", "offsets", "variances", "errors", "noise"),
     "shape": ("modes", "eigenvalues", "unexplained"),
     "reliability": ("landmarks", "bias", "unit", "weights", "variance_factor", "typical", "prior"),
 }
+MOST_STEPS = 10  # Largest number of steps of a regressor
 MOST_WEIGHT = 1e6  # Largest weight of another landmarker's point
 FORMAT = "liaam-aam"  # Format in the headers of model files
 LAMPS_FORMAT = "liaam-lamps"  # Format in the headers of lamp files

@@ -34,13 +34,15 @@ from liaam.model.file_format import (
     MAX_POINTS,
     MAX_VALUE,
     MAX_VARIANCE,
+    MOST_STEPS,
     MOST_WEIGHT,
     ROOMY,
     UNNAMED,
 )
 from liaam.model.light_basis import SIDE, LightBasis
 from liaam.model.mesh import signed_areas
-from liaam.model.point_map import LEAST_NOISE, PointMap
+from liaam.model.point_map import LEAST_NOISE, PointErrors, PointMap
+from liaam.model.regressor import N_FEATURES, SIZE, LandmarkRegressor, RegressionStep
 from liaam.model.rounding import decoded
 from liaam.model.shape import ShapeModel, diagonal_of, similarity_modes
 from liaam.model.views import MESH, VIEWS, Level, Reliability, View
@@ -125,13 +127,42 @@ def read_point_map(tensors: dict[str, np.ndarray], n: int) -> PointMap | None:
     if "points.weights" not in tensors:
         return None
     weights = checked_tensor(tensors, "points.weights", np.float64, (n, None))
-    errors = checked_tensor(tensors, "points.errors", np.float64, (None, 2 * n))
-    noise = float(checked_tensor(tensors, "points.noise", np.float64, (1,))[0])
     if not 3 <= weights.shape[1] <= MAX_POINTS or weights.shape[1] == n or np.abs(weights).max() > MOST_WEIGHT:
         raise ValueError("points.weights do not map another landmarker's points")
+    of_points = _point_errors(tensors, "points", n)
+    return PointMap(weights, of_points.errors, of_points.noise)
+
+
+def read_regressor(tensors: dict[str, np.ndarray], shapes: ShapeModel) -> LandmarkRegressor | None:
+    """Return the regressor of a model with some shapes; None if the model has none."""
+    if "regressor.weights" not in tensors:
+        return None
+    n = shapes.n_points
+    spacings = checked_tensor(tensors, "regressor.spacings", np.float64, (None,))
+    n_steps = len(spacings)
+    if not 1 <= n_steps <= MOST_STEPS or not ((spacings >= 1.0) & (spacings <= SIZE)).all():
+        raise ValueError(f"regressor.spacings are not 1 to {MOST_STEPS} distances from 1 to {SIZE:g} pixels")
+    weights = half_or_single(tensors, "regressor.weights", (n_steps, n, N_FEATURES, 2))
+    offsets = checked_tensor(tensors, "regressor.offsets", np.float64, (n_steps, n, 2))
+    variances = checked_tensor(tensors, "regressor.variances", np.float64, (n_steps, n, 2, 2))
+    check_magnitude("regressor.weights", weights, MAX_VALUE)
+    check_magnitude("regressor.offsets", offsets, MAX_VALUE)
+    for each in variances:
+        check_covariances("regressor.variances", each, MAX_VARIANCE)
+    steps = [
+        RegressionStep(float(spacing), *of_step)
+        for spacing, *of_step in zip(spacings, weights, offsets, variances, strict=True)
+    ]
+    return LandmarkRegressor(shape_model=shapes, steps=tuple(steps), left_out=_point_errors(tensors, "regressor", n))
+
+
+def _point_errors(tensors: dict[str, np.ndarray], prefix: str, n: int) -> PointErrors:
+    """Return the errors of another landmarker's n landmarks; ``prefix`` starts the names of their tensors."""
+    errors = checked_tensor(tensors, f"{prefix}.errors", np.float64, (None, 2 * n))
+    noise = float(checked_tensor(tensors, f"{prefix}.noise", np.float64, (1,))[0])
     if np.abs(errors).max(initial=0.0) > MAX_DIAGONAL or not LEAST_NOISE <= noise <= MAX_DIAGONAL**2:
-        raise ValueError("points.errors or points.noise are out of range")
-    return PointMap(weights, errors, noise)
+        raise ValueError(f"{prefix}.errors or {prefix}.noise are out of range")
+    return PointErrors(errors, noise)
 
 
 def read_view(

@@ -17,7 +17,7 @@ GRADIENTS = ("orientation", "search", "soft")  # Appearances whose first channel
 
 
 def mirrored_model(model: "AAM", order: np.ndarray) -> "AAM":
-    """Mirror a model of one shape left to right. Its light basis and its map from other points are left out.
+    """Mirror a model of one shape left to right. Its light basis, its regressor and its map from other points are left out.
 
     Parameters
     ----------
@@ -37,7 +37,15 @@ def mirrored_model(model: "AAM", order: np.ndarray) -> "AAM":
     search_filter = model.search_filter
     if search_filter is not None:
         search_filter = np.ascontiguousarray(search_filter[:, ::-1] * np.array([-1, 1], np.float32))
-    return replace(model, views=views, triangles=triangles, light=None, points=None, search_filter=search_filter)
+    return replace(
+        model,
+        views=views,
+        triangles=triangles,
+        light=None,
+        points=None,
+        regressor=None,
+        search_filter=search_filter,
+    )
 
 
 class _MirroredViews(Mapping[str, View]):

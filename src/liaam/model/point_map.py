@@ -29,6 +29,35 @@ LEAST_NOISE = 1e-4  # Lower bound on the variance of uncorrelated errors, square
 
 
 @dataclass(frozen=True, eq=False)
+class PointErrors:
+    """Errors of another landmarker's landmarks on left-out images.
+
+    Attributes
+    ----------
+    errors : (k, 2 n) float64
+        Rows whose products sum to the covariance: ``errors' errors + noise I``, pixels of the reference frame.
+    noise : float
+        Variance of the part of the errors that is independent for each coordinate.
+    """
+
+    errors: np.ndarray
+    noise: float
+
+    __repr__ = short_repr
+
+    @property
+    def deviation(self) -> float:
+        """Root mean square error of a landmark, pixels of the reference frame."""
+        return float(np.sqrt(2.0 * (np.square(self.errors).sum() / self.errors.shape[1] + self.noise)))
+
+    def precision(self, shapes: ShapeModel) -> np.ndarray:
+        """Return the inverse covariance of the errors in the parameters of a shape model, (n_p, n_p) float64."""
+        errors = self.errors @ shapes.basis.T
+        values, vectors = np.linalg.eigh(errors.T @ errors)
+        return (vectors / (np.maximum(values, 0.0) + self.noise)) @ vectors.T
+
+
+@dataclass(frozen=True, eq=False)
 class PointMap:
     """A map from the points of another landmarker to the model's landmarks.
 
@@ -54,20 +83,19 @@ class PointMap:
         return self.weights.shape[1]
 
     @property
+    def left_out(self) -> PointErrors:
+        """Errors on left-out images."""
+        return PointErrors(self.errors, self.noise)
+
+    @property
     def deviation(self) -> float:
         """Root mean square error of a landmark, pixels of the reference frame."""
-        return float(np.sqrt(2.0 * (np.square(self.errors).sum() / self.errors.shape[1] + self.noise)))
+        return self.left_out.deviation
 
     def __call__(self, theirs: np.ndarray) -> np.ndarray:
         """Map their points (m, 2) to landmarks (n, 2), in the same coordinates."""
         centre = theirs.mean(axis=0)
         return centre + self.weights @ (theirs - centre)
-
-    def precision(self, shapes: ShapeModel) -> np.ndarray:
-        """Return the inverse covariance of the errors in the parameters of a shape model, (n_p, n_p) float64."""
-        errors = self.errors @ shapes.basis.T
-        values, vectors = np.linalg.eigh(errors.T @ errors)
-        return (vectors / (np.maximum(values, 0.0) + self.noise)) @ vectors.T
 
 
 def learn_point_map(theirs: np.ndarray, shapes: np.ndarray, mean: np.ndarray, folds: Sequence[np.ndarray]) -> PointMap:

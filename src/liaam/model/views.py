@@ -119,3 +119,8 @@ class View:
     def shape_model(self) -> ShapeModel:
         """Shape model in pixels of the reference frame; all views have the same mean."""
         return self.warp.shape_model
+
+
+def shape_model_of(views: Mapping[str, View]) -> ShapeModel:
+    """Return the shape model of the view that the default method fits with, or else of the mesh."""
+    return views[SURROUNDINGS if SURROUNDINGS in views else MESH].shape_model

@@ -12,9 +12,11 @@ from liaam.model import AAM, VIEWS, Level
 from liaam.model.appearance import COPIED_APPEARANCES, AppearanceModel, Textures, train_appearance_model
 from liaam.model.pca import Variance
 from liaam.model.shape import Recipe, shape_model_on
+from liaam.model.views import shape_model_of
 from liaam.photometry.encoding import as_colour
 from liaam.training.entries import Entry, image_of
 from liaam.training.lamps import Copies
+from liaam.training.regressor import RegressorData
 from liaam.training.reliability import LeftOutImage, calibrate
 from liaam.training.textures import FITTED, SOURCES, Sampled, Steps, learning_cost
 
@@ -53,6 +55,7 @@ def calibrated(
     methods: Sequence[Method],
     folds: list[np.ndarray],
     steps: Steps,
+    regression: RegressorData | None = None,
 ) -> AAM:
     """Calibrate the quality of methods' fits on left-out images, original and relit by left-out lamps.
 
@@ -78,6 +81,8 @@ def calibrated(
         Images that are left out together, by index.
     steps : Steps
         Reports each image.
+    regression : RegressorData, optional
+        What the model's regressor was learnt from, if it has one.
 
     Returns
     -------
@@ -93,6 +98,8 @@ def calibrated(
             lamps = halves[i % len(halves)]
             under_other_lamps = np.flatnonzero(~np.isin(copied.lit_by, lamps))
             part = _without(model, fold, shapes, sampled, settings, methods, under_other_lamps)
+            if regression is not None:
+                part = replace(part, regressor=regression.learn(shape_model_of(part.views), without=fold))
             for j in fitted_of(fold, folds):
                 steps.next(f"fitting {entries[j].name}", FITTED)
                 image = as_colour(entries[j].read_image(), entries[j].name)
@@ -135,6 +142,12 @@ def objects_of(names: Sequence[str]) -> dict[str, list[int]]:
     return groups
 
 
+def groups_of(names: Sequence[str]) -> list[np.ndarray]:
+    """Group samples by object if their names identify it (:func:`objects_of`); else each is a group."""
+    groups = list(objects_of(names).values()) or [[i] for i in range(len(names))]
+    return [np.array(group) for group in groups]
+
+
 def describe_objects(names: Sequence[str]) -> str:
     """Return which samples are left out together, if any are."""
     counts = {name: len(members) for name, members in objects_of(names).items()}
@@ -146,7 +159,7 @@ def describe_objects(names: Sequence[str]) -> str:
 
 def folds_of(names: Sequence[str], most: int = LEFT_OUT_FOLDS) -> list[np.ndarray]:
     """At most so many folds of samples, by object if their names identify it (:func:`objects_of`)."""
-    samples_of_objects = list(objects_of(names).values()) or [[i] for i in range(len(names))]
+    samples_of_objects = groups_of(names)
     n_objects = len(samples_of_objects)
     folds = []
     for objects in np.array_split(np.arange(n_objects), min(n_objects, most)):

@@ -80,6 +80,10 @@ class TrainingOptions:
     shapes : int or "auto"
         Number of kinds of shape, 1 to 4, such as left and right wings. Each has a model of its own
         (:attr:`liaam.AAM.parts`). ``auto``: more than one if this makes left-out shapes clearly more likely.
+    regressor : bool or "auto"
+        Whether to learn also a regressor of the landmarks (:mod:`liaam.model.regressor`), which fits of the default
+        method start from and weigh in. It helps most with objects that vary much. ``auto``: unless the images are relit
+        by lamps, whose light the regressor does not learn, or all of the variance is kept.
     leave_out : bool
         Whether to leave images out in turn and fit them, to calibrate ``FitResult.quality`` and
         ``landmark_covariances``. This doubles the time of training.
@@ -96,6 +100,7 @@ class TrainingOptions:
     copies: int | None = None
     methods: Methods = ()
     shapes: int | str = AUTO
+    regressor: bool | str = AUTO
     leave_out: bool = True
     strict: bool = False
 
@@ -114,6 +119,8 @@ class TrainingOptions:
         if self.shapes != AUTO and self.shapes not in range(1, MOST_SHAPES + 1):
             raise TrainingError(f"shapes {self.shapes!r}: give 1 to {MOST_SHAPES}, or '{AUTO}'")
         chosen(self.methods)
+        if self.regressor != AUTO and not isinstance(self.regressor, bool):
+            raise TrainingError(f"regressor {self.regressor!r}: give True, False or '{AUTO}'")
         for prior in self.priors(0).values():
             check_prior(prior)
         for view, blurs in self.blurs_by_view.items():
@@ -152,6 +159,12 @@ class TrainingOptions:
         size = min(1.0, float(self.diagonal) / FULL_SIZE)
         usual = {**BLURS, SURROUNDINGS: tuple(max(LEAST_BLUR, size * blur) for blur in BLURS[SURROUNDINGS])}
         return _by_view("blurs", self.blurs, usual)
+
+    def learns_regressor(self, under_lamps: bool) -> bool:
+        """Whether to learn a regressor, of images that are relit by lamps or not."""
+        if self.regressor == AUTO:
+            return not under_lamps and not self.keeps_all
+        return bool(self.regressor)
 
     def priors(self, n_points: int) -> dict[str, str]:
         """Prior of the shapes by view, for a number of landmarks."""

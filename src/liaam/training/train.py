@@ -13,6 +13,7 @@ from liaam.fitting.methods import Method
 from liaam.model import AAM, MESH, SURROUNDINGS, VIEWS, Level, View
 from liaam.model.cost import TooLargeError, check_cost
 from liaam.model.shape import Recipe, ShapeModel, choose_recipe, mirror_order, scaled_mean, shape_model_on
+from liaam.model.views import shape_model_of
 from liaam.photometry import CameraModel
 from liaam.photometry.camera import check_camera
 from liaam.photometry.features import FeatureFunction
@@ -23,9 +24,10 @@ from liaam.training.entries import Entry, TrainingData, check_flat, mesh_of, rea
 from liaam.training.features import encoder_of
 from liaam.training.images import check_images
 from liaam.training.lamps import Copies, LearntLamps, learn_lamps
-from liaam.training.left_out import ViewSettings, calibrated, can_be_calibrated, fitted_of, folds_of
+from liaam.training.left_out import ViewSettings, calibrated, can_be_calibrated, fitted_of, folds_of, groups_of
 from liaam.training.options import AUTO, TrainingOptions
 from liaam.training.points import Points, map_of_points, points_of
+from liaam.training.regressor import RegressorData
 from liaam.training.search_filter import FilterLearner
 from liaam.training.shapes import shape_groups
 from liaam.training.symmetry import describe_offset, sideways_offset
@@ -197,6 +199,11 @@ def _train_one(data: TrainingData, points: Points | None, task: _Task) -> AAM:
         features=None if encoder is None else encoder.features,
         is_colour=not grey.all(),
     )
+    regression = None
+    if options.learns_regressor(under_lamps=lamps is not None):
+        groups = groups_of([entry.name for entry in entries])
+        regression = RegressorData.of(entries, shapes.landmarks, model, groups)
+        model = replace(model, regressor=regression.learn(shape_model_of(model.views)))
     names = _names_to_learn(options, has_features=encoder is not None)
     blurs = options.blurs_by_view
     with reported("training", task.progress) as report:
@@ -217,6 +224,7 @@ def _train_one(data: TrainingData, points: Points | None, task: _Task) -> AAM:
                 methods=_methods_to_calibrate(options),
                 folds=shapes.folds,
                 steps=steps,
+                regression=regression,
             )
         steps.next("trained", 0)
     if options.keeps_all:  # a model of exactly the training images is not rounded

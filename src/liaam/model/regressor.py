@@ -1,0 +1,240 @@
+"""Landmarks by regression: from the gradient orientations around each landmark to where it should be.
+
+The objective's own minimum is not always right: of objects that vary much, the appearance model explains a wrong place
+as well as the right one. A regressor learns from the same images in which direction the landmarks lie. In each of a few
+steps, from coarse to fine, a linear function of the histograms of gradient orientations around a landmark predicts the
+landmark's displacement (supervised descent: Xiong and De la Torre, CVPR 2013), for each landmark by itself. What the
+landmarks predict is then combined under the covariance of shapes: with C that covariance, S that of the predictions'
+errors on left-out images, and d the predicted deviation from the mean shape,
+
+    d' = C (C + S)^-1 d.
+
+The last step's errors on left-out images are the covariance with which a fit weighs the regressor's landmarks in.
+"""
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from liaam import _core
+from liaam.formatting import short_repr
+from liaam.model.point_map import PointErrors
+from liaam.model.sampling import Patch, make_patch
+from liaam.model.shape import LEAST_NOISE, ShapeModel, Similarity, align, similarity_modes
+from liaam.photometry import Response
+
+BINS = 8  # Orientations of gradients that are counted apart
+CELLS = 4  # Histograms around a landmark, in each direction
+N_FEATURES = CELLS * CELLS * BINS  # Numbers that describe the surroundings of a landmark
+SIZE = 120.0  # Diagonal of the mean shape at the resolution of the histograms, pixels
+SHARPNESS = 0.6  # Standard deviation of the blur of the image before gradients are taken, pixels at that resolution
+# Margin around the shape that is encoded, as a fraction of its diagonal: room for a start that is off, and for cells
+MARGIN = 0.5
+LEAST_CONTRAST = 0.05  # Length of the features of a landmark around which there are half as many gradients as counted
+MOST_OF_A_BIN = 0.25  # Largest feature: one strong edge must not outweigh the rest (Lowe, IJCV 2004)
+# Change of the scale, or of the angle in radians, of a shape since the image was encoded, after which it is encoded
+# again: histograms then differ from those of training, which are encoded at the true scale and angle.
+MOST_CHANGE = 0.1
+# Variance of the similarity in the covariance of shapes, square pixels: position, size and rotation are free
+FREE = 1e4
+
+
+class OrientationHistograms:
+    """Histograms of gradient orientations of an image around a shape, at the resolution of :data:`SIZE`."""
+
+    def __init__(self, image: np.ndarray, response: Response, shape: np.ndarray, mean: np.ndarray) -> None:
+        """Encode an image around a shape (n, 2); ``mean`` (n, 2) is the mean shape with a diagonal of SIZE."""
+        self.pose = align(mean, shape)
+        self.angle = _angle_of(self.pose)
+        self.patch: Patch = make_patch(
+            image, shape, self.pose, encoding="soft", response=response, blur=SHARPNESS, margin=MARGIN
+        )
+        self._planes = _planes_of(self.patch.channels)
+        self._blurred: dict[float, np.ndarray] = {}
+
+    def blurred(self, blur: float) -> np.ndarray:
+        """Return the counts of each orientation (h, w, BINS) float32 after a Gaussian blur, pixels of SIZE."""
+        if blur not in self._blurred:
+            on_patch = blur * self.pose.scale * self.patch.from_image.scale
+            self._blurred[blur] = np.ascontiguousarray(np.moveaxis(_core.blur_planes(self._planes, on_patch), 0, -1))
+        return self._blurred[blur]
+
+    def forget(self) -> None:
+        """Forget the blurred counts, which take memory."""
+        self._blurred.clear()
+
+    def suits(self, pose: Similarity) -> bool:
+        """Return whether scale and rotation of a pose of the mean shape are about those of the encoded image."""
+        turned = abs(_between(_angle_of(pose), self.angle))
+        return turned <= MOST_CHANGE and abs(np.log(pose.scale / self.pose.scale)) <= MOST_CHANGE
+
+    def features(self, shape: np.ndarray, pose: Similarity, spacing: float) -> np.ndarray:
+        """Return the normalised histograms around the landmarks of a shape (n, 2), (n, N_FEATURES) float32.
+
+        Cells are ``spacing`` pixels of SIZE apart, along the axes of the mean shape, whose pose in the image is given.
+        """
+        offsets = _cells(spacing) @ pose.matrix.T  # image pixels
+        points = self.patch.from_image((shape[:, None] + offsets).reshape(-1, 2))
+        counts = _bilinear(self.blurred(0.5 * spacing), points)
+        counts = _turned(counts, _between(_angle_of(pose), self.angle)).reshape(len(shape), -1)
+        length = np.linalg.norm(counts, axis=1, keepdims=True)
+        return np.minimum(counts / (length + LEAST_CONTRAST), MOST_OF_A_BIN).astype(np.float32)
+
+
+def _angle_of(pose: Similarity) -> float:
+    """Return the angle of a similarity, radians."""
+    return float(np.arctan2(pose.matrix[1, 0], pose.matrix[0, 0]))
+
+
+def _between(angle: float, other: float) -> float:
+    """Return the difference of two angles, from -pi to pi."""
+    return float((angle - other + np.pi) % (2.0 * np.pi) - np.pi)
+
+
+def _planes_of(channels: np.ndarray) -> np.ndarray:
+    """Return the length of the gradient at each pixel, split between the two nearest orientations, (BINS, h, w)."""
+    across = channels[..., 0]
+    down = channels[..., 1]
+    length = np.sqrt(across * across + down * down)
+    angle = np.arctan2(down, across) * (BINS / (2.0 * np.pi))
+    lower = np.floor(angle)
+    share = angle - lower
+    lower = lower.astype(int) % BINS
+    planes = np.zeros((BINS, *length.shape), np.float32)
+    rows, columns = np.indices(length.shape, sparse=True)
+    planes[lower, rows, columns] = length * (1.0 - share)
+    planes[(lower + 1) % BINS, rows, columns] += length * share
+    return planes
+
+
+def _cells(spacing: float) -> np.ndarray:
+    """Return the centres of the cells around a landmark, (CELLS^2, 2)."""
+    steps = spacing * (np.arange(CELLS) - 0.5 * (CELLS - 1))
+    across, down = np.meshgrid(steps, steps)
+    return np.stack([across.ravel(), down.ravel()], axis=1)
+
+
+def _bilinear(values: np.ndarray, points: np.ndarray) -> np.ndarray:
+    """Interpolate values (h, w, c) at points (m, 2); beyond the border they are those of the border."""
+    height, width = values.shape[:2]
+    x = np.clip(points[:, 0], 0.0, width - 1.0)
+    y = np.clip(points[:, 1], 0.0, height - 1.0)
+    left = np.minimum(x.astype(int), width - 2)
+    top = np.minimum(y.astype(int), height - 2)
+    right_share = (x - left)[:, None].astype(np.float32)
+    lower_share = (y - top)[:, None].astype(np.float32)
+    flat = values.reshape(height * width, -1)
+    first = top * width + left
+    upper = flat[first] * (1.0 - right_share) + flat[first + 1] * right_share
+    lower = flat[first + width] * (1.0 - right_share) + flat[first + width + 1] * right_share
+    return upper * (1.0 - lower_share) + lower * lower_share
+
+
+def _turned(counts: np.ndarray, angle: float) -> np.ndarray:
+    """Return counts of orientations (m, BINS) relative to axes that are turned by an angle, radians."""
+    shift = angle * (BINS / (2.0 * np.pi))
+    whole = int(np.floor(shift))
+    share = np.float32(shift - whole)
+    nearest = np.roll(counts, -whole, axis=1)
+    return nearest * (1.0 - share) + np.roll(nearest, -1, axis=1) * share
+
+
+@dataclass(frozen=True, eq=False)
+class RegressionStep:
+    """One step of a regressor.
+
+    Attributes
+    ----------
+    spacing : float
+        Distance of the histograms around a landmark, pixels of :data:`SIZE`.
+    weights : (n, N_FEATURES, 2) float32
+        Displacement of each landmark by a feature, pixels of SIZE.
+    offsets : (n, 2) float64
+        Displacement without features.
+    errors : (n, 2, 2) float64
+        Covariance of the errors of each landmark's displacement on left-out images.
+    """
+
+    spacing: float
+    weights: np.ndarray
+    offsets: np.ndarray
+    errors: np.ndarray
+
+    __repr__ = short_repr
+
+    def displacements(self, features: np.ndarray) -> np.ndarray:
+        """Return the displacements (..., n, 2) that features (..., n, N_FEATURES) predict."""
+        return np.einsum("...jf,jfa->...ja", features, self.weights, optimize=True) + self.offsets
+
+
+@dataclass(frozen=True, eq=False)
+class LandmarkRegressor:
+    """Steps of regression from a start to the landmarks.
+
+    Attributes
+    ----------
+    shape_model : ShapeModel
+        The shapes that the landmarks' predictions are combined under, pixels of the reference frame.
+    steps : tuple of RegressionStep
+        From coarse to fine.
+    left_out : PointErrors
+        Errors of the landmarks on left-out images, pixels of the reference frame.
+    """
+
+    shape_model: ShapeModel
+    steps: tuple[RegressionStep, ...]
+    left_out: PointErrors
+
+    __repr__ = short_repr
+
+    @cached_property
+    def frame_mean(self) -> np.ndarray:
+        """The mean shape with a diagonal of :data:`SIZE`, (n, 2)."""
+        return self.shape_model.mean * (SIZE / self.shape_model.diagonal)
+
+    def __call__(self, image: np.ndarray, response: Response, start: np.ndarray) -> np.ndarray:
+        """Return the landmarks (n, 2) of the object in an image near a start (n, 2), image pixels."""
+        shape = start
+        histograms = None
+        for i, step in enumerate(self.steps):
+            pose = align(self.frame_mean, shape)
+            if histograms is None or not histograms.suits(pose):
+                histograms = OrientationHistograms(image, response, shape, self.frame_mean)
+            predicted = step.displacements(histograms.features(shape, pose, step.spacing))
+            shape = combined(shape, predicted, self.frame_mean, self._gains[i])
+        return shape
+
+    @cached_property
+    def _gains(self) -> list[np.ndarray]:
+        """C (C + S)^-1 of each step, (2 n, 2 n)."""
+        covariance = frame_covariance(self.shape_model)
+        return [gain_of(covariance, step.errors) for step in self.steps]
+
+
+def frame_covariance(shapes: ShapeModel) -> np.ndarray:
+    """Return the covariance C (2 n, 2 n) of shapes whose mean has a diagonal of :data:`SIZE`, with a free similarity.
+
+    Beyond the modes, coordinates vary as they do in left-out shapes.
+    """
+    noise = max(0.5 * np.nan_to_num(shapes.left_out_bound) ** 2, LEAST_NOISE)
+    within = (shapes.modes.T * shapes.eigenvalues) @ shapes.modes + noise * np.eye(shapes.modes.shape[1])
+    rigid = similarity_modes(shapes.mean)
+    return (SIZE / shapes.diagonal) ** 2 * within + FREE * rigid.T @ rigid
+
+
+def gain_of(covariance: np.ndarray, errors: np.ndarray) -> np.ndarray:
+    """Return C (C + S)^-1 for a covariance of shapes C (2 n, 2 n) and errors (n, 2, 2), the blocks of S."""
+    n = len(errors)
+    total = covariance.copy()
+    at = np.arange(n)
+    total.reshape(n, 2, n, 2)[at, :, at, :] += errors
+    return np.linalg.solve(total, covariance).T
+
+
+def combined(shape: np.ndarray, predicted: np.ndarray, mean: np.ndarray, gain: np.ndarray) -> np.ndarray:
+    """Move a shape (n, 2) by predicted displacements (n, 2), in pixels of the mean shape, under a gain (2 n, 2 n)."""
+    to_mean = align(shape, mean)
+    aligned = to_mean(shape)
+    deviation = (aligned + predicted - mean).ravel()
+    return to_mean.inverse()(mean + (gain @ deviation).reshape(-1, 2))

@@ -1,0 +1,274 @@
+"""Learn to place landmarks by regression, from the images of a model (:mod:`liaam.model.regressor`)."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from liaam.model import AAM
+from liaam.model.point_map import LEAST_NOISE, PointErrors
+from liaam.model.regressor import (
+    N_FEATURES,
+    SIZE,
+    LandmarkRegressor,
+    OrientationHistograms,
+    RegressionStep,
+    combined,
+    frame_covariance,
+    gain_of,
+)
+from liaam.model.shape import ShapeModel, align, corners_of, diagonal_of, rotation
+from liaam.photometry.encoding import as_colour
+from liaam.training.entries import Entry
+from liaam.workers import in_threads
+
+# Distances of the histograms around a landmark in each step, pixels of SIZE: from the surroundings of a start that is
+# off to the detail at a landmark. A fifth step changes no error.
+SPACINGS = (12.0, 8.0, 5.0, 3.0)
+# Starts of an image: half are the mean shape in a box that is off, half the mean shape moved, turned and scaled.
+STARTS = 10
+MOST_SAMPLES = 1000  # Largest number of starts of all images, of which each takes N_FEATURES numbers a landmark
+MOST_IMAGES = 100  # Largest number of images to learn from: each takes two megabytes
+LEAST_GROUPS = 3  # Least number of objects to learn from: errors are those of left-out ones
+# Standard deviations of starts: of the position as a fraction of the diagonal, of the logarithm of the size, and of the
+# rotation in degrees. Those of searches of objects that vary are larger, and those of boxes smaller.
+SHIFT = 0.06
+SCALE = 0.15
+TURN = 10.0
+# Ridge on the weights of the features, as a fraction of the mean squared length of an image's features
+RIDGE = 0.3
+# Mean distance of the landmarks of a left-out image, as a fraction of the diagonal, beyond which it counts as lost: its
+# errors say nothing on those of the others.
+LOST = 0.06
+SHRINK = 5.0  # Weight, in images, of uncorrelated errors of equal variance in the estimate of the errors' covariance
+MOST_ROWS = 24  # Largest number of directions of the errors that are kept apart
+
+
+@dataclass(frozen=True, eq=False)
+class RegressorData:
+    """What regressors of a model, and of the model without some images, are learnt from.
+
+    Attributes
+    ----------
+    images : (k,) int
+        The training images that are used, by index.
+    views : Views
+        These images.
+    groups : list of arrays of int
+        Training images that are left out together to measure errors, by index.
+    """
+
+    images: np.ndarray
+    views: "Views"
+    groups: Sequence[np.ndarray]
+
+    @classmethod
+    def of(
+        cls, entries: Sequence[Entry], shapes: np.ndarray, model: AAM, groups: Sequence[np.ndarray]
+    ) -> "RegressorData":
+        """Read the images of a model, at even distances if there are many; ``shapes`` (m, n, 2) are their landmarks."""
+        count = min(len(entries), MOST_IMAGES)
+        images = np.linspace(0, len(entries) - 1, count).astype(int)
+        mean = model.shape_model.mean * (SIZE / model.diagonal)
+
+        def histograms_of(i: int) -> OrientationHistograms:
+            image = as_colour(entries[i].read_image(), entries[i].name)
+            return OrientationHistograms(image, model.response, shapes[i], mean)
+
+        histograms = in_threads(histograms_of, images.tolist())
+        return cls(images, Views(histograms, shapes[images]), groups)
+
+    def learn(self, shapes: ShapeModel, without: np.ndarray | None = None) -> LandmarkRegressor | None:
+        """Learn a regressor, also ``without`` some training images; None if too few are left."""
+        left_out = np.zeros(0, int) if without is None else without
+        used = np.flatnonzero(~np.isin(self.images, left_out))
+        groups = [np.flatnonzero(np.isin(self.images[used], group)) for group in self.groups]
+        groups = [group for group in groups if len(group)]
+        if len(groups) < LEAST_GROUPS:
+            return None
+        return learn_regressor(self.views.of(used), shapes, groups)
+
+
+@dataclass(frozen=True, eq=False)
+class Views:
+    """Images as the regressor sees them, and their true shapes (m, n, 2)."""
+
+    histograms: Sequence[OrientationHistograms]
+    shapes: np.ndarray
+
+    def of(self, images: np.ndarray) -> "Views":
+        """Return some of the images."""
+        return Views([self.histograms[i] for i in images], self.shapes[images])
+
+
+def learn_regressor(views: Views, shapes: ShapeModel, groups: Sequence[np.ndarray]) -> LandmarkRegressor:
+    """Learn a regressor from images.
+
+    Parameters
+    ----------
+    views : Views
+    shapes : ShapeModel
+        The shapes of the model.
+    groups : sequence of arrays of int
+        Images by index that are left out together to measure errors, such as those of one object.
+    """
+    mean = shapes.mean * (SIZE / shapes.diagonal)
+    covariance = frame_covariance(shapes)
+    n_starts = int(np.clip(MOST_SAMPLES // len(views.shapes), 2, STARTS))
+    samples = _samples(views, mean, n_starts, groups)
+    steps = []
+    for spacing in SPACINGS:
+        step, samples = _learn_step(samples, mean, covariance, spacing, RIDGE * n_starts)
+        steps.append(step)
+    left_out = _left_out_errors(samples, shapes)
+    return LandmarkRegressor(shape_model=shapes, steps=tuple(steps), left_out=left_out)
+
+
+@dataclass(frozen=True, eq=False)
+class _Samples:
+    """Shapes on their way from a start to the true landmarks.
+
+    Attributes
+    ----------
+    histograms : list of OrientationHistograms
+        By sample, like the other fields.
+    truths, shapes : (N, n, 2) float64
+        True and present landmarks.
+    blocks : list of arrays of int
+        Samples that are left out together.
+    """
+
+    histograms: list[OrientationHistograms]
+    truths: np.ndarray
+    shapes: np.ndarray
+    blocks: list[np.ndarray]
+
+
+def _samples(views: Views, mean: np.ndarray, n_starts: int, groups: Sequence[np.ndarray]) -> _Samples:
+    """Return the starts of all images."""
+    shapes = []
+    for i, truth in enumerate(views.shapes):
+        rng = np.random.default_rng([11, i])
+        for k in range(n_starts):
+            shapes.append(_in_box(mean, truth, rng) if k % 2 else _moved(mean, truth, rng))
+    owners = np.repeat(np.arange(len(views.shapes)), n_starts)
+    return _Samples(
+        histograms=[views.histograms[i] for i in owners],
+        truths=views.shapes[owners],
+        shapes=np.array(shapes),
+        blocks=[np.flatnonzero(np.isin(owners, group)) for group in groups],
+    )
+
+
+def _in_box(mean: np.ndarray, truth: np.ndarray, rng: np.random.Generator) -> np.ndarray:
+    """Return the mean shape in the box of the true one, which is off."""
+    diagonal = diagonal_of(truth)
+    low, high = corners_of(truth)
+    shift = rng.normal(0.0, 0.5 * SHIFT, 2)
+    low = low + diagonal * (shift + rng.normal(0.0, 0.25 * SHIFT, 2))
+    high = high + diagonal * (shift + rng.normal(0.0, 0.25 * SHIFT, 2))
+    lowest, highest = corners_of(mean)
+    scale = np.hypot(*(high - low)) / np.hypot(*(highest - lowest))
+    return 0.5 * (low + high) + scale * (mean - 0.5 * (lowest + highest))
+
+
+def _moved(mean: np.ndarray, truth: np.ndarray, rng: np.random.Generator) -> np.ndarray:
+    """Return the mean shape on the true one, moved, turned and scaled."""
+    shape = align(mean, truth)(mean)
+    centre = shape.mean(axis=0)
+    turn = rotation(np.deg2rad(rng.normal(0.0, TURN)))
+    scale = np.exp(rng.normal(0.0, SCALE))
+    return centre + scale * (shape - centre) @ turn.T + diagonal_of(truth) * rng.normal(0.0, SHIFT, 2)
+
+
+def _learn_step(
+    samples: _Samples, mean: np.ndarray, covariance: np.ndarray, spacing: float, ridge: float
+) -> tuple[RegressionStep, _Samples]:
+    """Learn a step, and take it with each sample as a left-out one; return the step and the samples after it."""
+    poses = [align(mean, shape) for shape in samples.shapes]
+    features = np.array(
+        [
+            histograms.features(shape, pose, spacing)
+            for histograms, shape, pose in zip(samples.histograms, samples.shapes, poses, strict=True)
+        ]
+    )
+    wanted = np.array(
+        [
+            (truth - shape) @ pose.inverse().matrix.T
+            for truth, shape, pose in zip(samples.truths, samples.shapes, poses, strict=True)
+        ]
+    )
+    n = len(mean)
+    weights = np.zeros((n, N_FEATURES, 2), np.float32)
+    offsets = np.zeros((n, 2))
+    predicted = np.zeros_like(wanted)
+    for j in range(n):
+        fitted = _ridge_regression(features[:, j], wanted[:, j], ridge, samples.blocks)
+        weights[j], offsets[j], predicted[:, j] = fitted.weights, fitted.offset, fitted.left_out
+    away = wanted - predicted
+    errors = np.einsum("ija,ijb->jab", away, away) / len(away)
+    step = RegressionStep(spacing, weights, offsets, errors)
+    gain = gain_of(covariance, errors)
+    shapes = [
+        combined(shape, displacements, mean, gain)
+        for shape, displacements in zip(samples.shapes, predicted, strict=True)
+    ]
+    for histograms in samples.histograms:
+        histograms.forget()
+    return step, replace(samples, shapes=np.array(shapes))
+
+
+@dataclass(frozen=True, eq=False)
+class _Regression:
+    """A linear function of features, and what those that are learnt without a sample predict for it."""
+
+    weights: np.ndarray  # (f, 2) float32
+    offset: np.ndarray  # (2,)
+    left_out: np.ndarray  # (N, 2)
+
+
+def _ridge_regression(
+    features: np.ndarray, wanted: np.ndarray, ridge: float, blocks: Sequence[np.ndarray]
+) -> _Regression:
+    """Regress (N, 2) numbers on features (N, f), and predict each block of samples from the others.
+
+    Without the samples of block b, residuals r become (I - H_bb)^-1 r_b, with H = X (X'X + ridge I)^-1 X'.
+    """
+    middle = features.mean(axis=0, dtype=np.float64)
+    x = features - middle
+    mean_wanted = wanted.mean(axis=0)
+    y = wanted - mean_wanted
+    normal = x.T @ x
+    normal[np.diag_indices_from(normal)] += ridge * np.square(x).sum() / len(x) + 1e-12
+    inverse = np.linalg.inv(normal)
+    # Rounded to half precision, as a file holds them
+    weights = (inverse @ (x.T @ y)).astype(np.float16).astype(np.float32)
+    fitted = x @ weights
+    left_out = np.empty_like(y)
+    for block in blocks:
+        of_block = x[block]
+        leverage = of_block @ inverse @ of_block.T
+        residual = np.linalg.solve(np.eye(len(block)) - leverage, y[block] - fitted[block])
+        left_out[block] = y[block] - residual
+    return _Regression(weights, mean_wanted - middle @ weights, mean_wanted + left_out)
+
+
+def _left_out_errors(samples: _Samples, shapes: ShapeModel) -> PointErrors:
+    """Return the errors of left-out images after the last step, pixels of the reference frame."""
+    away = []
+    lost = []
+    for truth, shape in zip(samples.truths, samples.shapes, strict=True):
+        error = (truth - shape) @ align(shape, shapes.mean).matrix.T
+        away.append(error.ravel())
+        lost.append(np.linalg.norm(error, axis=1).mean() > LOST * shapes.diagonal)
+    errors = np.array(away)
+    kept = ~np.array(lost)
+    if kept.any():
+        errors = errors[kept]
+    share = len(samples.blocks) / (len(samples.blocks) + SHRINK)
+    values, vectors = np.linalg.eigh(share * errors.T @ errors / len(errors))
+    values = np.maximum(values, 0.0)
+    strongest = slice(max(0, len(values) - MOST_ROWS), None)
+    rest = values[: strongest.start].sum() / len(values)
+    noise = max((1.0 - share) * float(np.square(errors).mean()) + rest, LEAST_NOISE)
+    return PointErrors((np.sqrt(values) * vectors).T[strongest], noise)
