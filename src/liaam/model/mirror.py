@@ -17,7 +17,7 @@ GRADIENTS = ("orientation", "search", "soft")  # Appearances whose first channel
 
 
 def mirrored_model(model: "AAM", order: np.ndarray) -> "AAM":
-    """Mirror a model of one shape left to right. Its light basis, its regressor and its map from other points are left out.
+    """Mirror a model of one shape left to right, without its light basis, its regressor and its map from other points.
 
     Parameters
     ----------

@@ -105,12 +105,13 @@ def _contrast(objective: Objective, sums: np.ndarray) -> tuple[float, float]:
 WORST_FEATURES = np.array([-1.0, 14.0])
 
 
-def quality_features(stage: FittedLevel) -> np.ndarray:
+def quality_features(stage: FittedLevel, doubt: float = 0.0) -> np.ndarray:
     """Compute the features that separate right fits from wrong ones, (2,) float64.
 
     The first is the explained fraction of the image's contrast, minus a penalty for an unlikely appearance. It is
     multiplied by the square root of the contrast, so that a blurred or partly visible object counts little. The second
-    is the distance of the shape from the mean, log(1 + mean squared mode in standard deviations).
+    is the distance of the shape from the mean, log(1 + mean squared mode in standard deviations). Added to that square
+    is the ``doubt`` of the model's regressor: its squared distance from the shape, in its mean squared error.
     """
     objective = stage.objective
     solution = stage.solution
@@ -124,7 +125,7 @@ def quality_features(stage: FittedLevel) -> np.ndarray:
     squared_modes = np.square(solution.p) * objective.prior
     n_modes = objective.warp.n_parameters - 4  # without the similarity
     mean_square = squared_modes[:n_modes].mean() if n_modes > 0 else 0.0
-    return np.array([max(explained, -1.0), np.log1p(min(mean_square, 1e6))])
+    return np.array([max(explained, -1.0), np.log1p(min(mean_square + doubt, 1e6))])
 
 
 def fitted_covariances(shapes: ShapeModel, spread: np.ndarray) -> np.ndarray:
