@@ -39,8 +39,8 @@ MAPPED_TOLERANCE = 1.0
 
 # Margin of fits from another landmarker's points, besides NEAR: their errors in standard deviations.
 MAPPED_DEVIATIONS = 2.0
-# Squared distance to where the regressor leads from a result, in its mean squared error on left-out images, beyond which
-# the fit is repeated from there. Of right fits to shells, 95 % are below 0.2; wrong ones have 5 and more.
+# Squared distance to where the regressor leads from a result, in its mean squared error on left-out images, beyond
+# which the fit is repeated from there. Of right fits to shells, 95 % are below 0.2; wrong ones have 5 and more.
 MOST_DOUBT = 1.0
 # Least share of the landmarks in the image, of those that the regressor finds
 LEAST_INSIDE = 0.5
