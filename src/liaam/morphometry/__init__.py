@@ -2,6 +2,7 @@
 
 from liaam.morphometry.curves import with_even_curves
 from liaam.morphometry.measures import Measure, ScaleBar
+from liaam.morphometry.missing import with_estimated_landmarks
 from liaam.morphometry.reading import read_specimens
 from liaam.morphometry.replicates import exchanged_landmarks, measurement_error
 from liaam.morphometry.specimens import Specimen
@@ -16,5 +17,6 @@ __all__ = [
     "measure",
     "measurement_error",
     "read_specimens",
+    "with_estimated_landmarks",
     "with_even_curves",
 ]

@@ -66,7 +66,7 @@ def measurement_error(specimens: Sequence[Specimen], columns: Columns, by: str, 
     )
     flat = np.concatenate([np.empty((len(sizes), 0)), *shapes], axis=1)
     rows = [{"measure": "shape"} | anova(flat, groups, np.ones(1), 2 * len(shapes) - 4 - sliding)]
-    others = {"specimen", "status", "scale", *(f"{name}_se" for name in columns)}
+    others = {"specimen", "side", "status", "estimated", "scale", *(f"{name}_se" for name in columns)}
     for name in (name for name in columns if name not in others and not re.fullmatch(r"[XY]\d+", name)):
         values = np.array(columns[name])
         rows.append({"measure": name} | anova(values[:, None], groups, values))

@@ -61,11 +61,11 @@ def measure(
     Returns
     -------
     dict of str to list
-        Columns, one row per specimen; ``pandas.DataFrame`` takes them. ``specimen``, ``status`` (if known), ``scale``
-        (length of a pixel, if known), the measures (angles in degrees), ``centroid_size``, and the Procrustes
-        coordinates ``X1``, ``Y1``, ``X2``, ... with y upwards. Columns ``..._se`` hold the standard errors, if any
-        covariance is known. Cells are NaN where a landmark is missing or the status says that the landmarks should
-        not be used.
+        Columns, one row per specimen; ``pandas.DataFrame`` takes them. ``specimen``, ``side`` and ``status`` (if
+        known), ``estimated`` (landmarks that were missing, if any), ``scale`` (length of a pixel, if known), the
+        measures (angles in degrees), ``centroid_size``, and the Procrustes coordinates ``X1``, ``Y1``, ``X2``, ... with
+        y upwards. Columns ``..._se`` hold the standard errors, if any covariance is known. Cells are NaN where a
+        landmark is missing or the status says that the landmarks should not be used.
 
     Raises
     ------
@@ -167,7 +167,10 @@ def _in_order(specimen: Specimen, names: tuple[str, ...]) -> Specimen:
     spread = None if specimen.covariances is None else np.asarray(specimen.covariances)[order]
     place = {index: i for i, index in enumerate(order)}
     curves = tuple(Contour(tuple(place[i] for i in curve.indices), curve.closed) for curve in specimen.curves)
-    return replace(specimen, points=specimen.points[order], covariances=spread, names=names, curves=curves)
+    estimated = tuple(place[i] for i in specimen.estimated)
+    return replace(
+        specimen, points=specimen.points[order], covariances=spread, names=names, curves=curves, estimated=estimated
+    )
 
 
 def indices_of(what: str, landmarks: Sequence[str], names: Sequence[str], n: int) -> list[int]:
@@ -190,7 +193,14 @@ def _row(
     mean: np.ndarray | None,
 ) -> SpecimenRow:
     """Measure one specimen. The last item is the centroid size."""
-    row: SpecimenRow = {"specimen": specimen.name, "status": specimen.status}
+    labels = specimen.names or [str(number) for number in range(1, len(specimen.points) + 1)]
+    estimated = " ".join(labels[index] for index in specimen.estimated)
+    row: SpecimenRow = {
+        "specimen": specimen.name,
+        "side": specimen.side,
+        "status": specimen.status,
+        "estimated": estimated,
+    }
     if specimen.status not in _USABLE:
         return row
     length, slope = _pixel(specimen, rule, bar)
@@ -246,9 +256,9 @@ def _shape(specimen: Specimen, inside: Sequence[int], mean: np.ndarray) -> Speci
 
 
 def _columns(rows: Sequence[SpecimenRow]) -> Columns:
-    """Transpose rows. Drop what is unknown of all: status, scale, standard errors."""
+    """Transpose rows. Drop what is unknown of all, such as status, scale and standard errors."""
     names = list(max(rows, key=len))
     columns = {name: [row.get(name, math.nan) for row in rows] for name in names}
-    optional = {"status", "scale", *(name for name in names if name.endswith("_se"))}
+    optional = {"status", "scale", "side", "estimated", *(name for name in names if name.endswith("_se"))}
     unknown = {name for name in optional if all(cell == "" or cell != cell for cell in columns[name])}
     return {name: cells for name, cells in columns.items() if name not in unknown}
