@@ -3,29 +3,8 @@ import pytest
 
 from liaam.io import Contour, Landmarks
 from liaam.studio.safety import Refusal
-from liaam.studio.template import Template, mirror_by_names, mirror_by_place, parse_template, template_of
+from liaam.studio.template import Template, mirror_by_place, parse_template, template_of
 from scenes import Head, make_set
-
-
-@pytest.mark.parametrize(
-    ("names", "twins"),
-    [
-        (("left_eye", "right_eye", "nose"), (1, 0, 2)),
-        (("eye-L", "eye-R", "chin 1", "chin 2"), (1, 0, 2, 3)),
-        (("LeftEye1", "RightEye1", "LeftEye2", "RightEye2"), (1, 0, 3, 2)),
-        (("l.brow", "nose", "r.brow"), (2, 1, 0)),
-        (("eyeLeftUpper", "mouth", "eyeRightUpper"), (2, 1, 0)),
-    ],
-)
-def test_names_tell_twins(names, twins):
-    assert mirror_by_names(names) == twins
-
-
-@pytest.mark.parametrize(
-    "names", [("1", "2", "3"), ("left", "left_2", "nose"), ("lip", "rim"), ("L eye", "l-eye"), ("a",)]
-)
-def test_names_that_do_not_tell_give_none(names):
-    assert mirror_by_names(names) is None
 
 
 @pytest.mark.parametrize("tilt", [-30, 0, 20])

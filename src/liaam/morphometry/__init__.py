@@ -1,21 +1,26 @@
 """Measures, shapes and curves of specimens from their landmarks, with standard errors and measurement errors."""
 
+from liaam.morphometry.asymmetry import AsymmetryResult, asymmetry
 from liaam.morphometry.curves import with_even_curves
 from liaam.morphometry.measures import Measure, ScaleBar
 from liaam.morphometry.missing import with_estimated_landmarks
 from liaam.morphometry.reading import read_specimens
 from liaam.morphometry.replicates import exchanged_landmarks, measurement_error
+from liaam.morphometry.sides import of_one_side
 from liaam.morphometry.specimens import Specimen
 from liaam.morphometry.table import alike, measure
 
 __all__ = [
+    "AsymmetryResult",
     "Measure",
     "ScaleBar",
     "Specimen",
     "alike",
+    "asymmetry",
     "exchanged_landmarks",
     "measure",
     "measurement_error",
+    "of_one_side",
     "read_specimens",
     "with_estimated_landmarks",
     "with_even_curves",

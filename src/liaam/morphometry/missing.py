@@ -18,10 +18,9 @@ from liaam.errors import LiaamError
 from liaam.fitting.result import USABLE
 from liaam.io.files import some_names
 from liaam.model.shape import Similarity, align
-from liaam.morphometry.measures import ScaleBar, parse_scale
+from liaam.morphometry.measures import ScaleBar, indices_of, parse_scale
 from liaam.morphometry.specimens import Specimen
 from liaam.morphometry.superimposition import superimpose
-from liaam.morphometry.table import indices_of
 
 METHODS = ("tps", "regression")
 

@@ -100,6 +100,7 @@ def matching_asymmetry(
     shapes: np.ndarray,
     covariances: np.ndarray | None = None,
     *,
+    sizes: np.ndarray | None = None,
     permutations: int = PERMUTATIONS,
     seed: int = 0,
     tolerance: float = TOLERANCE,
@@ -114,6 +115,8 @@ def matching_asymmetry(
         reflected.
     covariances : (n, 2, r, k, 2, 2) float, optional
         Covariances of the landmarks. Used where r is 1.
+    sizes : (n, 2, r) float, optional
+        Centroid sizes, if the shapes were scaled before; by default those of the shapes.
     permutations : int
         Number of random orders, or of random errors where the error comes from covariances; 0 for none.
     seed : int
@@ -131,7 +134,7 @@ def matching_asymmetry(
     n, sides, replicates, k, _ = shapes.shape
     fit = superimpose(shapes.reshape(-1, k, 2), tolerance)
     aligned = fit.shapes.reshape(shapes.shape)
-    sizes = fit.sizes.reshape(n, sides, replicates, 1)
+    sizes = np.reshape(fit.sizes if sizes is None else sizes, (n, sides, replicates, 1))
     errors = None
     if covariances is not None and replicates == 1:
         errors = _tangent_covariances(shapes.reshape(-1, k, 2), np.reshape(covariances, (-1, k, 2, 2)), fit.mean)
@@ -294,15 +297,14 @@ def _anova(
         observed = _ratios(means)
         over_error = means[:3] / means[_ERROR]
         tests = _permuted(values, observed, permutations, seed, tell, draw, error)
-    total = squares.sum()
+        shares = squares / squares.sum()
     is_known = freedom[_ERROR] > 0
     gap = np.nan
-    return {
-        "effect": list(EFFECTS),
+    columns = {
         "df": [*freedom[:3], freedom[_ERROR] if is_known else gap, freedom.sum()],
-        "SS": [*squares[:3], squares[_ERROR] if is_known else gap, total],
+        "SS": [*squares[:3], squares[_ERROR] if is_known else gap, squares.sum()],
         "MS": [*means, gap],
-        "R2": [*(squares[:3] / total), squares[_ERROR] / total if is_known else gap, gap],
+        "R2": [*shares[:3], shares[_ERROR] if is_known else gap, gap],
         "F": [*observed, gap, gap],
         "Z": [*tests[0], gap, gap],
         "P": [*tests[1], gap, gap],
@@ -310,6 +312,7 @@ def _anova(
         "Z_geomorph": [*tests[2], gap, gap],
         "P_geomorph": [*tests[3], gap, gap],
     }
+    return {"effect": list(EFFECTS)} | {name: [float(value) for value in values] for name, values in columns.items()}
 
 
 def _permuted(

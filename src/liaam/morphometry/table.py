@@ -16,7 +16,17 @@ from liaam.fitting.result import USABLE
 from liaam.io.landmarks import Contour
 from liaam.model.shape import procrustes_mean
 from liaam.morphometry.curves import slide as slid
-from liaam.morphometry.measures import Measure, Measured, ScaleBar, centroid_size, distance, parse_scale, procrustes
+from liaam.morphometry.measures import (
+    Measure,
+    Measured,
+    ScaleBar,
+    centroid_size,
+    distance,
+    indices_of,
+    parse_scale,
+    procrustes,
+)
+from liaam.morphometry.sides import are_unreflected
 from liaam.morphometry.specimens import Specimen
 from liaam.tables import Columns
 
@@ -61,10 +71,10 @@ def measure(
     Returns
     -------
     dict of str to list
-        Columns, one row per specimen; ``pandas.DataFrame`` takes them. ``specimen``, ``side`` and ``status`` (if
-        known), ``estimated`` (landmarks that were missing, if any), ``scale`` (length of a pixel, if known), the
-        measures (angles in degrees), ``centroid_size``, and the Procrustes coordinates ``X1``, ``Y1``, ``X2``, ... with
-        y upwards. Columns ``..._se`` hold the standard errors, if any covariance is known. Cells are NaN where a
+        Columns, one row per specimen; ``pandas.DataFrame`` takes them. ``specimen``, ``status`` (if known), ``scale``
+        (length of a pixel, if known), the measures (angles in degrees), ``centroid_size``, ``side`` (if known),
+        ``estimated`` (landmarks that were missing, if any), and the Procrustes coordinates ``X1``, ``Y1``, ``X2``, ...
+        with y upwards. Columns ``..._se`` hold the standard errors, if any covariance is known. Cells are NaN where a
         landmark is missing or the status says that the landmarks should not be used.
 
     Raises
@@ -78,6 +88,11 @@ def measure(
     usable = [specimen for specimen in specimens if specimen.status in _USABLE]
     if not usable:
         raise LiaamError(f"there are {len(specimens)} specimens, none with landmarks to use: fit the images again.")
+    if are_unreflected(usable):
+        warnings.warn(
+            "specimens of two sides are compared unreflected; pass them to liaam.morphometry.of_one_side before",
+            stacklevel=2,
+        )
     n = len(usable[0].points)
     given = [measures] if isinstance(measures, str) else measures
     wanted = [Measure.parse(item) if isinstance(item, str) else item for item in given]
@@ -173,18 +188,6 @@ def _in_order(specimen: Specimen, names: tuple[str, ...]) -> Specimen:
     )
 
 
-def indices_of(what: str, landmarks: Sequence[str], names: Sequence[str], n: int) -> list[int]:
-    """Return the indices, from 0, of landmarks given by name or by number from 1."""
-    numbers = {name: i for i, name in enumerate(names)} | {str(number): number - 1 for number in range(1, n + 1)}
-    for landmark in landmarks:
-        if landmark not in numbers:
-            choices = (
-                f" or their names ({', '.join(names[:5])} …)" if names else ", since these landmarks have no names"
-            )
-            raise LiaamError(f"{what}: there is no landmark '{landmark}'; give numbers from 1 to {n}{choices}")
-    return [numbers[landmark] for landmark in landmarks]
-
-
 def _row(
     specimen: Specimen,
     items: Sequence[_Item],
@@ -193,14 +196,7 @@ def _row(
     mean: np.ndarray | None,
 ) -> SpecimenRow:
     """Measure one specimen. The last item is the centroid size."""
-    labels = specimen.names or [str(number) for number in range(1, len(specimen.points) + 1)]
-    estimated = " ".join(labels[index] for index in specimen.estimated)
-    row: SpecimenRow = {
-        "specimen": specimen.name,
-        "side": specimen.side,
-        "status": specimen.status,
-        "estimated": estimated,
-    }
+    row: SpecimenRow = {"specimen": specimen.name, "status": specimen.status}
     if specimen.status not in _USABLE:
         return row
     length, slope = _pixel(specimen, rule, bar)
@@ -215,6 +211,8 @@ def _row(
         gradient[item.indices] += length**item.power * change
         row[item.column] = value * length**item.power
         row[f"{item.column}_se"] = float(_standard_errors(specimen.covariances, gradient[None])[0])
+    labels = specimen.names or [str(number) for number in range(1, len(specimen.points) + 1)]
+    row |= {"side": specimen.side, "estimated": " ".join(labels[index] for index in specimen.estimated)}
     inside = items[-1].indices
     if mean is not None and _has_shape(specimen.points[inside]):
         row |= _shape(specimen, inside, mean)

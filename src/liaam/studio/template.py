@@ -7,7 +7,6 @@ saved, and every call tries to finish the change first.
 """
 
 import json
-import re
 import secrets
 import threading
 from collections.abc import Mapping, Sequence
@@ -24,6 +23,7 @@ from liaam.io.landmarks import Contour, Landmarks
 from liaam.io.landmarks.formats import writer_of
 from liaam.model.shape import mirror_order
 from liaam.morphometry.curves import semilandmarks
+from liaam.morphometry.pairs import twins_by_names
 from liaam.studio import contract
 from liaam.studio.folder import Listing, revision_of, status_of
 from liaam.studio.safety import Refusal, refusing
@@ -40,13 +40,10 @@ _ALIKE = 0.05
 """Maximum distance between a mirrored point and its twin, as a fraction of the shape's diagonal. It is generous,
 because the user sees the result and can correct it."""
 
-_TWINS = {"left": "right", "right": "left", "l": "r", "r": "l"}
 LANDMARK = "landmark"
 SEMILANDMARK = "semilandmark"
 KINDS = (LANDMARK, SEMILANDMARK)
 """Kinds of points. Semilandmarks slide along a curve: tracing and spacing it move them, and no landmarks."""
-
-_WORD = re.compile(r"[A-Z]?[a-z]+|[A-Z]+(?![a-z])|[^A-Za-z]+")
 
 
 @dataclass(frozen=True)
@@ -149,7 +146,7 @@ def template_of(landmarks: Landmarks) -> Template:
     names = tuple(name[:LONGEST_NAME] for name in landmarks.names) if named else tuple(str(i + 1) for i in range(n))
     complete = not landmarks.missing.any()
     points = tuple((round(x, 3), round(y, 3)) for x, y in landmarks.points.tolist()) if complete else None
-    twins = mirror_by_names(names) or (mirror_by_place(landmarks.points) if complete else None)
+    twins = twins_by_names(names) or (mirror_by_place(landmarks.points) if complete else None)
     chain, sliding = semilandmarks(landmarks.contours)
     slides = set(chain[sliding].tolist())
     kinds = tuple(SEMILANDMARK if index in slides else LANDMARK for index in range(n))
@@ -170,16 +167,6 @@ def sliders_text(template: Template) -> str:
     if not rows:
         raise Refusal(422, "no point of the template is a semilandmark: draw a curve in the template first")
     return "\n".join(["before,slide,after", *rows, ""])
-
-
-def mirror_by_names(names: Sequence[str]) -> tuple[int, ...] | None:
-    """Pair points by names such as ``left_eye``, ``eye-R`` or ``LeftEye``; None unless all such names pair up."""
-    keys = [tuple(word.casefold() for word in _WORD.findall(name)) for name in names]
-    index = {key: i for i, key in enumerate(keys)}
-    swapped = [tuple(_TWINS.get(word, word) for word in key) for key in keys]
-    if len(index) < len(keys) or swapped == keys or not index.keys() >= {*swapped}:
-        return None
-    return tuple(index[key] for key in swapped)
 
 
 def mirror_by_place(points: ArrayLike) -> tuple[int, ...] | None:
