@@ -1,9 +1,11 @@
 """Pairs of landmarks by names, as text and from files, and what is wrong with them."""
 
+import numpy as np
 import pytest
 
 from liaam.errors import LiaamError
-from liaam.morphometry.pairs import checked_twins, pairs_text, parse_pairs, twins_by_names
+from liaam.morphometry.pairs import checked_twins, pairs_text, parse_pairs, twins_by_names, twins_by_place
+from scenes import Head, make_set
 
 
 @pytest.mark.parametrize(
@@ -36,6 +38,9 @@ def test_names_without_a_partner_are_said() -> None:
         checked_twins(["lip", "rim"])
     with pytest.raises(LiaamError, match="the landmarks have no names that tell pairs"):
         checked_twins([])
+    symmetric = np.array([[-30.0, 20], [30, 20], [0, 45], [0, -50], [-40, -25], [40, -25]])
+    with pytest.raises(LiaamError, match="By their places, they may be 1-2,5-6"):
+        checked_twins([], symmetric)
 
 
 @pytest.mark.parametrize("text", ["1-2,3-5", "1-2, 5-3", "a-b,c-e"])
@@ -80,3 +85,40 @@ def test_files_without_pairs_are_named(tmp_path) -> None:
 
 def test_twins_are_written_as_pairs() -> None:
     assert pairs_text((1, 0, 4, 3, 2)) == "1-2,3-5"
+
+
+@pytest.mark.parametrize("tilt", [-30, 0, 20])
+def test_places_tell_twins(rng, tilt):
+    half = rng.uniform((5, -50), (60, 50), (12, 2))
+    points = np.concatenate([half, half * [-1, 1], [[0, -40], [0, 10]]])
+    turn = np.deg2rad(tilt)
+    turned = points @ np.array([[np.cos(turn), np.sin(turn)], [-np.sin(turn), np.cos(turn)]]) + [200, 100]
+    assert twins_by_place(turned) == (*range(12, 24), *range(12), 24, 25)
+
+
+def test_of_two_axes_the_upright_one_is_taken():
+    angles = np.deg2rad(np.arange(0, 360, 30) + 15.0)
+    mouth = np.column_stack([50 * np.cos(angles), 12 * np.sin(angles)])
+    for points in (mouth, mouth + np.where(mouth[:, :1] > 0, (0.4, 0.0), (0.0, 0.0))):  # the other axis suits better
+        twins = twins_by_place(points)
+        np.testing.assert_allclose(mouth[list(twins)], mouth * [-1, 1], atol=1e-9)
+
+
+def test_a_face_that_is_turned_a_little_is_still_symmetric():
+    scene = make_set(1, Head(5), size=(160, 120))[0]
+    twins = np.array(twins_by_place(scene.landmarks))
+    assert twins[0] == 12 and twins[6] == 6  # ends and middle of the jaw
+    np.testing.assert_array_equal(twins[twins], np.arange(58))
+
+
+@pytest.mark.parametrize(
+    "points",
+    [
+        [[0, 0], [50, 3], [20, 70], [90, 90], [10, 30], [77, 12]],
+        [[0, 0], [1, 1]],
+        [[5, 5]] * 4,
+        [[10, 0], [10, 20], [10, 40]],  # on the axis all of them: there are no sides
+    ],
+)
+def test_what_has_no_sides_gives_none(points):
+    assert twins_by_place(np.array(points, float)) is None

@@ -1,6 +1,6 @@
 """Measures, shapes and curves of specimens from their landmarks, with standard errors and measurement errors."""
 
-from liaam.morphometry.asymmetry import AsymmetryResult, asymmetry
+from liaam.morphometry.asymmetry import MATCHING, OBJECT, AsymmetryResult, asymmetry
 from liaam.morphometry.curves import with_even_curves
 from liaam.morphometry.measures import Measure, ScaleBar
 from liaam.morphometry.missing import with_estimated_landmarks
@@ -11,6 +11,8 @@ from liaam.morphometry.specimens import Specimen
 from liaam.morphometry.table import alike, measure
 
 __all__ = [
+    "MATCHING",
+    "OBJECT",
     "AsymmetryResult",
     "Measure",
     "ScaleBar",

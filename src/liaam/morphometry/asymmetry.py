@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import math
 import re
 from collections import Counter, defaultdict
@@ -18,7 +19,7 @@ from liaam.model.shape import align
 from liaam.morphometry.pairs import checked_twins, parse_pairs
 from liaam.morphometry.sides import are_unreflected, object_name
 from liaam.morphometry.specimens import Specimen
-from liaam.morphometry.symmetry import PERMUTATIONS, Asymmetry, matching_asymmetry, object_asymmetry
+from liaam.morphometry.symmetry import ERROR, PERMUTATIONS, Asymmetry, matching_asymmetry, object_asymmetry
 from liaam.progress import Progress
 from liaam.tables import Columns
 
@@ -128,6 +129,38 @@ class AsymmetryResult:
             "components": _rows(self.components()),
         }
 
+    def to_json(self) -> str:
+        """Return :meth:`to_dict` as text."""
+        return json.dumps(self.to_dict(), indent=1, ensure_ascii=False) + "\n"
+
+    def drawing(self, specimens: Sequence[Specimen] = ()) -> dict[str, Any]:
+        """Return the arguments of :func:`liaam.plotting.specimens.figure_of_asymmetry`.
+
+        Contours are those of the first of the specimens that has any.
+        """
+        analysis = self.analysis
+        place = {number - 1: i for i, number in enumerate(self.landmarks)}
+        curves = next((specimen.curves for specimen in specimens if specimen.curves), ())
+        lines = [[*curve.indices, *curve.indices[: int(curve.closed)]] for curve in curves]
+        return {
+            "mean": analysis.mean,
+            "directional": analysis.directional,
+            "fluctuating": analysis.fluctuating,
+            "distances": analysis.fluctuating_distances,
+            "names": self.individuals,
+            "sides": self.sides,
+            "error": self._distance_by_error(),
+            "numbers": self.landmarks,
+            "lines": [[place[index] for index in line if index in place] for line in lines],
+        }
+
+    def _distance_by_error(self) -> float:
+        """Root mean square distance between the sides of an individual that the error alone makes; NaN if unknown.
+
+        For object symmetry this takes half of the error as asymmetric.
+        """
+        return math.sqrt(2 * self.analysis.shape_anova["MS"][ERROR] / self.replicates)
+
 
 def _rows(columns: Columns) -> list[dict[str, Any]]:
     """Return the rows of a table, with None for NaN."""
@@ -204,7 +237,7 @@ def asymmetry(
     options: dict[str, Any] = {"permutations": permutations, "seed": seed, "progress": progress}
     twins: tuple[int, ...] = ()
     if kind == OBJECT:
-        twins = _twins(specimens, numbers, pairs)
+        twins = _twins(specimens, numbers, pairs, shapes)
         of_object = None if covariances is None else covariances[:, 0]
         analysis = object_asymmetry(shapes[order[:, 0]], twins, of_object, **options)
         sides = ("original", "mirrored")
@@ -287,13 +320,17 @@ def _too_few(n_individuals: int, chosen: Sequence[str], left_out: Sequence[str],
     return f"{found}: digitise more of them"
 
 
-def _twins(specimens: Sequence[Specimen], numbers: Sequence[int], pairs: str | Sequence[int] | None) -> tuple[int, ...]:
+def _twins(
+    specimens: Sequence[Specimen], numbers: Sequence[int], pairs: str | Sequence[int] | None, shapes: np.ndarray
+) -> tuple[int, ...]:
     """Return the place of each landmark's twin among the landmarks of the shape."""
     names = next((specimen.names for specimen in specimens if specimen.names), ())
     n = next(len(specimen.points) for specimen in specimens if len(specimen.points))
     if pairs is None:
         inside = [number - 1 for number in numbers]
-        return checked_twins([names[index] for index in inside] if names else ())
+        whole = shapes[np.isfinite(shapes).all(axis=(1, 2))]
+        mean = whole.mean(axis=0) if len(inside) == n else None  # whose places are those that users count
+        return checked_twins([names[index] for index in inside] if names else (), mean)
     if isinstance(pairs, str):
         twins = parse_pairs(pairs, names, n)
     else:

@@ -7,14 +7,23 @@ import re
 from collections.abc import Sequence
 from pathlib import Path
 
+import numpy as np
+from numpy.typing import ArrayLike
+
 from liaam.errors import LiaamError
 from liaam.io.files import existing_file, some_names
+from liaam.model.shape import mirror_order
 from liaam.morphometry.measures import indices_of
 
 WORD = re.compile(r"[A-Z]?[a-z]+|[A-Z]+(?![a-z])|[^A-Za-z]+")
 """Words of a name, such as ``left``, ``_`` and ``eye`` of ``left_eye`` or ``Left`` and ``Eye`` of ``LeftEye``."""
 
 OTHER_SIDE = {"left": "right", "right": "left", "l": "r", "r": "l"}
+
+_TILT = 45.0  # maximum angle between the axis of symmetry and the vertical, in degrees
+_ALIKE = 0.05
+"""Maximum distance between a mirrored point and its twin, as a fraction of the shape's diagonal. It is generous,
+because the user sees the result and can correct it."""
 
 PAIR_SUFFIXES = (".csv", ".txt", ".tsv")
 
@@ -40,6 +49,15 @@ def twins_by_names(names: Sequence[str]) -> tuple[int, ...] | None:
     if len(index) < len(keys) or swapped == keys or not index.keys() >= {*swapped}:
         return None
     return tuple(index[key] for key in swapped)
+
+
+def twins_by_place(points: ArrayLike) -> tuple[int, ...] | None:
+    """Pair finite points (n, 2) by position, about the best axis within 45 degrees of the vertical, if there is one."""
+    points = np.asarray(points, dtype=np.float64)
+    if len(points) < 3:
+        return None
+    twins = mirror_order(points, _ALIKE, _TILT)
+    return None if twins is None or (twins == np.arange(len(points))).all() else tuple(twins.tolist())
 
 
 def without_partner(names: Sequence[str]) -> tuple[str, ...]:
@@ -123,8 +141,8 @@ def pairs_text(twins: Sequence[int]) -> str:
     return ",".join(f"{i + 1}-{twin + 1}" for i, twin in enumerate(twins) if i < twin)
 
 
-def checked_twins(names: Sequence[str]) -> tuple[int, ...]:
-    """Pair landmarks by their names; an error says what names lack.
+def checked_twins(names: Sequence[str], mean: np.ndarray | None = None) -> tuple[int, ...]:
+    """Pair landmarks by their names; an error says what names lack, and what their mean shape (k, 2) suggests.
 
     Raises
     ------
@@ -134,13 +152,15 @@ def checked_twins(names: Sequence[str]) -> tuple[int, ...]:
     twins = twins_by_names(names) if names else None
     if twins is not None:
         return twins
+    found = None if mean is None else twins_by_place(mean)
+    hint = "" if found is None else f". By their places, they may be {pairs_text(found)}"
     if not names:
-        raise LiaamError(f"the landmarks have no names that tell pairs of left and right ones; {_REMEDY}")
+        raise LiaamError(f"the landmarks have no names that tell pairs of left and right ones; {_REMEDY}{hint}")
     alone = without_partner(names)
     if alone:
         raise LiaamError(
             f"landmarks without a partner on the other side: {some_names(list(alone))}; rename them so that left and "
-            f"right ones differ by these words only, or {_REMEDY}"
+            f"right ones differ by these words only, or {_REMEDY}{hint}"
         )
     raise LiaamError(
         f"the names of the landmarks ({some_names(list(names), 4)}) tell no left and right ones; {_REMEDY}"

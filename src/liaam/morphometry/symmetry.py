@@ -34,7 +34,7 @@ EFFECTS = ("individual", "side", "individual x side", "error", "total")
 _INDIVIDUAL = 0  # places among the effects
 _SIDE = 1
 _INTERACTION = 2
-_ERROR = 3
+ERROR = 3
 
 _TINY = 1e-6  # added to F before its logarithm, as in geomorph
 
@@ -273,7 +273,7 @@ def _freedom(shape: tuple[int, ...]) -> np.ndarray:
 def _ratios(squares: np.ndarray) -> np.ndarray:
     """F of individuals and sides over the interaction, and of the interaction over the error, (3,) of (4,)."""
     numerators = squares[[_INDIVIDUAL, _SIDE, _INTERACTION]]
-    return numerators / squares[[_INTERACTION, _INTERACTION, _ERROR]]
+    return numerators / squares[[_INTERACTION, _INTERACTION, ERROR]]
 
 
 def _anova(
@@ -293,18 +293,18 @@ def _anova(
     squares = sums_of_squares(values)
     with np.errstate(divide="ignore", invalid="ignore"):
         means = squares / freedom
-        means[_ERROR] = means[_ERROR] if freedom[_ERROR] else error
+        means[ERROR] = means[ERROR] if freedom[ERROR] else error
         observed = _ratios(means)
-        over_error = means[:3] / means[_ERROR]
+        over_error = means[:3] / means[ERROR]
         tests = _permuted(values, observed, permutations, seed, tell, draw, error)
         shares = squares / squares.sum()
-    is_known = freedom[_ERROR] > 0
+    is_known = freedom[ERROR] > 0
     gap = np.nan
     columns = {
-        "df": [*freedom[:3], freedom[_ERROR] if is_known else gap, freedom.sum()],
-        "SS": [*squares[:3], squares[_ERROR] if is_known else gap, squares.sum()],
+        "df": [*freedom[:3], freedom[ERROR] if is_known else gap, freedom.sum()],
+        "SS": [*squares[:3], squares[ERROR] if is_known else gap, squares.sum()],
         "MS": [*means, gap],
-        "R2": [*shares[:3], shares[_ERROR] if is_known else gap, gap],
+        "R2": [*shares[:3], shares[ERROR] if is_known else gap, gap],
         "F": [*observed, gap, gap],
         "Z": [*tests[0], gap, gap],
         "P": [*tests[1], gap, gap],
@@ -353,7 +353,7 @@ def _permuted(
         own[i] = [_ratios(each)[effect] for effect, each in enumerate(means)]
         last = means[_INTERACTION]
         mixed[i] = [means[_INDIVIDUAL][_INDIVIDUAL], means[_SIDE][_SIDE], last[_INTERACTION]]
-        mixed[i] /= last[[_INTERACTION, _INTERACTION, _ERROR]]
+        mixed[i] /= last[[_INTERACTION, _INTERACTION, ERROR]]
         if draw is not None:
             null = sums_of_squares(draw(generator))[_INTERACTION] / freedom[_INTERACTION] / error
             own[i, _INTERACTION] = null
