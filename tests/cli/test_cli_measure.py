@@ -180,6 +180,7 @@ def test_matching_symmetry_is_printed_and_written(run, wings, tmp_path):
     indices = pd.read_csv(tmp_path / "t_asymmetry.csv")
     assert indices["individual"].tolist() == [f"fly{i}" for i in range(6)]
     components = pd.read_csv(tmp_path / "t_components.csv", keep_default_na=False)
+    assert components["component"].tolist().count("directional") == 2
     assert pd.read_csv(tmp_path / "t_replicates.csv")["specimens"].tolist()[0] == 12  # wings, not flies
     facts = json.loads((tmp_path / "t_asymmetry.json").read_text())
     assert (facts["seed"], facts["permutations"], facts["sides"]) == (5, 99, ["left", "right"])
