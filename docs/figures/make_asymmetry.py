@@ -1,7 +1,7 @@
 """Make the picture of the guide to asymmetry: ``python -m docs.figures.make_asymmetry``. Needs no data.
 
-The landmarks are those of generated wings of thirty flies, digitised twice. The table and the analysis of the guide are of
-the same wings; the script prints them.
+The landmarks are those of generated wings of thirty flies, digitised twice. The table and the analysis of the guide are
+of the same wings; the script prints them.
 """
 
 import contextlib

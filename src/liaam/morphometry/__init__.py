@@ -1,4 +1,4 @@
-"""Measures, shapes, curves and asymmetry of specimens from their landmarks, with standard errors and measurement errors."""
+"""Measures, shapes, curves and asymmetry of specimens from their landmarks, with their standard errors."""
 
 from liaam.morphometry.asymmetry import MATCHING, OBJECT, AsymmetryResult, asymmetry
 from liaam.morphometry.curves import with_even_curves

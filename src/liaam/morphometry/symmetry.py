@@ -73,8 +73,9 @@ class Asymmetry:
     error : {"replicates", "covariances", ""}
         Where the error term comes from; empty if it is unknown.
     shape_anova : dict of str to list
-        A row for each of :data:`EFFECTS`. ``df``, ``SS``, ``MS``, ``R2``, ``F``; ``Z`` and ``P`` by permutation;
-        ``F_error``, the mean square over that of the error; ``Z_geomorph`` and ``P_geomorph``, as geomorph has them.
+        A row for each effect: individual, side, their interaction, error, total. ``df``, ``SS``, ``MS``, ``R2``, ``F``;
+        ``Z`` and ``P`` by permutation; ``F_error``, the mean square over that of the error; ``Z_geomorph`` and
+        ``P_geomorph``, as geomorph has them.
     size_anova : dict of str to list
         The same for the centroid size; empty for object symmetry.
     """
