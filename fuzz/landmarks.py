@@ -479,7 +479,8 @@ def check_sides(data: bytes) -> None:
     table = measure(specimens)
     for kind, pairs in (("matching", None), ("object", "1-2")):
         found = asymmetry(specimens, table, kind, pairs=pairs, permutations=2)
-        _check_numbers(found.indices() | found.components())
+        _check_numbers(found.indices())
+        _check_numbers(found.components())
         found.to_json()
     _check_numbers(measure(with_estimated_landmarks(specimens, "tps")[0]))
     _check_numbers(measure(with_estimated_landmarks(specimens, "regression")[0]))

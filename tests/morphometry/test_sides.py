@@ -1,5 +1,6 @@
 """Sides of specimens from columns, folders and names, and the reflection of one side."""
 
+import re
 import warnings
 from dataclasses import replace
 
@@ -14,7 +15,9 @@ POINTS = np.array([[0.0, 0], [10, 1], [12, 9], [3, 14]])
 
 
 def specimens(*names: str, **facts) -> list[Specimen]:
-    return [Specimen(name, POINTS + i, **facts) for i, name in enumerate(names)]
+    """Give specimens of one shape, of which those whose names tell the left side are mirrored."""
+    sign = [-1 if re.search(r"left|L(_\d)?$|^l$", name, re.IGNORECASE) else 1 for name in names]
+    return [Specimen(name, POINTS * [sign[i], 1] + i, **facts) for i, name in enumerate(names)]
 
 
 @pytest.mark.parametrize(
@@ -33,7 +36,7 @@ def test_sides_are_found_in_names(left, right, individual) -> None:
     assert [each.side for each in found] == ["left", "right", "right", "left"]
     assert [each.individual for each in found] == [individual.replace("1", number) for number in "1122"]
     assert said == "2 specimens of the side left reflected, to be compared with the side right"
-    assert [each.points[1, 0] for each in found] == [-10, 11, 12, -13]
+    assert [each.points[1, 0] for each in found] == [10, 11, 12, 7]
 
 
 @pytest.mark.parametrize(
@@ -72,7 +75,7 @@ def test_names_that_tell_no_sides_change_nothing(names) -> None:
 
 def test_one_side_alone_stays_as_it_is() -> None:
     found, said = of_one_side(specimens("a_left", "b_left", "c"))
-    assert said == "" and [each.points[1, 0] for each in found] == [10, 11, 12]
+    assert said == "" and [each.points[1, 0] for each in found] == [-10, -9, 12]
 
 
 def test_specimens_without_a_side_among_both_are_refused_by_name() -> None:
@@ -87,10 +90,10 @@ def test_specimens_without_a_side_among_both_are_refused_by_name() -> None:
 
 def test_the_side_that_others_are_reflected_to_can_be_chosen() -> None:
     found, said = of_one_side(specimens("a_left", "a_right"), "left")
-    assert [each.points[1, 0] for each in found] == [10, -11]
+    assert [each.points[1, 0] for each in found] == [-10, -11]
     assert said.startswith("1 specimen of the side right reflected")
     found, said = of_one_side(specimens("a_left", "a_right"), "reflected")
-    assert [each.points[1, 0] for each in found] == [10, 11]
+    assert [each.points[1, 0] for each in found] == [-10, 11]
     assert said == "" and [each.side for each in found] == ["left", "right"]
     with pytest.raises(LiaamError, match="--side right: no specimen has a known side; give auto"):
         of_one_side(specimens("a", "b"), "right")
@@ -99,7 +102,7 @@ def test_the_side_that_others_are_reflected_to_can_be_chosen() -> None:
 
 
 def test_sides_of_a_column_may_have_other_names_but_are_two() -> None:
-    given = [specimen for side in "12" for specimen in specimens("a", side=side)]
+    given = [replace(specimens(name)[0], name="a", side=side) for name, side in (("l", "1"), ("r", "2"))]
     found, said = of_one_side(given)
     assert said.startswith("1 specimen of the side 1 reflected")
     assert [each.individual for each in found] == ["a", "a"]
@@ -136,6 +139,25 @@ def test_reflection_turns_covariances_and_keeps_measures() -> None:
 )
 def test_folders_tell_the_side(path, side) -> None:
     assert folder_side(path) == side
+
+
+def test_sides_that_are_alike_as_they_are_stay_and_this_is_said() -> None:
+    mirrored, right = specimens("l", "r")
+    given = [replace(right, name="a_left"), replace(right, name="a_right")]
+    found, said = of_one_side(given)
+    assert [each.points.tolist() for each in found] == [right.points.tolist()] * 2
+    assert said.startswith(
+        "specimens of the sides left, right are compared as they are, since they are more alike than"
+    )
+    assert [each.side for each in found] == ["left", "right"] and [each.reflected for each in found] == [True, False]
+    found, said = of_one_side(given, "right")
+    assert said.startswith("1 specimen of the side left reflected") and found[0].points[1, 0] == -right.points[1, 0]
+    gaps = [
+        Specimen("a_left", np.full((4, 2), np.nan)),
+        replace(right, name="a_right"),
+        replace(mirrored, name="b_left"),
+    ]
+    assert of_one_side(gaps)[1].startswith("2 specimens of the side left reflected")
 
 
 def test_unreflected_sides_are_warned_of() -> None:

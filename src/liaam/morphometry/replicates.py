@@ -35,7 +35,7 @@ def measurement_error(specimens: Sequence[Specimen], columns: Columns, by: str, 
         ``"image"``: records of one object of an image are replicates, as :func:`liaam.read_specimens` found
         (`Specimen.replicate_of`); where that is unknown, those of one name before a ``#`` (``wing1``, ``wing1#2``).
         Otherwise the text before the number of a replicate in names, such as ``"_"`` in ``wing1_1`` and ``wing1_2``.
-        Where specimens state their individual, those of one individual and side are replicates.
+        Then, where specimens state their individual, those of one individual and side are replicates.
     slid : bool
         Whether semilandmarks slid. Each then has one degree of freedom instead of two.
 
@@ -87,6 +87,8 @@ def measurement_error(specimens: Sequence[Specimen], columns: Columns, by: str, 
 
 def _groups(specimens: Sequence[Specimen], by: str) -> list[str]:
     """Return what the replicates of each specimen have in common; see :func:`measurement_error`."""
+    if by == "image":
+        return [object_name(specimen, by) for specimen in specimens]
     return [
         " ".join(filter(None, (specimen.individual or object_name(specimen, by), specimen.side)))
         for specimen in specimens

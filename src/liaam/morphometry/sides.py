@@ -11,7 +11,9 @@ from typing import NamedTuple
 import numpy as np
 
 from liaam.errors import LiaamError
+from liaam.fitting.result import USABLE
 from liaam.io.files import count_of, some_names
+from liaam.model.shape import align, procrustes_mean
 from liaam.morphometry.pairs import WORD
 from liaam.morphometry.specimens import Specimen
 
@@ -21,6 +23,8 @@ IGNORED = "ignore"
 
 SIDES = (AUTO, "left", "right", REFLECTED, IGNORED)
 """Choices of :func:`of_one_side` for sides that are left and right."""
+
+_CLEARLY = 1.5  # least factor by which mean shapes must be nearer to each other as they are than reflected
 
 _WORDS = {"left": "left", "right": "right"}
 _LETTERS = {"l": "left", "r": "right"}
@@ -47,9 +51,9 @@ def of_one_side(
     specimens : sequence of Specimen
         As :func:`liaam.morphometry.alike` gives them.
     side : str
-        ``"auto"``: reflect the left ones, or the first of two other sides, if there are both. ``"left"`` or
-        ``"right"``: reflect the others, so that all are as this side. ``"reflected"``: there are sides, but they were
-        reflected before. ``"ignore"``: the names tell no sides.
+        ``"auto"``: reflect the left ones, or the first of two other sides, if there are both, unless the sides are
+        clearly more alike as they are. ``"left"`` or ``"right"``: reflect the others, so that all are as this side.
+        ``"reflected"``: there are sides, but they were reflected before. ``"ignore"``: the names tell no sides.
     by : str, optional
         What tells replicates, as in :func:`liaam.morphometry.measurement_error`.
 
@@ -91,12 +95,50 @@ def of_one_side(
     if len(sides) < 2:
         return sided, ""
     if side == REFLECTED:
-        return tuple(replace(each, reflected=each.side == sides[0]) for each in sided), ""
+        return _as_reflected(sided, sides[0]), ""
     reflected_side = next(each for each in sides if each != side) if side in sides else sides[0]
     other = next(each for each in sides if each != reflected_side)
+    if side == AUTO and _are_alike_as_they_are(sided, sides):
+        said = (
+            f"specimens of the sides {some_names(sides)} are compared as they are, since they are more alike than "
+            f"reflected: --side {other} reflects those of the side {reflected_side} nonetheless"
+        )
+        return _as_reflected(sided, sides[0]), said
     n = sum(specimen.side == reflected_side for specimen in sided)
     said = f"{count_of(n, 'specimen')} of the side {reflected_side} reflected, to be compared with the side {other}"
     return tuple(reflected(each) if each.side == reflected_side else each for each in sided), said
+
+
+def _as_reflected(specimens: Sequence[Specimen], side: str) -> tuple[Specimen, ...]:
+    """Note that specimens of a side were reflected before."""
+    return tuple(replace(each, reflected=each.side == side) for each in specimens)
+
+
+def _are_alike_as_they_are(specimens: Sequence[Specimen], sides: Sequence[str]) -> bool:
+    """Return whether the mean shapes of two sides are clearly more alike than if one is reflected.
+
+    So are specimens that were reflected before, and photographs of symmetric objects from both sides.
+    """
+    usable = {"", *USABLE}
+    whole = [each for each in specimens if each.status in usable and _has_shape(each.points)]
+    whole = [each for each in whole if len(each.points) == len(whole[0].points)]
+    first = [each.points for each in whole if each.side == sides[0]]
+    second = [each.points for each in whole if each.side == sides[1]]
+    if not first or not second:
+        return False
+    one = procrustes_mean(np.array(first))
+    other = procrustes_mean(np.array(second))
+    return _CLEARLY * _distance(one, other) < _distance(one * [-1.0, 1.0], other)
+
+
+def _has_shape(points: np.ndarray) -> bool:
+    """Return whether no point is missing and not all are in one place."""
+    return len(points) > 0 and bool(np.isfinite(points).all()) and bool(np.ptp(points, axis=0).any())
+
+
+def _distance(shape: np.ndarray, target: np.ndarray) -> float:
+    """Root of the sum of squared distances of a shape (k, 2), moved by the best similarity, from a target."""
+    return float(np.linalg.norm(align(shape, target)(shape) - target))
 
 
 def are_unreflected(specimens: Iterable[Specimen]) -> bool:
