@@ -158,6 +158,11 @@ def test_individuals_without_a_side_or_a_replicate_are_left_out_by_name(rng) -> 
         "fly1: it has 0 left and 1 right records with a shape, where most have 1 of each side; it is left out",
         "fly5: it has 2 left and 0 right records with a shape, where most have 1 of each side; it is left out",
     )
+    sided, _ = of_one_side(wings(rng, 3, 1.0))
+    sided = [*sided, replace(sided[0], name="stray", individual="stray", side="")]
+    assert (
+        asymmetry(sided, measure(sided), "matching", permutations=0).left_out[0].startswith("stray: it has 0 left and")
+    )
     uneven = faces(rng, 4, records=2)
     found = analysed(uneven[:-1], "object", by="_")
     assert found.individuals == ("face0", "face1", "face2")

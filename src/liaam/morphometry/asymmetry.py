@@ -281,11 +281,12 @@ Groups = dict[str, dict[str, list[int]]]
 
 
 def _groups(specimens: Sequence[Specimen], has_shape: Sequence[bool], by: str | None, sides: Sequence[str]) -> Groups:
+    """Group the specimens with a shape by individual and side."""
     groups: Groups = defaultdict(lambda: {side: [] for side in sides})
     for i, specimen in enumerate(specimens):
         of_individual = groups[specimen.individual or object_name(specimen, by)]
         side = specimen.side if len(sides) > 1 else ""
-        if has_shape[i]:
+        if has_shape[i] and side in of_individual:
             of_individual[side].append(i)
     return dict(sorted(groups.items(), key=lambda item: natural_key(item[0])))
 
