@@ -446,9 +446,44 @@ def check_results(named: tuple[str, bytes]) -> None:
 
     path = Path(named[0])
     path.write_bytes(named[1])
-    table = measure(read_specimens(path), ["distance:1-2", "angle:1-2-3", "area:1-2-3"])
-    for name, cells in table.items():
-        assert name in ("specimen", "status") or not any(np.isinf(cell) for cell in cells)
+    _check_numbers(measure(read_specimens(path), ["distance:1-2", "angle:1-2-3", "area:1-2-3"]))
+
+
+def _check_numbers(table: dict[str, list]) -> None:
+    for cells in table.values():
+        assert not any(np.isinf(cell) for cell in cells if not isinstance(cell, str))
+
+
+_SIDES = (
+    b"specimen,individual,side,X1,Y1,X2,Y2,X3,Y3,X4,Y4\n"
+    + b"".join(
+        f"s{i},i{i // 2},{'left' if i % 2 else 'R'},0,{i},{9 + i},2,{30 - i % 3},40,4,{20 + i % 4}\n".encode()
+        for i in range(6)
+    )
+    + b"s7,i0,left,,,1,2,3,4,5,6\n",
+)
+
+
+def make_sides(rng: Random) -> bytes:
+    """Make the table of left and right specimens, of which one lacks a landmark, spoilt."""
+    return spoilt(rng, _SIDES, _WORDS[".csv"])
+
+
+def check_sides(data: bytes) -> None:
+    """Read, reflect, complete and measure specimens, and analyse their asymmetry. No number is infinite but an F."""
+    from liaam.morphometry import alike, asymmetry, measure, of_one_side, read_specimens, with_estimated_landmarks
+
+    path = Path("sides.csv")
+    path.write_bytes(data)
+    specimens, _ = of_one_side(alike(read_specimens(path))[0])
+    table = measure(specimens)
+    for kind, pairs in (("matching", None), ("object", "1-2")):
+        found = asymmetry(specimens, table, kind, pairs=pairs, permutations=2)
+        _check_numbers(found.indices())
+        _check_numbers(found.components())
+        found.to_json()
+    _check_numbers(measure(with_estimated_landmarks(specimens, "tps")[0]))
+    _check_numbers(measure(with_estimated_landmarks(specimens, "regression")[0]))
 
 
 def _targets() -> list[Target]:
@@ -459,7 +494,13 @@ def _targets() -> list[Target]:
     valid: Any = [("01.png", _picture()), ("01.pts", _PTS[0])]
     fit: Any = ("x.json", json.dumps(_FITS[0]).encode())
     results = Target("results", make_results, check_results, partial(check_results, fit), share=0.5)
-    return [*formats, results, Target("folder", make_folder, check_folder, partial(check_folder, valid), share=0.5)]
+    sides = Target("sides", make_sides, check_sides, partial(check_sides, _SIDES[0]), ".csv", share=0.5)
+    return [
+        *formats,
+        results,
+        sides,
+        Target("folder", make_folder, check_folder, partial(check_folder, valid), share=0.5),
+    ]
 
 
 TARGETS = _targets()

@@ -1,11 +1,18 @@
 """``liaam measure``, as it is typed."""
 
+import json
+from pathlib import Path
+
 import numpy as np
 import pandas as pd
 import pytest
 
 from liaam.io import Landmarks, write_collection
+from liaam.io.files import real_path
 from liaam.io.fit_files import write_fit
+from liaam.studio.folder import Folder
+from liaam.studio.store import Store
+from liaam.studio.template import Template
 
 POINTS = np.array([[1.0, 2], [11, 2], [11, 22], [1, 22]])
 
@@ -116,3 +123,157 @@ def test_figures_that_cannot_be_drawn_are_refused(run, tmp_path):
         code, _, err = run(*given, tmp_path / name)
         assert code == 1 and words in err
         assert not (tmp_path / name).exists()
+
+
+FACE = np.array([[-30.0, 20], [30, 20], [-40, -25], [40, -25], [0, 45], [0, -50]]) + 100
+FACE_NAMES = ("left_eye", "right_eye", "left_jaw", "right_jaw", "top", "chin")
+
+
+@pytest.fixture
+def wings(tmp_path, rng) -> Path:
+    """A table of left and right wings of six flies, digitised twice."""
+    shape = FACE + np.array([[0, 5], [9, 0], [0, 0], [4, 7], [0, 0], [3, 3]])
+    marks = {}
+    for fly in range(6):
+        own = shape + rng.normal(0, 3, (6, 2))
+        for side, sign in (("left", -1), ("right", 1)):
+            of_side = own + rng.normal(0, 1, (6, 2))
+            for record in (1, 2):
+                points = (of_side + rng.normal(0, 0.2, (6, 2))) * [sign, 1] + [200, 0]
+                marks[f"fly{fly}_{side}_{record}.png"] = Landmarks(points)
+    write_collection(tmp_path / "wings.csv", marks)
+    return tmp_path / "wings.csv"
+
+
+def test_sides_are_reflected_and_said(run, wings, tmp_path):
+    code, out, err = run("measure", wings, "-o", tmp_path / "t.csv")
+    assert (code, err) == (0, "")
+    # Without --replicates, records are specimens of their own, whose names still tell the side.
+    assert "12 specimens of the side left reflected, to be compared with the side right" in out
+    table = pd.read_csv(tmp_path / "t.csv")
+    assert table["side"].tolist() == ["left", "left", "right", "right"] * 6
+    assert table.filter(regex=r"^[XY]\d+$").to_numpy().std(axis=0).max() < 0.1
+    code, out, _ = run("measure", wings, "-o", tmp_path / "t.csv", "--side", "ignore")
+    assert code == 0 and "side left reflected" not in out
+    unreflected = pd.read_csv(tmp_path / "t.csv")
+    assert "side" not in unreflected
+    assert unreflected.filter(regex=r"^[XY]\d+$").to_numpy().std(axis=0).max() > 0.2
+
+
+def test_specimens_without_a_side_are_refused_by_name(run, tmp_path):
+    marks = {f"{name}.png": Landmarks(FACE) for name in ("a_left", "a_right", "stray")}
+    write_collection(tmp_path / "all.csv", marks)
+    code, _, err = run("measure", tmp_path / "all.csv", "-o", tmp_path / "t.csv")
+    assert code == 1 and "1 of 3 specimens have no side (stray)" in err
+    assert not (tmp_path / "t.csv").exists()
+
+
+def test_matching_symmetry_is_printed_and_written(run, wings, tmp_path):
+    given = ("measure", wings, "-o", tmp_path / "t.csv", "--symmetry", "matching", "--replicates", "_")
+    code, out, err = run(*given, "--permutations", 99, "--seed", 5, "--plot", tmp_path / "t.png")
+    assert (code, err) == (0, "")
+    assert "error: from 2 replicates of each side" in out
+    assert "t.png: asymmetry" in out and (tmp_path / "t.png").stat().st_size > 1000
+    anova = pd.read_csv(tmp_path / "t_anova.csv").set_index(["trait", "effect"])
+    assert anova["df"].tolist() == [5, 1, 5, 12, 23] * 2
+    assert anova["P"].tolist()[2] == pytest.approx(0.01)
+    indices = pd.read_csv(tmp_path / "t_asymmetry.csv")
+    assert indices["individual"].tolist() == [f"fly{i}" for i in range(6)]
+    components = pd.read_csv(tmp_path / "t_components.csv", keep_default_na=False)
+    assert components["component"].tolist().count("directional") == 2
+    assert pd.read_csv(tmp_path / "t_replicates.csv")["specimens"].tolist()[0] == 12  # wings, not flies
+    facts = json.loads((tmp_path / "t_asymmetry.json").read_text())
+    assert (facts["seed"], facts["permutations"], facts["sides"]) == (5, 99, ["left", "right"])
+    assert facts["anova"][0]["SS"] == pytest.approx(anova["SS"].iloc[0])
+    assert pd.read_csv(tmp_path / "t_replicates.csv")["specimens"].iloc[0] == 12  # wings, not flies
+    first = (tmp_path / "t_anova.csv").read_bytes()
+    run(*given, "--permutations", 99, "--seed", 5)
+    assert (tmp_path / "t_anova.csv").read_bytes() == first
+
+
+def faces(rng, n: int = 6) -> dict[str, Landmarks]:
+    """Return faces that differ by a pixel or two, with names of landmarks."""
+    return {f"face{i}.png": Landmarks(FACE + rng.normal(0, 1.5, (6, 2)), names=FACE_NAMES) for i in range(n)}
+
+
+def test_object_symmetry_takes_pairs_from_names_and_errors_from_fits(run, tmp_path, rng):
+    folder = tmp_path / "fits"
+    folder.mkdir()
+    for name, marks in faces(rng).items():
+        facts = {"status": "converged", "covariance": np.tile([0.09, 0, 0.09], (6, 1)), "landmark_names": FACE_NAMES}
+        write_fit(folder / name.replace(".png", ".json"), marks, facts, (300, 300))
+    given = ("measure", folder, "-o", tmp_path / "t.csv", "--symmetry", "object", "--permutations", 99)
+    code, out, err = run(*given)
+    assert (code, err) == (0, "")
+    assert "error: expected from the covariances of the fitted landmarks, as there are no replicates" in out
+    facts = json.loads((tmp_path / "t_asymmetry.json").read_text())
+    assert facts["error_term"] == "covariances" and facts["twins"] == [2, 1, 4, 3, 5, 6]
+    assert facts["anova"][2]["P"] == pytest.approx(0.01)
+    code, out, _ = run(*given, "--pairs", "1-2")
+    assert code == 0 and json.loads((tmp_path / "t_asymmetry.json").read_text())["twins"] == [2, 1, 3, 4, 5, 6]
+
+
+def test_object_symmetry_takes_pairs_from_the_studios_template(run, tmp_path, rng):
+    folder = tmp_path / "project"
+    folder.mkdir()
+    marks = {name: Landmarks(each.points) for name, each in faces(rng).items()}
+    write_collection(folder / "all.csv", marks)
+    given = ("measure", folder, "-o", tmp_path / "t.csv", "--symmetry", "object", "--permutations", 9)
+    code, _, err = run(*given)
+    assert code == 1
+    assert "the landmarks have no names that tell pairs" in err and "they may be 1-2,3-4" in err
+    template = Template(tuple("abcdef"), mirror=(1, 0, 3, 2, 4, 5))
+    store = Store(Folder(real_path(folder)))
+    store.put("template", {"": template.as_json()})
+    store.close()
+    code, out, _ = run(*given)
+    assert code == 0 and "error: unknown, so that fluctuating asymmetry is not tested" in out
+    assert json.loads((tmp_path / "t_asymmetry.json").read_text())["twins"] == [2, 1, 4, 3, 5, 6]
+
+
+def test_missing_landmarks_are_estimated_and_named(run, tmp_path, rng):
+    marks = faces(rng)
+    points = marks["face2.png"].points.copy()
+    points[3] = np.nan
+    marks["face2.png"] = Landmarks(points, names=FACE_NAMES)
+    write_collection(tmp_path / "all.csv", marks)
+    given = ("measure", tmp_path / "all.csv", "distance:left_jaw,right_jaw", "-o", tmp_path / "t.csv")
+    code, _, err = run(*given)
+    assert code == 0 and "1 of 6 have no shape" in err
+    for method in ("tps", "regression"):
+        code, _, err = run(*given, "--estimate", method)
+        assert (code, err) == (0, "1 specimen with estimated landmarks (see 'estimated'): face2\n")
+        table = pd.read_csv(tmp_path / "t.csv").set_index("specimen")
+        assert table["estimated"].dropna().to_dict() == {"face2": "right_jaw"}
+        assert table["distance_left_jaw_right_jaw"].tolist()[2] == pytest.approx(80, abs=15)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (["--symmetry", "both"], "symmetry 'both' is unknown: give object or matching"),
+        (["--symmetry", "matching"], "(face0, face1, face2 and 3 more) have no sides: name them such as wing1_left"),
+        (["--pairs", "1-2"], "give --symmetry object, too"),
+        (["--symmetry", "object", "--pairs", "1-1"], "the pair 1-1 names the same landmark twice"),
+        (["--symmetry", "object", "--permutations", "-5"], "-5 permutations: give 0 to 100000"),
+        (["--side", "left"], "--side left: no specimen has a known side"),
+        (["--estimate", "mean"], "cannot be estimated by 'mean': give tps or regression"),
+    ],
+)
+def test_wrong_choices_are_one_line_and_write_nothing(run, tmp_path, rng, arguments, words):
+    write_collection(tmp_path / "all.csv", faces(rng))
+    code, _, err = run("measure", tmp_path / "all.csv", "-o", tmp_path / "t.csv", *arguments)
+    assert code == 1
+    assert words in " ".join(err.split())
+    assert [file.name for file in tmp_path.glob("t*")] == []
+
+
+def test_strict_refuses_individuals_that_would_be_left_out(run, wings, tmp_path):
+    lines = wings.read_text().splitlines(keepends=True)
+    wings.write_text("".join(line for line in lines if not line.startswith("fly3_left_2")))
+    given = ("measure", wings, "-o", tmp_path / "t.csv", "--symmetry", "matching", "--replicates", "_")
+    code, _, err = run(*given, "--permutations", 9)
+    assert code == 0
+    assert "fly3: it has 1 left and 2 right records with a shape, where most have 2 of each side; it is left out" in err
+    code, _, err = run(*given, "--strict", "-o", tmp_path / "u.csv")
+    assert code == 1 and "fly3" in err and not (tmp_path / "u.csv").exists()

@@ -3,66 +3,7 @@ import pytest
 
 from liaam.io import Contour, Landmarks
 from liaam.studio.safety import Refusal
-from liaam.studio.template import Template, mirror_by_names, mirror_by_place, parse_template, template_of
-from scenes import Head, make_set
-
-
-@pytest.mark.parametrize(
-    ("names", "twins"),
-    [
-        (("left_eye", "right_eye", "nose"), (1, 0, 2)),
-        (("eye-L", "eye-R", "chin 1", "chin 2"), (1, 0, 2, 3)),
-        (("LeftEye1", "RightEye1", "LeftEye2", "RightEye2"), (1, 0, 3, 2)),
-        (("l.brow", "nose", "r.brow"), (2, 1, 0)),
-        (("eyeLeftUpper", "mouth", "eyeRightUpper"), (2, 1, 0)),
-    ],
-)
-def test_names_tell_twins(names, twins):
-    assert mirror_by_names(names) == twins
-
-
-@pytest.mark.parametrize(
-    "names", [("1", "2", "3"), ("left", "left_2", "nose"), ("lip", "rim"), ("L eye", "l-eye"), ("a",)]
-)
-def test_names_that_do_not_tell_give_none(names):
-    assert mirror_by_names(names) is None
-
-
-@pytest.mark.parametrize("tilt", [-30, 0, 20])
-def test_places_tell_twins(rng, tilt):
-    half = rng.uniform((5, -50), (60, 50), (12, 2))
-    points = np.concatenate([half, half * [-1, 1], [[0, -40], [0, 10]]])
-    turn = np.deg2rad(tilt)
-    turned = points @ np.array([[np.cos(turn), np.sin(turn)], [-np.sin(turn), np.cos(turn)]]) + [200, 100]
-    assert mirror_by_place(turned) == (*range(12, 24), *range(12), 24, 25)
-
-
-def test_of_two_axes_the_upright_one_is_taken():
-    angles = np.deg2rad(np.arange(0, 360, 30) + 15.0)
-    mouth = np.column_stack([50 * np.cos(angles), 12 * np.sin(angles)])
-    for points in (mouth, mouth + np.where(mouth[:, :1] > 0, (0.4, 0.0), (0.0, 0.0))):  # the other axis suits better
-        twins = mirror_by_place(points)
-        np.testing.assert_allclose(mouth[list(twins)], mouth * [-1, 1], atol=1e-9)
-
-
-def test_a_face_that_is_turned_a_little_is_still_symmetric():
-    scene = make_set(1, Head(5), size=(160, 120))[0]
-    twins = np.array(mirror_by_place(scene.landmarks))
-    assert twins[0] == 12 and twins[6] == 6  # ends and middle of the jaw
-    np.testing.assert_array_equal(twins[twins], np.arange(58))
-
-
-@pytest.mark.parametrize(
-    "points",
-    [
-        [[0, 0], [50, 3], [20, 70], [90, 90], [10, 30], [77, 12]],
-        [[0, 0], [1, 1]],
-        [[5, 5]] * 4,
-        [[10, 0], [10, 20], [10, 40]],  # on the axis all of them: there are no sides
-    ],
-)
-def test_what_has_no_sides_gives_none(points):
-    assert mirror_by_place(np.array(points, float)) is None
+from liaam.studio.template import Template, parse_template, template_of
 
 
 def test_a_template_survives_json():

@@ -1,7 +1,8 @@
 """The command ``liaam measure``."""
 
+from collections.abc import Sequence
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
@@ -9,10 +10,16 @@ from liaam.cli.inputs import CategoryOption, StrictOption
 from liaam.cli.terminal import cell, complain, say, show_table, table_of
 from liaam.errors import LiaamError
 from liaam.io import write_columns
-from liaam.io.atomic import check_output
+from liaam.io.atomic import check_output, write_text_atomically
 from liaam.io.files import count_of, real_path, some_names
 from liaam.io.landmarks.formats import KNOWN_FILES
 from liaam.io.landmarks.reading import Reading
+from liaam.tables import Columns
+
+if TYPE_CHECKING:
+    from liaam.morphometry import AsymmetryResult, Specimen
+
+FIGURES = (".png", ".pdf", ".svg")
 
 
 def measure(
@@ -59,9 +66,43 @@ def measure(
             "(to the least Procrustes distance)."
         ),
     ] = None,
+    side: Annotated[
+        str,
+        typer.Option(
+            help="Specimens of the left and right side (by a column 'side', folders left and right, or names such as "
+            "wing1_left or wing1_L): auto reflects the left ones, left or right reflects the others to this side, "
+            "reflected if they were reflected before, ignore if names tell no sides."
+        ),
+    ] = "auto",
+    estimate: Annotated[
+        str | None,
+        typer.Option(
+            help="Estimate missing landmarks from complete specimens: tps (thin-plate spline) or regression. The "
+            "column 'estimated' lists them."
+        ),
+    ] = None,
+    symmetry: Annotated[
+        str | None,
+        typer.Option(
+            help="Analyse asymmetry: matching (of left and right structures), or object (of structures with landmarks "
+            "on both sides). Prints the Procrustes analysis of variance, and writes tables and .json beside the output."
+        ),
+    ] = None,
+    pairs: Annotated[
+        str | None,
+        typer.Option(
+            help="Landmarks that are each other's mirror image, for --symmetry object: 1-2,3-4, or a .csv file with "
+            "two in each row. By default by their names (left_eye, right_eye), or else from the studio's template."
+        ),
+    ] = None,
+    permutations: Annotated[int, typer.Option(help="Random permutations for the tests of asymmetry.")] = 999,
+    seed: Annotated[int, typer.Option(help="Seed of the permutations.", min=0)] = 0,
     plot: Annotated[
         Path | None,
-        typer.Option(help="Figure of all shapes on each other and of their principal components: .png, .pdf, .svg."),
+        typer.Option(
+            help="Figure of all shapes on each other and of their principal components, or with --symmetry of the "
+            "asymmetry: .png, .pdf, .svg."
+        ),
     ] = None,
     strict: StrictOption = False,
     category: CategoryOption = None,
@@ -69,31 +110,35 @@ def measure(
     """Measure specimens: distances, angles, areas, centroid size and Procrustes coordinates, with standard errors."""
     from liaam import morphometry
 
-    for path in (output,) if plot is None else (output, plot):
-        check_output(path)
-        if real_path(path).is_relative_to(real_path(results)):
-            raise LiaamError(f"{path} is the input, or a file in it; give a name elsewhere")
-    if plot is not None and plot.suffix.lower() not in (".png", ".pdf", ".svg"):
-        raise LiaamError(f"{plot}: figures are written as .png, .pdf or .svg; give a name that ends so")
+    _check_outputs(results, output, plot)
+    if pairs is not None and symmetry != morphometry.OBJECT:
+        raise LiaamError("--pairs are the landmarks of both sides of one structure: give --symmetry object, too")
     reading = Reading(strict, category)
     specimens = morphometry.read_specimens(results, complain, reading, replicates is not None)
     specimens = specimens if resample is None else morphometry.with_even_curves(specimens, resample)
     specimens, left_out = morphometry.alike(specimens)
-    if left_out and strict:
-        raise LiaamError(f"{len(left_out)} specimens have other landmarks than most: {'; '.join(left_out)}")
-    for line in left_out:
-        complain(line)
+    _refuse_or_complain(left_out, "have other landmarks than most", strict)
+    specimens, reflected = morphometry.of_one_side(specimens, side, replicates)
+    if estimate is not None:
+        specimens, left = morphometry.with_estimated_landmarks(specimens, estimate, scale)
+        _refuse_or_complain(left, "keep missing landmarks", strict)
     columns = morphometry.measure(specimens, measures or (), scale, slide)
     error = None if replicates is None else morphometry.measurement_error(specimens, columns, replicates, bool(slide))
+    found = None
+    if symmetry is not None:
+        twins = _twins(pairs, results, specimens) if symmetry == morphometry.OBJECT else None
+        options = {"pairs": twins, "by": replicates, "permutations": permutations, "seed": seed}
+        found = morphometry.asymmetry(specimens, columns, symmetry, **options)
+        _refuse_or_complain(found.left_out, "are not compared", strict)
     write_columns(output, columns)
     unit = "" if "scale" in columns else " in pixels (give --scale for other units)"
     say(f"{output}: {count_of(len(specimens), 'specimen')}{unit}")
+    if reflected:
+        say(reflected)
+    if found is not None:
+        _write_asymmetry(found, output)
     if plot is not None:
-        from liaam.plotting import save_figure
-        from liaam.plotting.specimens import figure_of_specimens
-
-        save_figure(figure_of_specimens(columns), plot)
-        say(f"{plot}: shapes")
+        _draw(columns, found, specimens, plot)
     if error is not None:
         beside = output.with_name(f"{output.stem}_replicates.csv")
         write_columns(beside, error)
@@ -101,10 +146,97 @@ def measure(
         say(f"{beside}: measurement error")
         for line in morphometry.exchanged_landmarks(specimens, replicates or ""):
             complain(line)
+    _complain_of_estimates(columns)
     _complain_of_gaps(columns)
 
 
-def _show(error: dict[str, list]) -> None:
+def _check_outputs(results: Path, output: Path, plot: Path | None) -> None:
+    """Raise unless the table and the figure can be written, and are no inputs."""
+    for path in (output,) if plot is None else (output, plot):
+        check_output(path)
+        if real_path(path).is_relative_to(real_path(results)):
+            raise LiaamError(f"{path} is the input, or a file in it; give a name elsewhere")
+    if plot is not None and plot.suffix.lower() not in FIGURES:
+        raise LiaamError(f"{plot}: figures are written as .png, .pdf or .svg; give a name that ends so")
+
+
+def _refuse_or_complain(lines: Sequence[str], what: str, strict: bool) -> None:
+    """Print what is wrong with some specimens or individuals, or raise if strict."""
+    if lines and strict:
+        raise LiaamError(f"{len(lines)} specimens {what}: {'; '.join(lines)}")
+    for line in lines:
+        complain(line)
+
+
+def _twins(pairs: str | None, results: Path, specimens: "Sequence[Specimen]") -> str | tuple[int, ...] | None:
+    """Return the pairs that are given, or those of the studio's template if names tell none."""
+    from liaam.morphometry.pairs import twins_by_names
+    from liaam.studio.template import saved_twins
+
+    first = next((specimen for specimen in specimens if len(specimen.points)), None)
+    if pairs is not None or first is None or twins_by_names(first.names) is not None:
+        return pairs
+    folder = results if results.is_dir() else results.parent
+    return saved_twins(folder, first.names, len(first.points))
+
+
+def _write_asymmetry(found: "AsymmetryResult", output: Path) -> None:
+    """Print the analysis of variance, and write the tables of asymmetry beside the output."""
+    anova = found.anova()
+    _show_anova(anova)
+    say(_about_error(found))
+    tables = {"anova": anova, "asymmetry": found.indices(), "components": found.components()}
+    about = {
+        "anova": "analysis of variance",
+        "asymmetry": f"asymmetry of {count_of(len(found.individuals), 'individual')}",
+        "components": "symmetric, directional and fluctuating components of shape",
+    }
+    for name, table in tables.items():
+        beside = output.with_name(f"{output.stem}_{name}.csv")
+        write_columns(beside, table)
+        say(f"{beside}: {about[name]}")
+    beside = output.with_name(f"{output.stem}_asymmetry.json")
+    write_text_atomically(beside, found.to_json())
+    say(f"{beside}: all of it")
+
+
+def _show_anova(anova: Columns) -> None:
+    """Print the analyses of variance as geomorph does."""
+    table = table_of("trait", "effect", "df", "SS", "MS", "R2", "F", "Z", "P")
+    for row in (dict(zip(anova, values, strict=True)) for values in zip(*anova.values(), strict=True)):
+        numbers = [
+            "" if row[name] != row[name] else f"{row[name]:.4g}" for name in ("df", "SS", "MS", "R2", "F", "Z", "P")
+        ]
+        table.add_row(cell(row["trait"]), cell(row["effect"]), *numbers)
+    show_table(table)
+
+
+def _about_error(found: "AsymmetryResult") -> str:
+    """Say what fluctuating asymmetry is compared with."""
+    if found.analysis.error == "replicates":
+        return f"error: from {found.replicates} replicates of each side"
+    if found.analysis.error == "covariances":
+        return "error: expected from the covariances of the fitted landmarks, as there are no replicates"
+    return (
+        "error: unknown, so that fluctuating asymmetry is not tested, and includes it; digitise twice, and give "
+        "--replicates"
+    )
+
+
+def _draw(columns: Columns, found: "AsymmetryResult | None", specimens: "Sequence[Specimen]", plot: Path) -> None:
+    """Write the figure of the shapes, or of their asymmetry."""
+    from liaam.plotting import save_figure
+    from liaam.plotting.specimens import figure_of_asymmetry, figure_of_specimens
+
+    if found is None:
+        save_figure(figure_of_specimens(columns), plot)
+        say(f"{plot}: shapes")
+        return
+    save_figure(figure_of_asymmetry(**found.drawing(specimens)), plot)
+    say(f"{plot}: asymmetry")
+
+
+def _show(error: Columns) -> None:
     """Print the measurement error: the measures, and the landmarks that repeat worst."""
     rows = [dict(zip(error, values, strict=True)) for values in zip(*error.values(), strict=True)]
     table = table_of("measure", "specimens", "replicates", "df", "F", "P", "repeatability", "sd", "sd %")
@@ -120,7 +252,15 @@ def _show(error: dict[str, list]) -> None:
     say(f"least repeatable, in % of centroid size: {', '.join(some) or 'none has replicates'}")
 
 
-def _complain_of_gaps(columns: dict[str, list]) -> None:
+def _complain_of_estimates(columns: Columns) -> None:
+    """Name the specimens with estimated landmarks."""
+    cells = zip(columns["specimen"], columns.get("estimated", [""] * len(columns["specimen"])), strict=True)
+    named = [name for name, estimated in cells if isinstance(estimated, str) and estimated]
+    if named:
+        complain(f"{count_of(len(named), 'specimen')} with estimated landmarks (see 'estimated'): {some_names(named)}")
+
+
+def _complain_of_gaps(columns: Columns) -> None:
     """Name specimens without a scale among others, and those without a shape."""
     names = columns["specimen"]
     sizes = columns["centroid_size"]

@@ -20,8 +20,7 @@ from liaam.io.files import some_names
 from liaam.model import AAM
 from liaam.model.contours import Contours
 from liaam.model.shape import diagonal_of
-from liaam.morphometry.measures import Measure
-from liaam.morphometry.table import indices_of
+from liaam.morphometry.measures import Measure, indices_of
 from liaam.training import train
 from liaam.training.entries import contours_of
 from liaam.training.left_out import folds_of

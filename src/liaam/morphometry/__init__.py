@@ -1,20 +1,33 @@
-"""Measures, shapes and curves of specimens from their landmarks, with standard errors and measurement errors."""
+"""Measures, shapes, curves and asymmetry of specimens from their landmarks, with their standard errors."""
 
+from liaam.morphometry.asymmetry import MATCHING, OBJECT, AsymmetryResult, asymmetry
 from liaam.morphometry.curves import with_even_curves
 from liaam.morphometry.measures import Measure, ScaleBar
+from liaam.morphometry.missing import with_estimated_landmarks
 from liaam.morphometry.reading import read_specimens
 from liaam.morphometry.replicates import exchanged_landmarks, measurement_error
+from liaam.morphometry.sides import of_one_side
 from liaam.morphometry.specimens import Specimen
+from liaam.morphometry.symmetry import Asymmetry, matching_asymmetry, object_asymmetry
 from liaam.morphometry.table import alike, measure
 
 __all__ = [
+    "MATCHING",
+    "OBJECT",
+    "Asymmetry",
+    "AsymmetryResult",
     "Measure",
     "ScaleBar",
     "Specimen",
     "alike",
+    "asymmetry",
     "exchanged_landmarks",
+    "matching_asymmetry",
     "measure",
     "measurement_error",
+    "object_asymmetry",
+    "of_one_side",
     "read_specimens",
+    "with_estimated_landmarks",
     "with_even_curves",
 ]

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -177,6 +177,18 @@ def parse_scale(text: str) -> float | ScaleBar:
             "such as 11-12=5"
         )
     return ScaleBar(ends, number) if equals else number
+
+
+def indices_of(what: str, landmarks: Sequence[str], names: Sequence[str], n: int) -> list[int]:
+    """Return the indices, from 0, of landmarks given by name or by number from 1."""
+    numbers = {name: i for i, name in enumerate(names)} | {str(number): number - 1 for number in range(1, n + 1)}
+    for landmark in landmarks:
+        if landmark not in numbers:
+            choices = (
+                f" or their names ({', '.join(names[:5])} …)" if names else ", since these landmarks have no names"
+            )
+            raise LiaamError(f"{what}: there is no landmark '{landmark}'; give numbers from 1 to {n}{choices}")
+    return [numbers[landmark] for landmark in landmarks]
 
 
 def _split(text: str) -> tuple[str, ...]:

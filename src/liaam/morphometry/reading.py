@@ -25,6 +25,7 @@ from liaam.io.landmarks.matching import shared_folder, unique_names
 from liaam.io.landmarks.reading import USUAL, Reading, UnrecognisedError
 from liaam.io.landmarks.tables import is_of_imagej, parse_long
 from liaam.morphometry.records import Record, doubts_about, objects_of_records
+from liaam.morphometry.sides import folder_side, side_of_text
 from liaam.morphometry.specimens import MOST, Specimen
 
 _LOOKED_AT = 20  # Images of a file that are looked at to judge the unit of its positions
@@ -149,7 +150,8 @@ def _of_file(path: Path, complain: Callable[[str], object], reading: Reading) ->
         names = unique_names(row["path"] for row in rows)
         for row in rows:
             name = names[row["path"]] + (f"#{row['object']}" if row.get("object") else "")
-            yield Record(name, _specimen(path, name, row, row.get("covariance")))
+            specimen = _specimen(path, name, row, row.get("covariance"))
+            yield Record(name, replace(specimen, side=folder_side(row["path"])))
     else:
         yield from _of_landmarks(path, reading, complain)
 
@@ -208,7 +210,7 @@ def _of_landmarks(path: Path, reading: Reading, complain: Callable[[str], object
             id(each): file.zeros_of(as_in_file) for each, as_in_file in zip((placed, *placed.others), raw, strict=True)
         }
         return [
-            Record(image, _specimen_of(name, landmarks, path), folder, zeros[id(landmarks)])
+            Record(image, _specimen_of(name, landmarks, path, entry), folder, zeros[id(landmarks)])
             for name, landmarks in placed.objects(image)
         ]
 
@@ -223,8 +225,8 @@ def _of_landmarks(path: Path, reading: Reading, complain: Callable[[str], object
         complain(f"{path.name}: {line.replace(f'{path}: ', '')}")
 
 
-def _specimen_of(name: str, landmarks: Landmarks, path: Path) -> Specimen:
-    """Return the specimen of the landmarks of a name in a file."""
+def _specimen_of(name: str, landmarks: Landmarks, path: Path, entry: str) -> Specimen:
+    """Return the specimen of the landmarks of a name in a file, which has them for an image."""
     return Specimen(
         name,
         landmarks.points,
@@ -232,6 +234,8 @@ def _specimen_of(name: str, landmarks: Landmarks, path: Path) -> Specimen:
         scale=landmarks.scale,
         curves=landmarks.contours,
         file=path.name,
+        individual=landmarks.individual,
+        side=side_of_text(landmarks.side) or folder_side(entry),
     )
 
 

@@ -12,6 +12,7 @@ from liaam.errors import LiaamError
 from liaam.fitting.result import USABLE
 from liaam.io.files import some_names
 from liaam.morphometry.curves import semilandmarks
+from liaam.morphometry.sides import object_name
 from liaam.morphometry.specimens import Specimen
 from liaam.morphometry.table import Columns
 
@@ -34,6 +35,7 @@ def measurement_error(specimens: Sequence[Specimen], columns: Columns, by: str, 
         ``"image"``: records of one object of an image are replicates, as :func:`liaam.read_specimens` found
         (`Specimen.replicate_of`); where that is unknown, those of one name before a ``#`` (``wing1``, ``wing1#2``).
         Otherwise the text before the number of a replicate in names, such as ``"_"`` in ``wing1_1`` and ``wing1_2``.
+        Then, where specimens state their individual, those of one individual and side are replicates.
     slid : bool
         Whether semilandmarks slid. Each then has one degree of freedom instead of two.
 
@@ -66,7 +68,7 @@ def measurement_error(specimens: Sequence[Specimen], columns: Columns, by: str, 
     )
     flat = np.concatenate([np.empty((len(sizes), 0)), *shapes], axis=1)
     rows = [{"measure": "shape"} | anova(flat, groups, np.ones(1), 2 * len(shapes) - 4 - sliding)]
-    others = {"specimen", "status", "scale", *(f"{name}_se" for name in columns)}
+    others = {"specimen", "side", "status", "estimated", "scale", *(f"{name}_se" for name in columns)}
     for name in (name for name in columns if name not in others and not re.fullmatch(r"[XY]\d+", name)):
         values = np.array(columns[name])
         rows.append({"measure": name} | anova(values[:, None], groups, values))
@@ -86,8 +88,11 @@ def measurement_error(specimens: Sequence[Specimen], columns: Columns, by: str, 
 def _groups(specimens: Sequence[Specimen], by: str) -> list[str]:
     """Return what the replicates of each specimen have in common; see :func:`measurement_error`."""
     if by == "image":
-        return [specimen.replicate_of or specimen.name.rpartition("#")[0] or specimen.name for specimen in specimens]
-    return [(by and specimen.name.rpartition(by)[0]) or specimen.name for specimen in specimens]
+        return [object_name(specimen, by) for specimen in specimens]
+    return [
+        " ".join(filter(None, (specimen.individual or object_name(specimen, by), specimen.side)))
+        for specimen in specimens
+    ]
 
 
 def exchanged_landmarks(specimens: Sequence[Specimen], by: str) -> list[str]:

@@ -42,6 +42,14 @@ class Specimen:
         Name of the object that this is a record of. Those of one object are its replicates. Empty if unknown.
     file : str
         Name of the file that it was read from, or empty.
+    individual : str
+        Individual that it is a structure of, such as the fly of a wing, or empty. Its name is that if unknown.
+    side : str
+        Side of the individual, ``left`` or ``right`` or as a table has it, or empty if unknown.
+    reflected : bool
+        Whether x was reversed, to compare it with specimens of the other side.
+    estimated : tuple of int
+        Landmarks that were missing, and were estimated from other specimens, counted from 0.
 
     Raises
     ------
@@ -58,6 +66,10 @@ class Specimen:
     curves: tuple[Contour, ...] = ()
     replicate_of: str = ""
     file: str = ""
+    individual: str = ""
+    side: str = ""
+    reflected: bool = False
+    estimated: tuple[int, ...] = ()
 
     __repr__ = short_repr
 

@@ -16,7 +16,17 @@ from liaam.fitting.result import USABLE
 from liaam.io.landmarks import Contour
 from liaam.model.shape import procrustes_mean
 from liaam.morphometry.curves import slide as slid
-from liaam.morphometry.measures import Measure, Measured, ScaleBar, centroid_size, distance, parse_scale, procrustes
+from liaam.morphometry.measures import (
+    Measure,
+    Measured,
+    ScaleBar,
+    centroid_size,
+    distance,
+    indices_of,
+    parse_scale,
+    procrustes,
+)
+from liaam.morphometry.sides import are_unreflected
 from liaam.morphometry.specimens import Specimen
 from liaam.tables import Columns
 
@@ -62,10 +72,10 @@ def measure(
     -------
     dict of str to list
         Columns, one row per specimen; ``pandas.DataFrame`` takes them. ``specimen``, ``status`` (if known), ``scale``
-        (length of a pixel, if known), the measures (angles in degrees), ``centroid_size``, and the Procrustes
-        coordinates ``X1``, ``Y1``, ``X2``, ... with y upwards. Columns ``..._se`` hold the standard errors, if any
-        covariance is known. Cells are NaN where a landmark is missing or the status says that the landmarks should
-        not be used.
+        (length of a pixel, if known), the measures (angles in degrees), ``centroid_size``, ``side`` (if known),
+        ``estimated`` (landmarks that were missing, if any), and the Procrustes coordinates ``X1``, ``Y1``, ``X2``, ...
+        with y upwards. Columns ``..._se`` hold the standard errors, if any covariance is known. Cells are NaN where a
+        landmark is missing or the status says that the landmarks should not be used.
 
     Raises
     ------
@@ -78,6 +88,11 @@ def measure(
     usable = [specimen for specimen in specimens if specimen.status in _USABLE]
     if not usable:
         raise LiaamError(f"there are {len(specimens)} specimens, none with landmarks to use: fit the images again.")
+    if are_unreflected(usable):
+        warnings.warn(
+            "specimens of two sides are compared unreflected; pass them to liaam.morphometry.of_one_side before",
+            stacklevel=2,
+        )
     n = len(usable[0].points)
     given = [measures] if isinstance(measures, str) else measures
     wanted = [Measure.parse(item) if isinstance(item, str) else item for item in given]
@@ -167,19 +182,10 @@ def _in_order(specimen: Specimen, names: tuple[str, ...]) -> Specimen:
     spread = None if specimen.covariances is None else np.asarray(specimen.covariances)[order]
     place = {index: i for i, index in enumerate(order)}
     curves = tuple(Contour(tuple(place[i] for i in curve.indices), curve.closed) for curve in specimen.curves)
-    return replace(specimen, points=specimen.points[order], covariances=spread, names=names, curves=curves)
-
-
-def indices_of(what: str, landmarks: Sequence[str], names: Sequence[str], n: int) -> list[int]:
-    """Return the indices, from 0, of landmarks given by name or by number from 1."""
-    numbers = {name: i for i, name in enumerate(names)} | {str(number): number - 1 for number in range(1, n + 1)}
-    for landmark in landmarks:
-        if landmark not in numbers:
-            choices = (
-                f" or their names ({', '.join(names[:5])} …)" if names else ", since these landmarks have no names"
-            )
-            raise LiaamError(f"{what}: there is no landmark '{landmark}'; give numbers from 1 to {n}{choices}")
-    return [numbers[landmark] for landmark in landmarks]
+    estimated = tuple(place[i] for i in specimen.estimated)
+    return replace(
+        specimen, points=specimen.points[order], covariances=spread, names=names, curves=curves, estimated=estimated
+    )
 
 
 def _row(
@@ -205,6 +211,8 @@ def _row(
         gradient[item.indices] += length**item.power * change
         row[item.column] = value * length**item.power
         row[f"{item.column}_se"] = float(_standard_errors(specimen.covariances, gradient[None])[0])
+    labels = specimen.names or [str(number) for number in range(1, len(specimen.points) + 1)]
+    row |= {"side": specimen.side, "estimated": " ".join(labels[index] for index in specimen.estimated)}
     inside = items[-1].indices
     if mean is not None and _has_shape(specimen.points[inside]):
         row |= _shape(specimen, inside, mean)
@@ -246,9 +254,9 @@ def _shape(specimen: Specimen, inside: Sequence[int], mean: np.ndarray) -> Speci
 
 
 def _columns(rows: Sequence[SpecimenRow]) -> Columns:
-    """Transpose rows. Drop what is unknown of all: status, scale, standard errors."""
+    """Transpose rows. Drop what is unknown of all, such as status, scale and standard errors."""
     names = list(max(rows, key=len))
     columns = {name: [row.get(name, math.nan) for row in rows] for name in names}
-    optional = {"status", "scale", *(name for name in names if name.endswith("_se"))}
+    optional = {"status", "scale", "side", "estimated", *(name for name in names if name.endswith("_se"))}
     unknown = {name for name in optional if all(cell == "" or cell != cell for cell in columns[name])}
     return {name: cells for name, cells in columns.items() if name not in unknown}

@@ -1,7 +1,7 @@
 """Figures of measured specimens."""
 
 import re
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -11,6 +11,7 @@ from liaam.errors import LiaamError
 from liaam.plotting.figures import subplots
 
 if TYPE_CHECKING:
+    from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
 MOST_NAMED = 60  # Number of specimens up to which their names are written beside their shapes
@@ -48,3 +49,99 @@ def figure_of_specimens(columns: Mapping[str, list]) -> "Figure":
     axis.set(title="principal components of shape", xlabel=labels[0], ylabel=labels[1])
     axis.spines[["top", "right"]].set_visible(False)
     return figure
+
+
+def figure_of_asymmetry(
+    mean: np.ndarray,
+    directional: np.ndarray,
+    fluctuating: np.ndarray,
+    distances: np.ndarray,
+    names: Sequence[str],
+    sides: tuple[str, str],
+    error: float = np.nan,
+    numbers: Sequence[int] = (),
+    lines: Sequence[Sequence[int]] = (),
+) -> "Figure":
+    """Draw directional and fluctuating asymmetry at the landmarks, and the fluctuating asymmetry of each individual.
+
+    Parameters
+    ----------
+    mean : (k, 2) float
+        Mean shape, y upwards.
+    directional : (2, k, 2) float
+        Mean shape of each side.
+    fluctuating : (n, k, 2) float
+        Mean shape plus the difference between the sides of each individual, without the mean difference.
+    distances : (n,) float
+        Fluctuating asymmetry of each individual, in units of centroid size.
+    names : sequence of str
+        Names of the individuals.
+    sides : tuple of str
+        Names of the sides.
+    error : float
+        Root mean square distance that measurement error alone makes; NaN if unknown.
+    numbers : sequence of int
+        Numbers of the landmarks; from 1 by default.
+    lines : sequence of sequence of int
+        Landmarks along lines, by their place.
+
+    Returns
+    -------
+    matplotlib.figure.Figure
+    """
+    figure, axes = subplots(1, 3, (14, 4.6))
+    first, second = directional - mean
+    axis = axes[0, 0]
+    factor = _magnification(mean, first - second)
+    _draw_shape(axis, mean, numbers, lines)
+    axis.quiver(
+        *mean.T, *(factor * (first - second)).T, angles="xy", scale_units="xy", scale=1, color=LANDMARK, width=0.007
+    )
+    axis.set_title(f"directional asymmetry, {factor:g} times: {sides[0]} minus {sides[1]}", fontsize=10)
+    axis = axes[0, 1]
+    apart = fluctuating - mean
+    factor = _magnification(mean, apart)
+    _draw_shape(axis, mean, numbers, lines)
+    moved = mean + factor * apart
+    axis.plot(moved[..., 0].ravel(), moved[..., 1].ravel(), ".", color=LANDMARK, ms=3, alpha=0.6)
+    axis.set_title(f"fluctuating asymmetry of {len(names)} individuals, {factor:g} times", fontsize=10)
+    axis = axes[0, 2]
+    order = np.argsort(distances)
+    axis.plot(distances[order], "o", color=LANDMARK, ms=5)
+    if np.isfinite(error):
+        axis.axhline(error, color="0.5", ls="--", lw=1, label="by error alone")
+        axis.legend(frameon=False, loc="lower right")
+    if len(names) <= MOST_NAMED:
+        axis.set_xticks(range(len(names)), [names[i] for i in order], rotation=90, fontsize=7, parse_math=False)
+    else:
+        axis.set_xticks([])
+    axis.set_ylim(bottom=0)
+    axis.set_title("fluctuating asymmetry of each individual", fontsize=10)
+    axis.set_ylabel("Procrustes distance between sides")
+    axis.spines[["top", "right"]].set_visible(False)
+    return figure
+
+
+def _draw_shape(axis: "Axes", mean: np.ndarray, numbers: Sequence[int], lines: Sequence[Sequence[int]]) -> None:
+    """Draw a shape (k, 2) in grey with its numbers."""
+    for line in lines:
+        axis.plot(*mean[list(line)].T, "-", color="0.75", lw=1)
+    axis.plot(*mean.T, "o", color="0.4", ms=3)
+    for number, point in zip(numbers or range(1, len(mean) + 1), mean, strict=True):
+        axis.annotate(str(number), point, (4, 4), textcoords="offset points", fontsize=7, color="0.4")
+    axis.set_aspect("equal")
+    axis.margins(0.12)
+    axis.set_axis_off()
+
+
+def _magnification(mean: np.ndarray, differences: np.ndarray) -> float:
+    """Return a round factor by which the largest of differences (..., 2) is a seventh of the shape's size."""
+    largest = float(np.linalg.norm(differences, axis=-1).max(initial=0.0))
+    extent = float(np.ptp(mean, axis=0).max())
+    if not largest > 0:
+        return 1.0
+    wanted = extent / 7 / largest
+    if wanted < 1:
+        return 1.0
+    decade = 10.0 ** np.floor(np.log10(wanted))
+    return float(max(step * decade for step in (1, 2, 5) if step * decade <= wanted))

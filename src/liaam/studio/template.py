@@ -7,7 +7,6 @@ saved, and every call tries to finish the change first.
 """
 
 import json
-import re
 import secrets
 import threading
 from collections.abc import Mapping, Sequence
@@ -17,15 +16,15 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import ArrayLike
 
 from liaam.errors import LiaamError
+from liaam.io.files import real_path
 from liaam.io.landmarks import Contour, Landmarks
 from liaam.io.landmarks.formats import writer_of
-from liaam.model.shape import mirror_order
 from liaam.morphometry.curves import semilandmarks
+from liaam.morphometry.pairs import twins_by_names, twins_by_place
 from liaam.studio import contract
-from liaam.studio.folder import Listing, revision_of, status_of
+from liaam.studio.folder import Folder, Listing, revision_of, status_of
 from liaam.studio.safety import Refusal, refusing
 from liaam.studio.store import Store, StoredTable
 
@@ -35,18 +34,10 @@ if TYPE_CHECKING:
 LONGEST_NAME = 100
 FARTHEST = 1e6  # maximum absolute coordinate in pixels
 _MOST = 10**6  # maximum number of points of a stored template, above that of a new one, so that it can always be read
-_TILT = 45.0  # maximum angle between the axis of symmetry and the vertical, in degrees
-_ALIKE = 0.05
-"""Maximum distance between a mirrored point and its twin, as a fraction of the shape's diagonal. It is generous,
-because the user sees the result and can correct it."""
-
-_TWINS = {"left": "right", "right": "left", "l": "r", "r": "l"}
 LANDMARK = "landmark"
 SEMILANDMARK = "semilandmark"
 KINDS = (LANDMARK, SEMILANDMARK)
 """Kinds of points. Semilandmarks slide along a curve: tracing and spacing it move them, and no landmarks."""
-
-_WORD = re.compile(r"[A-Z]?[a-z]+|[A-Z]+(?![a-z])|[^A-Za-z]+")
 
 
 @dataclass(frozen=True)
@@ -149,11 +140,31 @@ def template_of(landmarks: Landmarks) -> Template:
     names = tuple(name[:LONGEST_NAME] for name in landmarks.names) if named else tuple(str(i + 1) for i in range(n))
     complete = not landmarks.missing.any()
     points = tuple((round(x, 3), round(y, 3)) for x, y in landmarks.points.tolist()) if complete else None
-    twins = mirror_by_names(names) or (mirror_by_place(landmarks.points) if complete else None)
+    twins = twins_by_names(names) or (twins_by_place(landmarks.points) if complete else None)
     chain, sliding = semilandmarks(landmarks.contours)
     slides = set(chain[sliding].tolist())
     kinds = tuple(SEMILANDMARK if index in slides else LANDMARK for index in range(n))
     return Template(names, landmarks.contours, twins, points, kinds)
+
+
+def saved_twins(folder: Path, names: Sequence[str], n: int) -> tuple[int, ...] | None:
+    """Return the twins of n landmarks in the template that the studio saved for a folder, if it suits them.
+
+    Names decide where there are names, or else the number of landmarks.
+    """
+    store = Store(Folder(real_path(folder)))
+    data = store.get("template")
+    store.close()
+    template = None if data is None else parse_template(data, _MOST)
+    if template is None or template.mirror is None or len(template) != n:
+        return None
+    if not names:
+        return template.mirror
+    if {*template.names} != {*names}:
+        return None
+    place = {name: i for i, name in enumerate(names)}
+    twin_of = {name: template.names[twin] for name, twin in zip(template.names, template.mirror, strict=True)}
+    return tuple(place[twin_of[name]] for name in names)
 
 
 def sliders_text(template: Template) -> str:
@@ -170,25 +181,6 @@ def sliders_text(template: Template) -> str:
     if not rows:
         raise Refusal(422, "no point of the template is a semilandmark: draw a curve in the template first")
     return "\n".join(["before,slide,after", *rows, ""])
-
-
-def mirror_by_names(names: Sequence[str]) -> tuple[int, ...] | None:
-    """Pair points by names such as ``left_eye``, ``eye-R`` or ``LeftEye``; None unless all such names pair up."""
-    keys = [tuple(word.casefold() for word in _WORD.findall(name)) for name in names]
-    index = {key: i for i, key in enumerate(keys)}
-    swapped = [tuple(_TWINS.get(word, word) for word in key) for key in keys]
-    if len(index) < len(keys) or swapped == keys or not index.keys() >= {*swapped}:
-        return None
-    return tuple(index[key] for key in swapped)
-
-
-def mirror_by_place(points: ArrayLike) -> tuple[int, ...] | None:
-    """Pair finite points (n, 2) by position, about the best axis within 45 degrees of the vertical, if there is one."""
-    points = np.asarray(points, dtype=np.float64)
-    if len(points) < 3:
-        return None
-    twins = mirror_order(points, _ALIKE, _TILT)
-    return None if twins is None or (twins == np.arange(len(points))).all() else tuple(twins.tolist())
 
 
 def landmarks_of(

@@ -76,6 +76,10 @@ class Landmarks:
         What the positions count from, until they are converted to pixels of the image.
     format : str
         Name of the file's format, or empty.
+    individual : str
+        Individual that the object belongs to, such as the fly of a wing, if a table has a column for it, or empty.
+    side : str
+        Side of the individual, if a table has a column for it, or empty.
 
     Raises
     ------
@@ -94,6 +98,8 @@ class Landmarks:
     label: str = ""
     placing: Placing = Placing()
     format: str = ""
+    individual: str = ""
+    side: str = ""
 
     def __post_init__(self) -> None:
         points = _checked_points(self.points)

@@ -10,7 +10,7 @@ from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import partial
 from itertools import accumulate, chain, count, groupby
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -27,6 +27,8 @@ _FEW = 3  # least number of lines, and of points in each, to tell boxes from lan
 IMAGES = {"image", "image_name", "image_file", "image_id", "image_path", "img", "file", "filename", "file_name"}
 IMAGES |= {"photo", "picture", "photo_name", "path", "filepath", "file_path", "frame", "external"}
 SPECIMENS = {"specimen", "specimen_id", "specimen_name", "individual", "sample", "sample_id", "subject", "animal"}
+INDIVIDUALS = {"ind", "individual", "individual_id"}  # beside a column of specimens
+SIDE = "side"
 LANDMARKS = {"landmark", "landmark_name", "landmark_id", "landmarks", "lm", "point", "point_name", "point_id", "points"}
 LANDMARKS |= {"keypoint", "keypoint_name", "bodypart", "part", "marker", "joint", "lmk", "landmark_number", "kp"}
 SIZES = ("image_width", "image_height"), ("img_width", "img_height"), ("width", "height")
@@ -56,6 +58,14 @@ class Columns:
     landmark: int | None = None
     visible: int | None = None
     size: tuple[int, ...] = ()  # those of the width and height of the images
+    factors: tuple[tuple[str, int], ...] = ()  # individual and side, by the name that `Landmarks` has for them
+
+
+class _Whose(NamedTuple):
+    """What an object is a structure of."""
+
+    individual: str = ""
+    side: str = ""
 
 
 def _check_width(header: Sequence[str], row: TableLine) -> TableLine:
@@ -99,12 +109,40 @@ def parse_long(source: Source) -> list[Landmarks]:
         names = () if columns.landmark is None else tuple(row[columns.landmark] for _, row in lines)
         names = names if any(names) else ()
         size = size_of(dict(zip(("width", "height"), (lines[0][1][i] for i in columns.size), strict=False)))
-        return Landmarks(np.array(points) - shift, (), names, image or None, label=specimen, placing=Placing(size))
+        whose = _Whose(**{name: _common(row[i] for _, row in lines) for name, i in columns.factors})
+        return Landmarks(
+            np.array(points) - shift,
+            (),
+            names,
+            image or None,
+            label=specimen,
+            placing=Placing(size),
+            individual=whose.individual,
+            side=whose.side,
+        )
 
     groups = ((group[0][0] or "its table", group) for group in _grouped(source, rows, columns))
     made = list(source.each(groups, make))
     numbers = columns.landmark is not None and header[columns.landmark] != "name"
     return named_points(source, made, numbers) if columns.image is not None or numbers else made
+
+
+def _common(cells: Iterable[str]) -> str:
+    """Return the value that cells have in common, empty ones left out; empty if they differ."""
+    values = {cell.strip() for cell in cells} - {""}
+    return values.pop() if len(values) == 1 else ""
+
+
+def factors_of(header: Sequence[str]) -> tuple[tuple[str, int], ...]:
+    """Return the columns of the individual and of the side that objects belong to, in a header in lower case.
+
+    Individuals are specimens where no other column names these.
+    """
+    known = {*header}
+    has_names = bool(known & (IMAGES | (SPECIMENS - INDIVIDUALS)))
+    found = [("individual", i) for i, name in enumerate(header) if name in INDIVIDUALS and has_names]
+    sides = [("side", i) for i, name in enumerate(header) if name == SIDE]
+    return (*found[:1], *sides[:1])
 
 
 def _filled(source: Source, rows: list[TableLine], column: int | None) -> list[str]:
@@ -167,7 +205,8 @@ def parse_wide(source: Source) -> list[Landmarks]:
     name = name_column(source.header, [row for _, row in rows], used)
     # Numbers out of order may be the names of landmarks in another order.
     named = not numbered or list(pairs) != list(given)
-    return _of_rows(source, rows, {"": pairs}, lambda row: None if name is None else row[name].strip(), named)
+    factors = tuple((factor, i) for factor, i in factors_of(source.header) if i != name and i not in used)
+    return _of_rows(source, rows, {"": pairs}, lambda row: None if name is None else row[name].strip(), named, factors)
 
 
 def parse_dlc(source: Source) -> list[Landmarks]:
@@ -201,7 +240,8 @@ def _of_rows(
     rows: list[TableLine],
     objects: dict[str, _Pairs],
     image_of: Callable[[list[str]], str | None],
-    named=True,
+    named: bool = True,
+    factors: Sequence[tuple[str, int]] = (),
 ) -> list[Landmarks]:
     """Return the landmarks of the objects of each row."""
 
@@ -209,7 +249,9 @@ def _of_rows(
         (number, row), label = part
         pairs = objects[label]
         points: Any = [parse_point((row[axes["x"]], row[axes["y"]]), f"line {number}") for axes in pairs.values()]
-        return Landmarks(points, names=tuple(pairs) if named else (), image_name=image_of(row), label=label)
+        names = tuple(pairs) if named else ()
+        whose = _Whose(**{factor: row[i].strip() for factor, i in factors})
+        return Landmarks(points, (), names, image_of(row), label=label, individual=whose.individual, side=whose.side)
 
     return list(source.each(((f"line {row[0]}", (row, label)) for row in rows for label in objects), make))
 
@@ -306,7 +348,9 @@ def columns_of(header: list[str], rows: Sequence[Sequence[str]]) -> Columns:
     values = [[row[i].strip() for row in rows] for i in range(len(header))]
     texts = [i for i in range(len(header)) if i not in axes.values()]
     image = _one(header, values, [i for i in texts if header[i] in IMAGES or _are_files(values[i])])
-    specimen = _one(header, values, [i for i in texts if header[i] in SPECIMENS])
+    has_others = any(header[i] in SPECIMENS - INDIVIDUALS for i in texts)
+    specimens = SPECIMENS - INDIVIDUALS if has_others else SPECIMENS
+    specimen = _one(header, values, [i for i in texts if header[i] in specimens])
     landmark = _one(header, values, [i for i in texts if header[i] in LANDMARKS])
     if image in (None, specimen):
         image = specimen
@@ -333,7 +377,8 @@ def columns_of(header: list[str], rows: Sequence[Sequence[str]]) -> Columns:
         sizes.pop()  # width and height are those of boxes, since points lie beyond
     size = next((pair for pair in sizes if len(pair) == 2), ())
     visible = next((i for i in texts if header[i] in VISIBLE), None)
-    return Columns(axes["x"], axes["y"], image, specimen, landmark, visible, size)
+    factors = tuple((name, i) for name, i in factors_of(header) if i not in (image, specimen, landmark))
+    return Columns(axes["x"], axes["y"], image, specimen, landmark, visible, size, factors)
 
 
 def _name_rows(title: str, values: Sequence[str]) -> bool:

@@ -1,0 +1,362 @@
+"""Asymmetry of specimens that were measured: individuals, sides, replicates and pairs from their names and tables."""
+
+from __future__ import annotations
+
+import json
+import math
+import re
+from collections import Counter, defaultdict
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from liaam.errors import LiaamError
+from liaam.formatting import short_repr
+from liaam.io.files import natural_key, some_names
+from liaam.model.shape import align
+from liaam.morphometry.pairs import checked_twins, parse_pairs
+from liaam.morphometry.sides import are_unreflected, object_name
+from liaam.morphometry.specimens import Specimen
+from liaam.morphometry.symmetry import ERROR, PERMUTATIONS, Asymmetry, matching_asymmetry, object_asymmetry
+from liaam.progress import Progress
+from liaam.tables import Columns
+
+OBJECT = "object"
+MATCHING = "matching"
+KINDS = (OBJECT, MATCHING)
+
+FEWEST = 2
+"""Least number of individuals."""
+
+_SHOWN = 3  # individuals that a message describes
+
+
+@dataclass(frozen=True, eq=False)
+class AsymmetryResult:
+    """Asymmetry of individuals.
+
+    Attributes
+    ----------
+    analysis : liaam.morphometry.symmetry.Asymmetry
+        Components, indices and analysis of variance. Shapes have y upwards.
+    individuals : tuple of str
+        Name of each individual.
+    sides : tuple of str
+        The first and the second side: ``original`` and ``mirrored`` for object symmetry.
+    landmarks : tuple of int
+        Numbers of the landmarks that are part of the shape, counted from 1.
+    twins : tuple of int
+        For object symmetry, the number of each landmark's twin; its own on the midline.
+    replicates : int
+        Number of replicates of each side.
+    permutations, seed : int
+        See :func:`asymmetry`.
+    left_out : tuple of str
+        A sentence for each individual that is left out.
+    """
+
+    analysis: Asymmetry
+    individuals: tuple[str, ...]
+    sides: tuple[str, str]
+    landmarks: tuple[int, ...]
+    twins: tuple[int, ...]
+    replicates: int
+    permutations: int
+    seed: int
+    left_out: tuple[str, ...]
+
+    __repr__ = short_repr
+
+    def anova(self) -> Columns:
+        """Return the analyses of variance as a table: rows of shape, and of centroid size for matching symmetry."""
+        analysis = self.analysis
+        parts = [("shape", analysis.shape_anova), ("centroid_size", analysis.size_anova)]
+        parts = [(trait, part) for trait, part in parts if part]
+        traits = [trait for trait, part in parts for _ in part["effect"]]
+        return {"trait": traits} | {name: [each for _, part in parts for each in part[name]] for name in parts[0][1]}
+
+    def indices(self) -> Columns:
+        """Return the asymmetry of each individual as a table."""
+        analysis = self.analysis
+        table: Columns = {
+            "individual": list(self.individuals),
+            "asymmetry": analysis.distances.tolist(),
+            "fluctuating_asymmetry": analysis.fluctuating_distances.tolist(),
+            "unsigned_AI": analysis.unsigned_index.tolist(),
+        }
+        if analysis.kind == MATCHING:
+            table["log_size_ratio"] = analysis.size_ratios.tolist()
+        return table
+
+    def components(self) -> Columns:
+        """Return the components of shape as a table: mean, symmetric, asymmetric, directional and fluctuating."""
+        analysis = self.analysis
+        parts = [
+            ("mean", [""], analysis.mean[None]),
+            ("directional", self.sides, analysis.directional),
+            ("symmetric", self.individuals, analysis.symmetric),
+            ("asymmetric", self.individuals, analysis.asymmetric),
+            ("fluctuating", self.individuals, analysis.fluctuating),
+        ]
+        table: Columns = {
+            "component": [component for component, names, _ in parts for _ in names],
+            "of": [name for _, names, _ in parts for name in names],
+        }
+        shapes = np.concatenate([each for _, _, each in parts])
+        for i, number in enumerate(self.landmarks):
+            table[f"X{number}"] = shapes[:, i, 0].tolist()
+            table[f"Y{number}"] = shapes[:, i, 1].tolist()
+        return table
+
+    def to_dict(self) -> dict[str, Any]:
+        """Convert the result to a dictionary that JSON can hold; values that are unknown are None."""
+        analysis = self.analysis
+        return {
+            "symmetry": analysis.kind,
+            "individuals": list(self.individuals),
+            "sides": list(self.sides),
+            "replicates": self.replicates,
+            "landmarks": list(self.landmarks),
+            "twins": list(self.twins) if analysis.kind == OBJECT else None,
+            "error_term": analysis.error or None,
+            "permutations": self.permutations,
+            "seed": self.seed,
+            "left_out": list(self.left_out),
+            "anova": _rows(self.anova()),
+            "indices": _rows(self.indices()),
+            "components": _rows(self.components()),
+        }
+
+    def to_json(self) -> str:
+        """Return :meth:`to_dict` as text."""
+        return json.dumps(self.to_dict(), indent=1, ensure_ascii=False) + "\n"
+
+    def drawing(self, specimens: Sequence[Specimen] = ()) -> dict[str, Any]:
+        """Return the arguments of :func:`liaam.plotting.specimens.figure_of_asymmetry`.
+
+        Contours are those of the first of the specimens that has any.
+        """
+        analysis = self.analysis
+        place = {number - 1: i for i, number in enumerate(self.landmarks)}
+        curves = next((specimen.curves for specimen in specimens if specimen.curves), ())
+        lines = [[*curve.indices, *curve.indices[: int(curve.closed)]] for curve in curves]
+        return {
+            "mean": analysis.mean,
+            "directional": analysis.directional,
+            "fluctuating": analysis.fluctuating,
+            "distances": analysis.fluctuating_distances,
+            "names": self.individuals,
+            "sides": self.sides,
+            "error": self._distance_by_error(),
+            "numbers": self.landmarks,
+            "lines": [[place[index] for index in line if index in place] for line in lines],
+        }
+
+    def _distance_by_error(self) -> float:
+        """Root mean square distance between the sides of an individual that the error alone makes; NaN if unknown.
+
+        For object symmetry this takes half of the error as asymmetric.
+        """
+        return math.sqrt(2 * self.analysis.shape_anova["MS"][ERROR] / self.replicates)
+
+
+def _rows(columns: Columns) -> list[dict[str, Any]]:
+    """Return the rows of a table, with None for NaN."""
+    cells = zip(*columns.values(), strict=True)
+    return [dict(zip(columns, map(_known, row), strict=True)) for row in cells]
+
+
+def _known(cell: Any) -> Any:
+    return cell if isinstance(cell, str) else float(cell) if math.isfinite(cell) else None
+
+
+def asymmetry(
+    specimens: Sequence[Specimen],
+    columns: Columns,
+    kind: str,
+    *,
+    pairs: str | Sequence[int] | None = None,
+    by: str | None = None,
+    permutations: int = PERMUTATIONS,
+    seed: int = 0,
+    progress: Progress | bool | None = None,
+) -> AsymmetryResult:
+    """Analyse the asymmetry of shape.
+
+    Parameters
+    ----------
+    specimens : sequence of Specimen
+        Of one side, as :func:`liaam.morphometry.of_one_side` gives them.
+    columns : dict of str to list
+        What :func:`liaam.measure` made of them.
+    kind : {"object", "matching"}
+        Object symmetry, of one structure with landmarks on both sides; or matching symmetry, of two structures, such as
+        wings, whose side is that of the specimens.
+    pairs : str or sequence of int, optional
+        For object symmetry: pairs of landmarks such as ``"1-2,3-4"``, or the name of a file of them, or the index of
+        each landmark's twin. By default from the landmarks' names.
+    by : str, optional
+        What tells replicates, as in :func:`liaam.morphometry.measurement_error`. Specimens of one individual and side
+        are replicates of it.
+    permutations : int
+        Number of permutations, 0 to 100,000.
+    seed : int
+        Seed of the random numbers.
+    progress : callable or bool, optional
+        See :func:`liaam.progress.reported`.
+
+    Returns
+    -------
+    AsymmetryResult
+        Individuals that lack a side or a shape, or have another number of replicates than most, are left out. The error
+        term comes from replicates, or without any from the covariances of the landmarks, if all have them.
+
+    Raises
+    ------
+    LiaamError
+        If the sides or pairs are unknown or do not suit, or fewer than two individuals remain.
+    """
+    if kind not in KINDS:
+        raise LiaamError(f"symmetry '{kind}' is unknown: give {' or '.join(KINDS)}")
+    if not 0 <= permutations <= 100_000:
+        raise LiaamError(f"{permutations} permutations: give 0 to 100000")
+    numbers = [int(name[1:]) for name in columns if re.fullmatch(r"X\d+", name)]
+    if not numbers:
+        raise LiaamError("no specimen has a shape whose asymmetry can be measured: landmarks are missing in all")
+    sides = _sides(specimens) if kind == MATCHING else ("",)
+    shapes = np.array([[columns[f"X{number}"], columns[f"Y{number}"]] for number in numbers]).transpose(2, 0, 1)
+    groups = _groups(specimens, [bool(np.isfinite(shape).all()) for shape in shapes], by, sides)
+    chosen, left_out = _chosen(groups, sides)
+    if len(chosen) < FEWEST:
+        raise LiaamError(_too_few(len(groups), chosen, left_out, kind))
+    order = np.array([[groups[name][side] for side in sides] for name in chosen])  # (n, sides, r) specimens
+    spread = _covariances(specimens, columns, shapes, numbers)
+    covariances = None if spread is None or np.isnan(spread[order]).any() else spread[order]
+    options: dict[str, Any] = {"permutations": permutations, "seed": seed, "progress": progress}
+    twins: tuple[int, ...] = ()
+    if kind == OBJECT:
+        twins = _twins(specimens, numbers, pairs, shapes)
+        of_object = None if covariances is None else covariances[:, 0]
+        analysis = object_asymmetry(shapes[order[:, 0]], twins, of_object, **options)
+        sides = ("original", "mirrored")
+    else:
+        sizes = np.array(columns["centroid_size"])[order]
+        analysis = matching_asymmetry(shapes[order], covariances, sizes=sizes, **options)
+    return AsymmetryResult(
+        analysis,
+        tuple(chosen),
+        (sides[0], sides[-1]),
+        tuple(numbers),
+        tuple(numbers[twin] for twin in twins),
+        replicates=order.shape[2],
+        permutations=permutations,
+        seed=seed,
+        left_out=left_out,
+    )
+
+
+def _sides(specimens: Sequence[Specimen]) -> tuple[str, str]:
+    """Return the two sides of specimens."""
+    sides = sorted({specimen.side for specimen in specimens} - {""})
+    if are_unreflected(specimens):
+        raise LiaamError(
+            f"the specimens of the sides {some_names(sides)} are not reflected to each other: pass them to "
+            "liaam.morphometry.of_one_side before"
+        )
+    if len(sides) == 2:
+        return sides[0], sides[1]
+    found = f"only the side {sides[0]}" if sides else "no sides"
+    which = some_names([specimen.name for specimen in specimens], _SHOWN)
+    raise LiaamError(
+        f"matching symmetry compares the left and right structures of individuals, and the specimens ({which}) have "
+        f"{found}: name them such as wing1_left and wing1_right, put them into folders left and right under the same "
+        "names, or add a column 'side' to the table"
+    )
+
+
+Groups = dict[str, dict[str, list[int]]]
+"""Indices of the specimens with a shape, by individual and side."""
+
+
+def _groups(specimens: Sequence[Specimen], has_shape: Sequence[bool], by: str | None, sides: Sequence[str]) -> Groups:
+    """Group the specimens with a shape by individual and side."""
+    groups: Groups = defaultdict(lambda: {side: [] for side in sides})
+    for i, specimen in enumerate(specimens):
+        of_individual = groups[specimen.individual or object_name(specimen, by)]
+        side = specimen.side if len(sides) > 1 else ""
+        if has_shape[i] and side in of_individual:
+            of_individual[side].append(i)
+    return dict(sorted(groups.items(), key=lambda item: natural_key(item[0])))
+
+
+def _chosen(groups: Groups, sides: Sequence[str]) -> tuple[list[str], tuple[str, ...]]:
+    """Return the individuals that have as many replicates of each side as most have, and why others are left out."""
+    counts = {name: {side: len(found) for side, found in of_sides.items()} for name, of_sides in groups.items()}
+    even = Counter(max(each.values()) for each in counts.values() if min(each.values()) == max(each.values()) > 0)
+    usual = max(even, key=lambda number: (even[number], number), default=1)
+    chosen = [name for name, each in counts.items() if set(each.values()) == {usual}]
+    usually = f"{usual} of each side" if len(sides) > 1 else f"{usual}"
+    left_out = [
+        f"{name}: it has {_described(each)} with a shape, where most have {usually}; it is left out"
+        for name, each in counts.items()
+        if name not in chosen
+    ]
+    return chosen, tuple(left_out)
+
+
+def _described(counts: dict[str, int]) -> str:
+    """Describe the number of records of each side."""
+    return " and ".join(f"{count} {side}".strip() for side, count in counts.items()) + " records"
+
+
+def _too_few(n_individuals: int, chosen: Sequence[str], left_out: Sequence[str], kind: str) -> str:
+    """Say that there are too few individuals, and why."""
+    found = f"{len(chosen)} of {n_individuals} individuals can be compared, and {FEWEST} are needed"
+    if left_out:
+        return f"{found}: {'; '.join(left_out[:_SHOWN])}"
+    if kind == MATCHING:
+        return f"{found}: digitise both sides of more of them"
+    return f"{found}: digitise more of them"
+
+
+def _twins(
+    specimens: Sequence[Specimen], numbers: Sequence[int], pairs: str | Sequence[int] | None, shapes: np.ndarray
+) -> tuple[int, ...]:
+    """Return the place of each landmark's twin among the landmarks of the shape."""
+    names = next((specimen.names for specimen in specimens if specimen.names), ())
+    n = next(len(specimen.points) for specimen in specimens if len(specimen.points))
+    if pairs is None:
+        inside = [number - 1 for number in numbers]
+        whole = shapes[np.isfinite(shapes).all(axis=(1, 2))]
+        mean = whole.mean(axis=0) if len(inside) == n else None  # whose places are those that users count
+        return checked_twins([names[index] for index in inside] if names else (), mean)
+    if isinstance(pairs, str):
+        twins = parse_pairs(pairs, names, n)
+    else:
+        twins = tuple(int(twin) for twin in pairs)
+        if len(twins) != n or any(not 0 <= twin < n or twins[twin] != i for i, twin in enumerate(twins)):
+            raise LiaamError(f"the twins {twins} do not pair {n} landmarks: if b is the twin of a, a must be that of b")
+    place = {number - 1: i for i, number in enumerate(numbers)}
+    for i, twin in enumerate(twins):
+        if twin != i and i not in place:
+            raise LiaamError(f"the pair {i + 1}-{twin + 1} has an end of the scale bar, which is no part of the shape")
+    return tuple(place[twins[number - 1]] for number in numbers)
+
+
+def _covariances(
+    specimens: Sequence[Specimen], columns: Columns, shapes: np.ndarray, numbers: Sequence[int]
+) -> np.ndarray | None:
+    """Return the covariances of shapes (m, k, 2) as they are, (m, k, 2, 2): NaN where unknown, None if all are."""
+    if f"X{numbers[0]}_se" not in columns:
+        return None
+    inside = [number - 1 for number in numbers]
+    carried = np.full((*shapes.shape, 2), np.nan)
+    for i, (specimen, shape) in enumerate(zip(specimens, shapes, strict=True)):
+        if specimen.covariances is None or not np.isfinite(shape).all():
+            continue
+        upwards = np.diag([1.0, -1.0])
+        matrix = align(specimen.points[inside] @ upwards, shape).matrix @ upwards
+        carried[i] = matrix @ np.asarray(specimen.covariances)[inside] @ matrix.T
+    return carried

@@ -1,0 +1,210 @@
+"""Asymmetry of specimens: from files to the analysis, the error term of fits, and bad input."""
+
+import json
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from geomorph_results import MATCHING, OBJECT
+from liaam.errors import LiaamError
+from liaam.morphometry import (
+    AsymmetryResult,
+    Specimen,
+    alike,
+    asymmetry,
+    measure,
+    of_one_side,
+    read_specimens,
+)
+
+MEAN = np.array([[-30.0, 20], [30, 20], [-40, -25], [40, -25], [0, 45], [0, -50]])
+NAMES = ("left_eye", "right_eye", "left_jaw", "right_jaw", "top", "chin")
+
+
+@pytest.fixture(scope="module")
+def folder(shared_data) -> Path:
+    folder = Path(shared_data) / "geomorph"
+    if not folder.is_dir():
+        pytest.skip("results of geomorph are absent")
+    return folder
+
+
+def analysed(specimens, kind: str, side: str = "auto", by: str | None = None, **options) -> AsymmetryResult:
+    specimens, _ = of_one_side(alike(specimens)[0], side, by)
+    wanted: dict[str, Any] = {"permutations": 0} | options
+    return asymmetry(specimens, measure(specimens), kind, by=by, **wanted)
+
+
+@pytest.mark.parametrize(
+    ("name", "right"),
+    [
+        ("matching", (0.41713167, 0.01495313, 0.02377367, 0.00438361)),
+        ("mosquito", (0.104888118, 0.003220856, 0.038990419, 0.083258697)),
+        ("object", (0.35298514, 0.02868193, 0.03207358, 0.00524288)),
+        ("lizards", (0.236787669, 0.009431742, 0.032119281, 0.006283277)),
+    ],
+)
+def test_files_of_geomorph_have_its_sums_of_squares(folder, name, right) -> None:
+    specimens = read_specimens(folder / f"{name}.csv")
+    if name in MATCHING:
+        found = analysed(specimens, "matching")  # left ones are reflected, those of the mosquitoes were before
+    else:
+        found = analysed(specimens, "object", pairs=str(folder / f"{name}-pairs.csv"))
+    digits = 9 if name in ("mosquito", "lizards") else 8
+    assert [round(value, digits) for value in found.analysis.shape_anova["SS"][:4]] == [*right]
+    assert found.replicates == 2 and found.left_out == ()
+    assert name not in OBJECT or found.sides == ("original", "mirrored")
+
+
+def faces(rng: np.random.Generator, n: int, names=NAMES, records: int = 1, **facts) -> list[Specimen]:
+    return [
+        Specimen(
+            f"face{i}_{record}" if records > 1 else f"face{i}", own + rng.normal(0, 0.3, (6, 2)), names=names, **facts
+        )
+        for i in range(n)
+        for own in [MEAN + rng.normal(0, 2, (6, 2))]
+        for record in range(records)
+    ]
+
+
+def test_names_tell_pairs_and_replicates(rng) -> None:
+    found = analysed(faces(rng, 6, records=3), "object", by="_")
+    assert found.individuals == tuple(f"face{i}" for i in range(6))
+    assert found.twins == (2, 1, 4, 3, 5, 6)
+    assert found.replicates == 3
+    assert found.analysis.error == "replicates"
+    assert found.analysis.shape_anova["df"] == [5, 1, 5, 24, 35]
+    same = analysed(faces(rng, 6, names=()), "object", pairs="1-2,3-4")
+    assert same.twins == found.twins and same.analysis.error == ""
+    assert analysed(faces(rng, 6), "object", pairs=[1, 0, 3, 2, 4, 5]).twins == found.twins
+
+
+def test_landmarks_of_a_scale_bar_are_no_part_of_the_shape(rng) -> None:
+    specimens = [
+        Specimen(each.name, np.concatenate([[[0, 0]], each.points, [[9, 0]]]), names=("bar1", *NAMES, "bar2"))
+        for each in faces(rng, 5)
+    ]
+    table = measure(specimens, scale="bar1,bar2=10")
+    found = asymmetry(specimens, table, "object", permutations=0)
+    assert found.landmarks == (2, 3, 4, 5, 6, 7)
+    assert found.twins == (3, 2, 5, 4, 6, 7)
+    with pytest.raises(LiaamError, match="the pair 1-8 has an end of the scale bar"):
+        asymmetry(specimens, table, "object", pairs="1-8,2-3", permutations=0)
+
+
+def wings(rng: np.random.Generator, n: int, deviation: float, **facts) -> list[Specimen]:
+    """Give left and right wings that differ by errors of a standard deviation only."""
+    found = []
+    for i in range(n):
+        own = MEAN * [1, 0.6] + [0.4, 0.2] * MEAN[::-1] + rng.normal(0, 3, (6, 2))
+        for side, sign in (("left", -1), ("right", 1)):
+            points = (own + rng.normal(0, deviation, (6, 2))) * [sign, 1] + 500
+            found.append(Specimen(f"fly{i}_{side}", points, **facts))
+    return found
+
+
+def test_errors_of_fits_are_the_error_term_without_replicates(rng) -> None:
+    covariances = np.tile(np.eye(2), (6, 1, 1))
+    found = analysed(wings(rng, 40, 1.0, covariances=covariances), "matching", permutations=99)
+    table = found.analysis.shape_anova
+    assert found.analysis.error == "covariances"
+    # The interaction is error alone: an F with 39 * 8 degrees of freedom.
+    assert table["F"][2] == pytest.approx(1, abs=4 * np.sqrt(2 / (39 * 8)))
+    assert 0.01 < table["P"][2] <= 1
+    assert np.isnan(table["df"][3]) and np.isnan(table["SS"][3]) and table["MS"][3] > 0
+    larger = analysed(wings(rng, 40, 2.0, covariances=covariances), "matching", permutations=99)
+    assert larger.analysis.shape_anova["F"][2] == pytest.approx(4, rel=0.3)
+    assert larger.analysis.shape_anova["P"][2] == pytest.approx(0.01)
+
+
+def test_sizes_have_the_unit_of_the_table(rng) -> None:
+    specimens, _ = of_one_side(wings(rng, 5, 1.0))
+    found = [
+        asymmetry(specimens, measure(specimens, scale=scale), "matching", permutations=0) for scale in (None, 0.01)
+    ]
+    pixels, millimetres = (each.analysis.size_anova["SS"][0] for each in found)
+    assert millimetres == pytest.approx(1e-4 * pixels)
+    np.testing.assert_allclose(found[0].analysis.size_ratios, found[1].analysis.size_ratios)
+
+
+def test_tables_and_json_hold_everything(rng) -> None:
+    found = analysed(wings(rng, 4, 1.0), "matching", permutations=19, seed=3)
+    anova = pd.DataFrame(found.anova())
+    assert anova["trait"].tolist() == ["shape"] * 5 + ["centroid_size"] * 5
+    indices = pd.DataFrame(found.indices())
+    assert indices["individual"].tolist() == ["fly0", "fly1", "fly2", "fly3"]
+    components = pd.DataFrame(found.components())
+    assert components["component"].value_counts().to_dict() == {
+        "mean": 1, "directional": 2, "symmetric": 4, "asymmetric": 4, "fluctuating": 4
+    }  # fmt: skip
+    facts = json.loads(json.dumps(found.to_dict(), allow_nan=False))
+    assert (facts["symmetry"], facts["seed"], facts["permutations"], facts["error_term"]) == ("matching", 3, 19, None)
+    assert facts["anova"][2]["F"] is None and facts["anova"][0]["F"] > 0
+    assert len(facts["components"]) == 15
+
+
+def test_individuals_without_a_side_or_a_replicate_are_left_out_by_name(rng) -> None:
+    given = wings(rng, 6, 1.0)
+    hole = given[2].points.copy()
+    hole[0] = np.nan
+    given[2] = Specimen(given[2].name, hole)
+    found = analysed([*given[:-1], Specimen("fly5_left#2", given[-2].points + 1)], "matching", by="image")
+    assert found.individuals == ("fly0", "fly2", "fly3", "fly4")
+    assert found.left_out == (
+        "fly1: it has 0 left and 1 right records with a shape, where most have 1 of each side; it is left out",
+        "fly5: it has 2 left and 0 right records with a shape, where most have 1 of each side; it is left out",
+    )
+    sided, _ = of_one_side(wings(rng, 3, 1.0))
+    sided = [*sided, replace(sided[0], name="stray", individual="stray", side="")]
+    assert (
+        asymmetry(sided, measure(sided), "matching", permutations=0).left_out[0].startswith("stray: it has 0 left and")
+    )
+    uneven = faces(rng, 4, records=2)
+    found = analysed(uneven[:-1], "object", by="_")
+    assert found.individuals == ("face0", "face1", "face2")
+    assert found.left_out == ("face3: it has 1 records with a shape, where most have 2; it is left out",)
+
+
+@pytest.mark.parametrize(
+    ("kind", "options", "words"),
+    [
+        ("both", {}, "symmetry 'both' is unknown: give object or matching"),
+        ("object", {"permutations": -1}, "-1 permutations: give 0 to 100000"),
+        (
+            "matching",
+            {},
+            "(face0, face1, face2 and 2 more) have no sides: name them such as wing1_left and wing1_right",
+        ),
+        ("object", {"pairs": [0, 0, 0, 0, 0, 0]}, "do not pair 6 landmarks"),
+        ("object", {"pairs": "1-1"}, "the pair 1-1 names the same landmark twice"),
+    ],
+)
+def test_bad_input_is_named(rng, kind, options, words) -> None:
+    with pytest.raises(LiaamError) as fault:
+        analysed(faces(rng, 5), kind, **options)
+    assert words in str(fault.value)
+
+
+def test_one_specimen_and_one_side_are_too_few(rng) -> None:
+    with pytest.raises(LiaamError, match="1 of 1 individuals can be compared, and 2 are needed: digitise more of them"):
+        analysed(faces(rng, 1), "object")
+    with pytest.raises(LiaamError, match="have only the side left"):
+        analysed(wings(rng, 3, 1.0)[::2], "matching")
+    with pytest.raises(
+        LiaamError, match="1 of 3 individuals can be compared, and 2 are needed: fly1: it has 1 left and 0"
+    ):
+        analysed(wings(rng, 3, 1.0)[:2] + wings(rng, 3, 1.0)[2::2], "matching")
+    given = wings(rng, 3, 1.0)
+    unreflected = [replace(each, side=each.name.partition("_")[2]) for each in given]
+    with (
+        pytest.warns(UserWarning),
+        pytest.raises(LiaamError, match="sides left, right are not reflected to each other"),
+    ):
+        asymmetry(unreflected, measure(unreflected), "matching")
+    empty = [Specimen(f"a{i}", np.full((6, 2), np.nan), names=NAMES) for i in range(3)]
+    with pytest.raises(LiaamError, match="no specimen has a shape whose asymmetry can be measured"):
+        analysed(empty, "object")

@@ -1,0 +1,150 @@
+"""Estimates of missing landmarks: geomorph's, known shapes, and what cannot be estimated."""
+
+import re
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from geomorph_results import read_set
+from liaam.errors import LiaamError
+from liaam.model.shape import align
+from liaam.morphometry import Specimen, measure, with_estimated_landmarks
+from liaam.morphometry.missing import METHODS, estimate_missing
+from liaam.morphometry.superimposition import superimpose
+
+GAPS = ((2, 3), (5, 9), (11, 1), (11, 8))
+"""Specimens and landmarks, from 1, that geomorph estimated."""
+
+
+@pytest.fixture(scope="module")
+def folder(shared_data) -> Path:
+    folder = Path(shared_data) / "geomorph"
+    if not folder.is_dir():
+        pytest.skip("results of geomorph are absent")
+    return folder
+
+
+def with_gaps(folder: Path) -> np.ndarray:
+    shapes, _ = read_set(folder, "object")
+    shapes = shapes.reshape(-1, *shapes.shape[-2:])
+    for specimen, landmark in GAPS:
+        shapes[specimen - 1, landmark - 1] = np.nan
+    return shapes
+
+
+def printed(path: Path) -> np.ndarray:
+    lines = re.findall(r"specimen (\d+) landmark (\d+): (\S+) (\S+)", path.read_text())
+    assert [(int(specimen), int(landmark)) for specimen, landmark, *_ in lines] == [*GAPS]
+    return np.array([[float(x), float(y)] for _, _, x, y in lines])
+
+
+def test_splines_are_geomorphs(folder) -> None:
+    shapes = with_gaps(folder)
+    found, faults = estimate_missing(shapes, "tps")
+    assert faults == ()
+    own = [found[specimen - 1, landmark - 1] for specimen, landmark in GAPS]
+    np.testing.assert_allclose(own, printed(folder / "object-missing-tps.txt"), atol=1e-6)
+    there = np.isfinite(shapes)
+    np.testing.assert_array_equal(found[there], shapes[there])
+
+
+def test_regressions_are_geomorphs(folder) -> None:
+    shapes = with_gaps(folder)
+    found, faults = estimate_missing(shapes, "regression")
+    assert faults == ()
+    complete = shapes[np.isfinite(shapes).all(axis=(1, 2))]
+    # geomorph leaves specimens that it completes turned to the mean of the others, about the centroid of what is there.
+    fit = superimpose(complete)
+    reference = (fit.shapes * fit.sizes[:, None, None]).mean(axis=0)
+    own = []
+    for specimen, landmark in GAPS:
+        shape = shapes[specimen - 1]
+        known = np.isfinite(shape).all(axis=1)
+        turn = align(shape[known], reference[known] - reference[known].mean(axis=0)).matrix
+        turn /= np.sqrt(np.linalg.det(turn))
+        own.append((found[specimen - 1, landmark - 1] - shape[known].mean(axis=0)) @ turn.T)
+    right = printed(folder / "object-missing-regression.txt")
+    common = align(np.array(own), right).matrix  # geomorph's mean has another orientation
+    common /= np.sqrt(np.linalg.det(common))
+    np.testing.assert_allclose(own @ common.T, right, atol=2e-6)
+
+
+MEAN = np.array([[-30.0, 20], [30, 20], [-40, -25], [40, -25], [0, 45], [0, -50]])
+
+
+@pytest.mark.parametrize("method", METHODS)
+def test_other_positions_turns_and_mirror_images_have_the_same_estimates(method, rng) -> None:
+    shapes = MEAN + rng.normal(0, 3, (12, 6, 2))
+    shapes[3, 2] = np.nan
+    expected = estimate_missing(shapes, method)[0][3, 2]
+    turn = np.array([[0.6, 0.8], [-0.8, 0.6]])
+    moved = shapes.copy()
+    moved[3] = moved[3] @ turn + [1000, -500]
+    np.testing.assert_allclose(estimate_missing(moved, method)[0][3, 2], expected @ turn + [1000, -500], atol=1e-8)
+    mirrored = estimate_missing(shapes * [-1, 1], method)[0][3, 2]
+    np.testing.assert_allclose(mirrored, expected * [-1, 1], atol=1e-8)
+
+
+@pytest.mark.parametrize("method", METHODS)
+def test_estimates_are_nearer_than_the_mean_position(method, rng) -> None:
+    angles = np.arange(30) * 2 * np.pi / 30
+    circle = 100 * np.stack([np.cos(angles), np.sin(angles)], axis=1)
+    shapes = np.repeat(circle[None], 40, axis=0)
+    shapes[..., 0] += rng.normal(0, 10, (40, 1)) * np.sin(angles) ** 2  # all bend alike
+    truth = shapes.copy()
+    shapes[:5, 7] = np.nan
+    found, _ = estimate_missing(shapes, method)
+    error = np.linalg.norm(found[:5, 7] - truth[:5, 7], axis=1)
+    assert error.mean() < 0.5 * np.linalg.norm(truth[5:, 7].mean(axis=0) - truth[:5, 7], axis=1).mean()
+
+
+def specimens_with_gaps(rng: np.random.Generator) -> list[Specimen]:
+    covariances = np.tile(np.eye(2), (6, 1, 1))
+    points = MEAN + rng.normal(0, 1, (8, 6, 2))
+    points[1, [0, 4]] = np.nan
+    return [Specimen(f"w{i}", each, covariances) for i, each in enumerate(points)]
+
+
+def test_estimates_are_marked_and_have_no_standard_errors(rng) -> None:
+    specimens = specimens_with_gaps(rng)
+    found, faults = with_estimated_landmarks(specimens, "tps")
+    assert faults == ()
+    assert [specimen.estimated for specimen in found] == [(), (0, 4), *[()] * 6]
+    assert np.isfinite(found[1].points).all()
+    table = measure(found, ["distance:1-2", "distance:3-4"])
+    assert table["estimated"] == ["", "1 5", *[""] * 6]
+    assert np.isfinite(table["distance_1_2"]).all()
+    assert np.isnan(table["distance_1_2_se"][1])
+    assert table["distance_3_4_se"][1] == pytest.approx(np.sqrt(2))
+    assert "estimated" not in measure(specimens)
+
+
+def test_ends_of_scale_bars_and_specimens_that_are_not_to_be_used_are_left_alone(rng) -> None:
+    specimens = specimens_with_gaps(rng)
+    lost = Specimen("lost", np.full((6, 2), np.nan), status="diverged")
+    found, _ = with_estimated_landmarks([*specimens, lost], "tps", "5-6=10")
+    assert found[1].estimated == (0,)
+    assert np.isnan(found[1].points[4]).all()
+    assert found[-1] is lost
+
+
+def test_what_cannot_be_estimated_is_named(rng) -> None:
+    mean = MEAN.copy()
+    mean[:3] = [[0, 0], [10, 10], [20, 20]]
+    points = mean + rng.normal(0, 1, (5, 6, 2))
+    points[2:, :3] = mean[:3]
+    points[0, :4] = np.nan
+    points[1, 3:] = np.nan
+    specimens = [Specimen(f"w{i}", each) for i, each in enumerate(points)]
+    specimens[2:] = [Specimen(f"w{i}", mean + 5 * i) for i in range(2, 5)]
+    found, faults = with_estimated_landmarks(specimens, "tps")
+    assert [specimen.estimated for specimen in found] == [()] * 5
+    assert faults[0] == "w0: 4 of 6 landmarks are missing, and are not estimated: at least 3 must be there"
+    assert faults[1].startswith("w1: the landmarks that are there lie on one line")
+    _, faults = with_estimated_landmarks(specimens, "regression")
+    assert "w1: 3 landmarks are missing, for which regression needs 8 complete specimens, and there are 3" in faults[1]
+    with pytest.raises(LiaamError, match=r"1 of 3 specimens have all landmarks, and two are needed .* some of w0, w1"):
+        with_estimated_landmarks(specimens[:3], "tps")
+    with pytest.raises(LiaamError, match="cannot be estimated by 'mean': give tps or regression"):
+        with_estimated_landmarks(specimens, "mean")

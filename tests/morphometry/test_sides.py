@@ -1,0 +1,191 @@
+"""Sides of specimens from columns, folders and names, and the reflection of one side."""
+
+import re
+import warnings
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from liaam.errors import LiaamError
+from liaam.morphometry import Specimen, measure, of_one_side, read_specimens
+from liaam.morphometry.sides import folder_side
+
+POINTS = np.array([[0.0, 0], [10, 1], [12, 9], [3, 14]])
+
+
+def specimens(*names: str, **facts) -> list[Specimen]:
+    """Give specimens of one shape, of which those whose names tell the left side are mirrored."""
+    sign = [-1 if re.search(r"left|L(_\d)?$|^l$", name, re.IGNORECASE) else 1 for name in names]
+    return [Specimen(name, POINTS * [sign[i], 1] + i, **facts) for i, name in enumerate(names)]
+
+
+@pytest.mark.parametrize(
+    ("left", "right", "individual"),
+    [
+        ("wing1_left", "wing1_right", "wing1"),
+        ("left/wing1", "right/wing1", "wing1"),
+        ("LeftWing1", "RightWing1", "Wing1"),
+        ("wing1-L", "wing1-R", "wing1"),
+        ("wing1L", "wing1R", "wing1"),
+        ("w_LEFT_1", "w_RIGHT_1", "w_1"),
+    ],
+)
+def test_sides_are_found_in_names(left, right, individual) -> None:
+    found, said = of_one_side(specimens(left, right, right.replace("1", "2"), left.replace("1", "2")))
+    assert [each.side for each in found] == ["left", "right", "right", "left"]
+    assert [each.individual for each in found] == [individual.replace("1", number) for number in "1122"]
+    assert said == "2 specimens of the side left reflected, to be compared with the side right"
+    assert [each.points[1, 0] for each in found] == [10, 11, 12, 7]
+
+
+@pytest.mark.parametrize(
+    ("names", "by", "individuals"),
+    [
+        (("w1_left_1", "w1_left_2", "w1_right_1", "w1_right_2"), "_", ["w1"] * 4),
+        (("w1_1_left", "w1_2_left", "w1_1_right", "w1_2_right"), "_", ["w1"] * 4),
+        (("w1_L_1", "w1_L_2", "w1_R_1", "w1_R_2"), "_", ["w1"] * 4),
+        (("w1_left", "w1_left#2", "w1_right", "w1_right#2"), "image", ["w1"] * 4),
+    ],
+)
+def test_numbers_of_replicates_are_no_part_of_the_individual(names, by, individuals) -> None:
+    found, _ = of_one_side(specimens(*names), by=by)
+    assert [each.individual for each in found] == individuals
+    assert [each.side for each in found] == ["left", "left", "right", "right"]
+
+
+@pytest.mark.parametrize(
+    "names",
+    [
+        ("a", "b"),
+        ("site_L", "site_R", "site_M"),  # one that is neither
+        ("bright_1", "copyright_2"),
+        ("wing_l", "wing2_l"),  # no other side
+        ("r", "l"),
+        ("left_and_right_1", "left_and_right_2"),
+    ],
+)
+def test_names_that_tell_no_sides_change_nothing(names) -> None:
+    given = specimens(*names)
+    found, said = of_one_side(given)
+    assert said == ""
+    assert [each.points.tolist() for each in found] == [each.points.tolist() for each in given]
+    assert not any(each.side for each in found)
+
+
+def test_one_side_alone_stays_as_it_is() -> None:
+    found, said = of_one_side(specimens("a_left", "b_left", "c"))
+    assert said == "" and [each.points[1, 0] for each in found] == [-10, -9, 12]
+
+
+def test_specimens_without_a_side_among_both_are_refused_by_name() -> None:
+    with pytest.raises(
+        LiaamError, match=r"1 of 3 specimens have no side \(c\), and others are left and right"
+    ) as fault:
+        of_one_side(specimens("a_left", "a_right", "c"))
+    assert "--side ignore" in str(fault.value)
+    found, said = of_one_side(specimens("a_left", "a_right", "c"), "ignore")
+    assert said == "" and not any(each.side for each in found)
+
+
+def test_the_side_that_others_are_reflected_to_can_be_chosen() -> None:
+    found, said = of_one_side(specimens("a_left", "a_right"), "left")
+    assert [each.points[1, 0] for each in found] == [-10, -11]
+    assert said.startswith("1 specimen of the side right reflected")
+    found, said = of_one_side(specimens("a_left", "a_right"), "reflected")
+    assert [each.points[1, 0] for each in found] == [-10, 11]
+    assert said == "" and [each.side for each in found] == ["left", "right"]
+    with pytest.raises(LiaamError, match="--side right: no specimen has a known side; give auto"):
+        of_one_side(specimens("a", "b"), "right")
+    with pytest.raises(LiaamError, match="--side up: the specimens are of the sides left, right"):
+        of_one_side(specimens("a_left", "a_right"), "up")
+
+
+def test_sides_of_a_column_may_have_other_names_but_are_two() -> None:
+    given = [replace(specimens(name)[0], name="a", side=side) for name, side in (("l", "1"), ("r", "2"))]
+    found, said = of_one_side(given)
+    assert said.startswith("1 specimen of the side 1 reflected")
+    assert [each.individual for each in found] == ["a", "a"]
+    with pytest.raises(LiaamError, match="more than two sides"):
+        of_one_side([*given, *specimens("b", side="3")])
+
+
+def test_reflection_turns_covariances_and_keeps_measures() -> None:
+    covariances = np.tile([[2.0, 0.7], [0.7, 1.0]], (4, 1, 1))
+    given = specimens("a_left", "a_right", covariances=covariances)
+    found, _ = of_one_side(given)
+    assert found[0].covariances is not None
+    np.testing.assert_allclose(found[0].covariances[1], [[2, -0.7], [-0.7, 1]])
+    np.testing.assert_array_equal(found[1].covariances, covariances)
+    names = ["distance:1-3", "angle:1-2-3", "area:1-2-3-4"]
+    before = measure([replace(each, side="") for each in given], names)
+    after = measure(found, names)
+    assert after["side"] == ["left", "right"] and "side" not in before
+    for column in before:
+        if column.startswith(("distance", "angle", "area", "centroid")):
+            np.testing.assert_allclose(after[column], before[column], rtol=1e-12, err_msg=column)
+
+
+@pytest.mark.parametrize(
+    ("path", "side"),
+    [
+        ("left/a.jpg", "left"),
+        ("wings\\R\\a.jpg", "right"),
+        ("left/right/a.jpg", ""),
+        ("left.jpg", ""),
+        ("lefties/a.jpg", ""),
+        ("", ""),
+    ],
+)
+def test_folders_tell_the_side(path, side) -> None:
+    assert folder_side(path) == side
+
+
+def test_sides_that_are_alike_as_they_are_stay_and_this_is_said() -> None:
+    mirrored, right = specimens("l", "r")
+    given = [replace(right, name="a_left"), replace(right, name="a_right")]
+    found, said = of_one_side(given)
+    assert [each.points.tolist() for each in found] == [right.points.tolist()] * 2
+    assert said.startswith(
+        "specimens of the sides left, right are compared as they are, since they are more alike than"
+    )
+    assert [each.side for each in found] == ["left", "right"] and [each.reflected for each in found] == [True, False]
+    found, said = of_one_side(given, "right")
+    assert said.startswith("1 specimen of the side left reflected") and found[0].points[1, 0] == -right.points[1, 0]
+    gaps = [
+        Specimen("a_left", np.full((4, 2), np.nan)),
+        replace(right, name="a_right"),
+        replace(mirrored, name="b_left"),
+    ]
+    assert of_one_side(gaps)[1].startswith("2 specimens of the side left reflected")
+
+
+def test_unreflected_sides_are_warned_of() -> None:
+    given = [*specimens("a", side="left"), *specimens("b", side="right")]
+    with pytest.warns(UserWarning, match="of two sides are compared unreflected; pass them to .*of_one_side"):
+        measure(given)
+    for side in ("auto", "reflected", "ignore"):
+        with warnings.catch_warnings():
+            warnings.simplefilter("error")
+            measure(of_one_side(given, side)[0])
+
+
+def test_columns_of_a_table_tell_the_individual_and_the_side(tmp_path) -> None:
+    rows = ["specimen,ind,side,replicate,landmark,x,y"]
+    for number, (individual, side) in enumerate([("i1", "L"), ("i1", "Right"), ("i2", "left"), ("i2", "right")]):
+        rows += [f"s{number},{individual},{side},1,{i + 1},{x},{y}" for i, (x, y) in enumerate(POINTS)]
+    (tmp_path / "t.csv").write_text("\n".join(rows))
+    found = read_specimens(tmp_path / "t.csv")
+    assert [each.name for each in found] == ["s0", "s1", "s2", "s3"]
+    assert [each.individual for each in found] == ["i1", "i1", "i2", "i2"]
+    assert [each.side for each in found] == ["left", "right", "left", "right"]
+
+
+def test_a_row_for_each_image_may_tell_them_too(tmp_path) -> None:
+    rows = ["image,individual,side,X1,Y1,X2,Y2,X3,Y3"]
+    rows += [f"left/{i}.jpg,i{i},,0,0,5,1,3,4" for i in range(2)]
+    rows += [f"right/{i}b.jpg,i{i},right,0,0,5,1,3,4" for i in range(2)]
+    (tmp_path / "t.csv").write_text("\n".join(rows))
+    found = read_specimens(tmp_path / "t.csv")
+    assert [each.side for each in found] == ["left", "left", "right", "right"]
+    assert [each.individual for each in found] == ["i0", "i1", "i0", "i1"]
