@@ -37,7 +37,15 @@ def mirrored_model(model: "AAM", order: np.ndarray) -> "AAM":
     search_filter = model.search_filter
     if search_filter is not None:
         search_filter = np.ascontiguousarray(search_filter[:, ::-1] * np.array([-1, 1], np.float32))
-    return replace(model, views=views, triangles=triangles, light=None, points=None, search_filter=search_filter)
+    return replace(
+        model,
+        views=views,
+        triangles=triangles,
+        light=None,
+        points=None,
+        search_filter=search_filter,
+        n_missing=None if model.n_missing is None else model.n_missing[order],
+    )
 
 
 class _MirroredViews(Mapping[str, View]):

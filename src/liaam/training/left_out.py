@@ -10,6 +10,7 @@ from liaam.fitting.methods import Method, needed_by
 from liaam.io.files import some_names
 from liaam.model import AAM, VIEWS, Level
 from liaam.model.appearance import COPIED_APPEARANCES, AppearanceModel, Textures, train_appearance_model
+from liaam.model.missing import Missing
 from liaam.model.pca import Variance
 from liaam.model.shape import Recipe, shape_model_on
 from liaam.photometry.encoding import as_colour
@@ -47,6 +48,7 @@ def calibrated(
     model: AAM,
     entries: list[Entry],
     shapes: np.ndarray,
+    missing: Missing | None,
     sampled: Sampled,
     copied: Copies,
     settings: Mapping[str, ViewSettings],
@@ -67,6 +69,8 @@ def calibrated(
         All m images.
     shapes : (m, n, 2) float64
         Their landmarks.
+    missing : Missing, optional
+        Which of these are estimates, that fits are not compared with; None if all are known.
     sampled : Sampled
         Their textures, and those of their copies.
     copied : Copies
@@ -92,13 +96,13 @@ def calibrated(
             steps.next(f"leaving out part {i + 1} of {len(folds)}", learning_cost(model.n_textures))
             lamps = halves[i % len(halves)]
             under_other_lamps = np.flatnonzero(~np.isin(copied.lit_by, lamps))
-            part = _without(model, fold, shapes, sampled, settings, methods, under_other_lamps)
+            part = _without(model, fold, shapes, missing, sampled, settings, methods, under_other_lamps)
             for j in fitted_of(fold, folds):
                 steps.next(f"fitting {entries[j].name}", FITTED)
                 image = as_colour(entries[j].read_image(), entries[j].name)
-                yield LeftOutImage(part, image, shapes[j])
+                yield LeftOutImage(part, image, shapes[j], entries[j].known)
                 for relit in copied.relit(j, image, shapes[j], model.response, lamps):
-                    yield LeftOutImage(part, relit, shapes[j], relit=True)
+                    yield LeftOutImage(part, relit, shapes[j], entries[j].known, relit=True)
 
     reliabilities = calibrate(model, images(), methods)
     for view in VIEWS:
@@ -159,6 +163,7 @@ def _without(
     model: AAM,
     fold: np.ndarray,
     shapes: np.ndarray,
+    missing: Missing | None,
     sampled: Sampled,
     settings: Mapping[str, ViewSettings],
     methods: Sequence[Method],
@@ -187,7 +192,13 @@ def _without(
             levels.append(Level(level.blur, appearances))
         shape_variance = of_view.shape_variance
         modes = len(view.shape_model.modes) if shape_variance == "auto" else shape_variance
-        shape_model = shape_model_on(view.shape_model.mean, shapes[others], modes, of_view.recipe)
+        shape_model = shape_model_on(
+            view.shape_model.mean,
+            shapes[others],
+            modes,
+            of_view.recipe,
+            missing=None if missing is None else missing.of(others),
+        )
         warp = replace(view.warp, shape_model=shape_model)
         model = model.with_view(name, warp=warp, levels=tuple(levels))
     return model

@@ -12,6 +12,7 @@ from liaam.errors import TrainingError
 from liaam.fitting.methods import Method
 from liaam.model import AAM, MESH, SURROUNDINGS, VIEWS, Level, View
 from liaam.model.cost import TooLargeError, check_cost
+from liaam.model.missing import Missing
 from liaam.model.shape import Recipe, ShapeModel, choose_recipe, mirror_order, scaled_mean, shape_model_on
 from liaam.photometry import CameraModel
 from liaam.photometry.camera import check_camera
@@ -19,7 +20,15 @@ from liaam.photometry.features import FeatureFunction
 from liaam.progress import Progress, reported
 from liaam.training import faces
 from liaam.training.compacting import ALL, chosen, keep_only, wanted
-from liaam.training.entries import Entry, TrainingData, check_flat, mesh_of, read_entries, without_folded
+from liaam.training.entries import (
+    Entry,
+    TrainingData,
+    check_flat,
+    mesh_of,
+    read_entries,
+    with_all_landmarks,
+    without_folded,
+)
 from liaam.training.features import encoder_of
 from liaam.training.images import check_images
 from liaam.training.lamps import Copies, LearntLamps, learn_lamps
@@ -102,6 +111,7 @@ def train(
     camera = camera or CameraModel()
     check_camera(camera)
     samples = read_entries(data, contours, options.strict)
+    samples = with_all_landmarks(samples, folds_of(samples.names))
     groups = shape_groups(samples.shapes, samples.names, options.shapes)
     if len(groups) > 1 and not isinstance(lamps, str | PathLike | LearntLamps | None):
         lamps = list(lamps)  # every model learns from them
@@ -116,10 +126,16 @@ def train(
     )
     models = []
     for group in groups:
-        part = replace(samples, entries=[samples.entries[i] for i in group])
+        part = samples if len(groups) == 1 else _part_of(samples, [samples.entries[i] for i in group])
         points_of_part = points if len(groups) == 1 else points_of(points, group)
         models.append(_train_one(part, points_of_part, task))
     return replace(models[0], others=tuple(models[1:])) if len(groups) > 1 else models[0]
+
+
+def _part_of(data: TrainingData, entries: list[Entry]) -> TrainingData:
+    """Return some of the samples, whose missing landmarks are estimated from these alone."""
+    part = replace(data, entries=entries)
+    return with_all_landmarks(part, folds_of(part.names))
 
 
 @dataclass(frozen=True, eq=False)
@@ -143,6 +159,8 @@ class _Shapes:
     ----------
     landmarks : (m, n, 2) float64
         Landmarks of all images.
+    missing : Missing, optional
+        Which of these are estimates, and how uncertain they are; None if all are known.
     folds : list of arrays
         Images that are left out together, by index.
     mean : (n, 2) float64
@@ -156,6 +174,7 @@ class _Shapes:
     """
 
     landmarks: np.ndarray
+    missing: Missing | None
     folds: list[np.ndarray]
     mean: np.ndarray
     recipes: dict[str, Recipe]
@@ -178,7 +197,8 @@ def _train_one(data: TrainingData, points: Points | None, task: _Task) -> AAM:
         entries = [entries[i] for i in sound]
         grey = grey[sound]
         points = points_of(points, sound)
-        data = replace(data, entries=entries)
+        data = _part_of(data, entries)
+        entries = data.entries
         shapes = _learn_shapes(data, options)
         model = _without_appearances(data, shapes, task)
 
@@ -211,6 +231,7 @@ def _train_one(data: TrainingData, points: Points | None, task: _Task) -> AAM:
                 model,
                 entries=entries,
                 shapes=shapes.landmarks,
+                missing=shapes.missing,
                 sampled=sampled,
                 copied=copies,
                 settings=_settings_of_parts(shapes, options),
@@ -233,12 +254,17 @@ def _learn_shapes(data: TrainingData, options: TrainingOptions) -> _Shapes:
     triangles = mesh_of(mean, options.triangles, data.edges)  # first, so that its faults are raised soon
     prior_of = options.priors(landmarks.shape[1])
     # Views with the same prior share recipe and shape model, which take time to learn.
-    recipes = {prior: choose_recipe(mean, landmarks, prior, folds) for prior in dict.fromkeys(prior_of.values())}
+    missing = data.missing
+    recipes = {
+        prior: choose_recipe(mean, landmarks, prior, folds, missing) for prior in dict.fromkeys(prior_of.values())
+    }
     models = {
-        prior: shape_model_on(mean, landmarks, options.variance, recipe, folds) for prior, recipe in recipes.items()
+        prior: shape_model_on(mean, landmarks, options.variance, recipe, folds, missing)
+        for prior, recipe in recipes.items()
     }
     return _Shapes(
         landmarks=landmarks,
+        missing=missing,
         folds=folds,
         mean=mean,
         recipes={view: recipes[prior_of[view]] for view in VIEWS},
@@ -260,6 +286,7 @@ def _without_appearances(data: TrainingData, shapes: _Shapes, task: _Task) -> AA
         contours=data.contours,
         landmark_names=data.landmark_names,
         name=task.name,
+        n_missing=None if data.missing is None else data.missing.counts,
     )
 
 
