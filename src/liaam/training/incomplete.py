@@ -1,4 +1,4 @@
-"""Check which landmarks of the training images are missing, and describe that."""
+"""Check which landmarks of the training images are missing."""
 
 import warnings
 from collections.abc import Sequence
@@ -6,6 +6,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from liaam.errors import TrainingError
+from liaam.formatting import ranges_of
 from liaam.io.files import some_names
 from liaam.training.filling import COMMON, unlinked
 
@@ -31,9 +32,9 @@ def check_known(names: Sequence[str], known: np.ndarray) -> None:
         second = some_names([names[int(i)] for i in groups[1]], 3)
         raise TrainingError(
             f"some images ({first}) share fewer than {COMMON} landmarks with others ({second}), so nothing says where "
-            f"{_numbers_of(np.flatnonzero(known[groups[0]].any(axis=0)), '')} lie relative to "
-            f"{_numbers_of(np.flatnonzero(known[groups[1]].any(axis=0)), '')}: place both in some images, "
-            "or train on one of these groups of images"
+            f"{_numbers_of(np.flatnonzero(known[groups[0]].any(axis=0)), ('', ''))} lie relative to "
+            f"{_numbers_of(np.flatnonzero(known[groups[1]].any(axis=0)), ('', ''))}: place both in some images, or "
+            "train on one of these groups of images"
         )
     rare = np.flatnonzero(counts < FEWEST)
     if len(rare):
@@ -44,12 +45,10 @@ def check_known(names: Sequence[str], known: np.ndarray) -> None:
         )
 
 
-def _numbers_of(landmarks: np.ndarray, verb: str | None = None) -> str:
-    """Name landmarks by their numbers from 1, with a verb: by default is or are."""
-    names = some_names([str(i + 1) for i in landmarks], 12)
-    if len(landmarks) == 1:
-        return f"landmark {names} {'is' if verb is None else verb}".rstrip()
-    return f"landmarks {names} {'are' if verb is None else verb}".rstrip()
+def _numbers_of(landmarks: np.ndarray, verbs: tuple[str, str] = (" is", " are")) -> str:
+    """Name landmarks by their numbers from 1, with a verb for one and for several."""
+    numbers = ranges_of([int(i) + 1 for i in landmarks])
+    return f"landmark {numbers}{verbs[0]}" if len(landmarks) == 1 else f"landmarks {numbers}{verbs[1]}"
 
 
 def _it_or_them(landmarks: np.ndarray) -> str:
