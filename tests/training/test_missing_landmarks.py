@@ -134,6 +134,17 @@ def test_left_out_fits_are_compared_with_known_landmarks_only(pairs, monkeypatch
     assert other.error == pytest.approx(fit.error, rel=0.05)
 
 
+def test_progress_begins_with_the_missing_landmarks(pairs):
+    pairs[1][1][MOUTH] = np.nan
+    seen = []
+    train(pairs[:4], leave_out=False, progress=lambda *step: seen.append(step))
+    first = [step for step in seen if step[2] == "missing landmarks"]
+    assert seen[: len(first)] == first
+    done, total, _ = zip(*first, strict=True)
+    assert done[0] == 0 and (np.diff(done) > 0).all() and max(done) < total[0]
+    assert seen[-1][:2] == (seen[-1][1], seen[-1][1])
+
+
 def test_missing_landmarks_may_lie_outside_the_image():
     shape = np.array([[10, 10], [30, 10], [30, 30], [10, 90.0]])
     assert "1 of 4 landmarks lie outside the image of 40×40 pixels (point 4 by" in describe_outside(shape, (40, 40))

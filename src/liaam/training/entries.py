@@ -22,6 +22,7 @@ from liaam.model.file import MAX_POINTS
 from liaam.model.mesh import FOLD_TOLERANCE, delaunay, folded_share, signed_areas, triangles_from_edges
 from liaam.model.missing import Missing
 from liaam.model.shape import align
+from liaam.progress import Progress, reported
 from liaam.training.filling import FEWEST_KNOWN, filled
 from liaam.training.incomplete import check_known
 
@@ -219,17 +220,20 @@ def known_of(entries: Sequence[Entry]) -> np.ndarray:
     return np.array([np.ones(len(each.points), bool) if each.known is None else each.known for each in entries])
 
 
-def with_all_landmarks(data: TrainingData, folds: Sequence[np.ndarray]) -> TrainingData:
+def with_all_landmarks(
+    data: TrainingData, folds: Sequence[np.ndarray], progress: Progress | bool | None = False
+) -> TrainingData:
     """Return samples in which missing landmarks are where the other images suggest (:mod:`liaam.training.filling`).
 
-    ``folds`` are samples that are left out together, by index.
+    ``folds`` are samples that are left out together, by index; ``progress`` is that of :func:`train`.
     """
     entries = data.entries
     known = known_of(entries)
     if known.all():
         return replace(data, missing=None)
     holed = np.where(known[..., None], data.shapes, np.nan)
-    shapes, missing = filled(holed, folds)
+    with reported("missing landmarks", progress) as report:
+        shapes, missing = filled(holed, folds, report)
     entries = [replace(entry, points=points) for entry, points in zip(entries, shapes, strict=True)]
     return replace(data, entries=entries, missing=missing)
 

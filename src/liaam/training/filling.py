@@ -20,6 +20,7 @@ import numpy as np
 from liaam.model.missing import Missing
 from liaam.model.shape import align, deviations_from, diagonal_of, procrustes_mean
 from liaam.model.shape_prior import Deviations, SmoothPrior, covariance, fit_prior
+from liaam.progress import Progress
 
 FEWEST_KNOWN = 3  # Fewest known landmarks of an image, of which the others can be estimated
 COMMON = 2  # Fewest landmarks that two images must share to be aligned
@@ -31,7 +32,9 @@ STILL = 1e-4
 LEAST_NOISE = 1e-12  # Least variance of a coordinate, of a mean shape of norm 1: shapes may be copies of each other
 
 
-def filled(shapes: np.ndarray, folds: Sequence[np.ndarray]) -> tuple[np.ndarray, Missing]:
+def filled(
+    shapes: np.ndarray, folds: Sequence[np.ndarray], progress: Progress | None = None
+) -> tuple[np.ndarray, Missing]:
     """Estimate the missing landmarks of shapes.
 
     Parameters
@@ -41,6 +44,8 @@ def filled(shapes: np.ndarray, folds: Sequence[np.ndarray]) -> tuple[np.ndarray,
         are linked by common landmarks (:func:`unlinked`).
     folds : sequence of int arrays
         Shapes that are left out together, such as those of one object.
+    progress : callable, optional
+        Called with (done, total, what) before each step.
 
     Returns
     -------
@@ -54,9 +59,11 @@ def filled(shapes: np.ndarray, folds: Sequence[np.ndarray]) -> tuple[np.ndarray,
     factors = [np.zeros((0, *shapes.shape[1:])) for _ in shapes]
     shapes = _placed_on_mean(shapes)
     mean = procrustes_mean(shapes)
-    for _ in range(ROUNDS):
+    for i_round in range(ROUNDS):
         prior = None
-        for _ in range(STEPS):
+        for i_step in range(STEPS):
+            if progress:
+                progress(i_round * STEPS + i_step, ROUNDS * STEPS, "missing landmarks")
             deviations = deviations_from(mean, shapes, missing=Missing(known, tuple(factors)))
             prior = prior or fit_prior(deviations, folds)
             precision = _precision(deviations, prior)

@@ -84,7 +84,8 @@ class TrainingOptions:
         Whether to leave images out in turn and fit them, to calibrate ``FitResult.quality`` and
         ``landmark_covariances``. This doubles the time of training.
     strict : bool
-        Whether to refuse images that are left out otherwise: with missing landmarks, or landmarks that fold the mesh.
+        Whether to refuse images with missing landmarks, and those with landmarks that fold the mesh, which are left out
+        otherwise.
     """
 
     diagonal: float = 150.0

@@ -63,7 +63,9 @@ def train(
     ----------
     data : Dataset, or iterable of Sample or (image, landmarks) pairs
         Images are (h, w, 3) arrays or paths; landmarks are (n, 2) arrays (x, y), :class:`liaam.io.Landmarks` or paths.
-        All must have the same number of points, in the same order.
+        All must have the same number of points, in the same order. Missing ones are (NaN, NaN): the shapes are learnt
+        by expectation maximisation, and the appearance where known landmarks place it. :attr:`liaam.AAM.n_missing`
+        counts them.
     options : TrainingOptions, optional
         How to train. The defaults suit most data.
     camera : CameraModel, optional
@@ -90,7 +92,8 @@ def train(
         Name of the model, for display.
     progress : bool or callable, optional
         Whether to show a progress bar on standard error; by default on a terminal, after two seconds. Or a function
-        that is called with (done, total, what) before each step and at the end, in units of about the same time.
+        that is called with (done, total, what) before each step and at the end, in units of about the same time. If
+        landmarks are missing, a count of its own for these comes first.
     **changes
         Fields of :class:`TrainingOptions` that replace those of ``options``, such as ``diagonal=100``.
 
@@ -101,9 +104,9 @@ def train(
     Raises
     ------
     TrainingError
-        If there are fewer than 3 shapes, or shapes of different lengths, missing (NaN) landmarks, black images and the
-        like. The message names the sample. Samples whose landmarks fold the mesh are left out, with a warning, unless
-        most do.
+        If there are fewer than 3 shapes, or shapes of different lengths, a landmark that is missing in all, black
+        images and the like. The message names the sample. Samples with fewer than 3 landmarks, and those whose
+        landmarks fold the mesh, are left out, with a warning, unless most do.
     """
     if not isinstance(options, TrainingOptions | None):
         raise TrainingError(f"options {options!r}: give TrainingOptions, or options, camera and lamps by name")
@@ -111,7 +114,7 @@ def train(
     camera = camera or CameraModel()
     check_camera(camera)
     samples = read_entries(data, contours, options.strict)
-    samples = with_all_landmarks(samples, folds_of(samples.names))
+    samples = with_all_landmarks(samples, folds_of(samples.names), progress)
     groups = shape_groups(samples.shapes, samples.names, options.shapes)
     if len(groups) > 1 and not isinstance(lamps, str | PathLike | LearntLamps | None):
         lamps = list(lamps)  # every model learns from them
@@ -126,16 +129,16 @@ def train(
     )
     models = []
     for group in groups:
-        part = samples if len(groups) == 1 else _part_of(samples, [samples.entries[i] for i in group])
+        part = samples if len(groups) == 1 else _part_of(samples, [samples.entries[i] for i in group], progress)
         points_of_part = points if len(groups) == 1 else points_of(points, group)
         models.append(_train_one(part, points_of_part, task))
     return replace(models[0], others=tuple(models[1:])) if len(groups) > 1 else models[0]
 
 
-def _part_of(data: TrainingData, entries: list[Entry]) -> TrainingData:
+def _part_of(data: TrainingData, entries: list[Entry], progress: Progress | bool | None) -> TrainingData:
     """Return some of the samples, whose missing landmarks are estimated from these alone."""
     part = replace(data, entries=entries)
-    return with_all_landmarks(part, folds_of(part.names))
+    return with_all_landmarks(part, folds_of(part.names), progress)
 
 
 @dataclass(frozen=True, eq=False)
@@ -197,7 +200,7 @@ def _train_one(data: TrainingData, points: Points | None, task: _Task) -> AAM:
         entries = [entries[i] for i in sound]
         grey = grey[sound]
         points = points_of(points, sound)
-        data = _part_of(data, entries)
+        data = _part_of(data, entries, task.progress)
         entries = data.entries
         shapes = _learn_shapes(data, options)
         model = _without_appearances(data, shapes, task)
