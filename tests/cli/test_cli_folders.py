@@ -187,7 +187,7 @@ def test_training_and_show_report_how_often_landmarks_are_missing(run, folder, s
     model_file = tmp_path / "m.liaam"
     code, out, err = run("train", folder, "-o", model_file, *FAST)
     assert (code, err) == (0, "")
-    said = "estimated from the others: 4 in 4, 9 in 1, 10 in 1, 11 in 1, 12 in 1 of 9 images"
+    said = "estimated from the others. Of 9 images, landmark 4 is missing in 4, 9 in 1, 10 in 1, 11 in 1, 12 in 1"
     assert f"missing landmarks: 8 of 522 (2%), {said}" in out
     code, out, _ = run("show", model_file, "-o", tmp_path / "facts.json")
     assert code == 0 and said in out

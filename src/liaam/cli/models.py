@@ -14,7 +14,7 @@ from liaam.cli.lamps import LAMPS_SUFFIX, read_lamps
 from liaam.cli.terminal import cell, progress_bar, say, show_table
 from liaam.errors import LiaamError
 from liaam.io.atomic import check_output, write_text_atomically
-from liaam.io.files import count_of, some_names
+from liaam.io.files import count_of
 from liaam.models import MODELS, model_file as file_of
 
 FIGURE_SUFFIXES = (".png", ".svg", ".pdf")
@@ -149,12 +149,18 @@ def describe(model: "AAM", path: Path) -> dict[str, str]:
 def describe_missing(model: "AAM") -> str:
     """Describe how often landmarks were missing in the training images, those that most images lacked first."""
     counts = model.n_all_missing
+    n_images = model.n_all_images
     total = int(counts.sum())
     often = [int(i) for i in np.argsort(-counts, kind="stable") if counts[i]]
-    labels = [f"{_label(model, i)} in {counts[i]}" for i in often]
+    most = often[0]
+    named = [f"landmark {_label(model, most)} is missing in {counts[most]}"]
+    named += [f"{_label(model, i)} in {counts[i]}" for i in often[1:MOST_NAMED]]
+    others = len(often) - len(named)
+    rest = f" and {others} more in at most {counts[often[MOST_NAMED]]}" if others else ""
+    share = total / (model.n_points * n_images)
     return (
-        f"{total} of {model.n_points * model.n_all_images} ({total / (model.n_points * model.n_all_images):.0%}), "
-        f"estimated from the others: {some_names(labels, MOST_NAMED)} of {count_of(model.n_all_images, 'image')}"
+        f"{total} of {model.n_points * n_images} ({share:.0%}), estimated from the others. Of "
+        f"{count_of(n_images, 'image')}, {', '.join(named)}{rest}"
     )
 
 

@@ -124,8 +124,8 @@ def surroundings(points: np.ndarray, triangles: np.ndarray, width: float = SURRO
 
 
 # Largest weight of estimated landmarks in the position of a pixel that counts as known. Trained on 30 fly wings, nine
-# in ten without one landmark, fits are off by 0.391 % of the diagonal (0.403 with a weight of 0, 0.393 with 1/2, 0.387
-# if none is missing); on 40 cephalograms without a fifth of their landmarks by 1.21 % (1.24, 1.23, 1.20).
+# in ten without one landmark, fits are off by 0.391 % of the diagonal (0.403 with a weight of 0, 0.393 with 1/2); on 40
+# cephalograms without a fifth of their landmarks by 1.21 % (1.24, 1.23; experiments/notes/missing-landmarks.md).
 MOST_ESTIMATED = 1 / 3
 
 
