@@ -14,7 +14,7 @@ from liaam.model.shape import (
     shape_model_on,
     similarity_modes,
 )
-from liaam.training.filling import filled, unlinked
+from liaam.training.filling import filled, is_enough, unlinked
 
 
 def low_rank_shapes(rng: np.random.Generator, m: int, n: int, rank: int, noise: float = 0.0) -> np.ndarray:
@@ -183,6 +183,18 @@ def test_uncertainty_is_mirrored_with_the_shapes(rng):
     some = spread.of(np.array([1, 2]))
     np.testing.assert_array_equal(some.owners, [1, 1])
     assert not len(spread.of(np.array([0, 4])).rows)
+
+
+def test_it_takes_links_and_every_landmark_to_estimate_what_is_missing():
+    known = np.ones((4, 6), bool)
+    known[0, 2] = False
+    assert is_enough(known)
+    known[:, 2] = False
+    assert not is_enough(known)
+    known[:2, 2:] = False
+    known[2:, :2] = False
+    known[2:, 2] = True
+    assert not is_enough(known)
 
 
 def test_images_without_a_link_are_told_apart():

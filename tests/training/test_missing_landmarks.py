@@ -13,7 +13,7 @@ from liaam.fitting.methods import DEFAULT_METHOD, METHODS
 from liaam.io import Landmarks
 from liaam.model import MESH, SURROUNDINGS, load_model
 from liaam.model.mirror import mirrored_model
-from liaam.model.shape import diagonal_of, mirror_order
+from liaam.model.shape import align, diagonal_of, mirror_order
 from liaam.photometry import CameraModel
 from liaam.training import train as train_as_users_do
 from liaam.training.entries import read_entries, with_all_landmarks
@@ -191,6 +191,39 @@ def test_kinds_of_shape_are_found_although_landmarks_are_missing(rng):
     filled = with_all_landmarks(data, folds_of(data.names))
     groups = shape_groups(filled.shapes, data.names)
     assert sorted(group.tolist() for group in groups) == [list(range(0, 40, 2)), list(range(1, 40, 2))]
+
+
+def test_a_kind_of_shape_that_lacks_a_landmark_throughout_has_the_estimate_of_all(scenes):
+    """Wings without the landmark of another species: only the other kind says where it might be."""
+    rng = np.random.default_rng(5)
+    image = np.clip(cv2.GaussianBlur(rng.uniform(0, 255, (120, 160, 3)), (0, 0), 2.0) * 3 - 255, 0, 255).astype(
+        np.uint8
+    )
+    body = np.array([[0, 0], [26, -6], [52, 4], [60, 22], [34, 30], [8, 24], [24, 12], [40, 14]], float) + [40, 40]
+    shapes = body + rng.normal(0, 0.6, (20, 8, 2))
+    shapes[1::2, [0, 3]] += [0, 16]
+    shapes[1::2, 6] = np.nan
+    model = train([(image, shape) for shape in shapes], shapes=2, leave_out=False, copies=0)
+    assert [part.n_images for part in model.parts] == [10, 10]
+    assert sorted(part.n_all_missing[6] for part in model.parts) == [0, 10]
+    assert model.n_all_missing.tolist() == [0, 0, 0, 0, 0, 0, 10, 0]
+    for part in model.parts:
+        assert np.isfinite(part.shape_model.mean).all() and np.isfinite(part.shape_model.eigenvalues).all()
+    lacking = max(model.parts, key=lambda part: part.n_all_missing[6])
+    placed = align(lacking.shape_model.mean, body)(lacking.shape_model.mean)
+    assert np.linalg.norm(placed[6] - body[6]) < 15.0
+
+
+def test_a_landmark_whose_only_images_fold_the_mesh_keeps_its_estimate(pairs, rng):
+    for i, (_, points) in enumerate(pairs):
+        if i > 1:
+            points[7] = np.nan
+    for i in (0, 1):
+        pairs[i] = (pairs[i][0], rng.permutation(pairs[i][1]))
+    with pytest.warns(UserWarning, match="2 of 8 images fold the mesh"):
+        model = train(pairs, leave_out=False, copies=0)
+    assert model.n_images == 6 and model.n_missing[7] == 6
+    assert np.isfinite(model.shape_model.mean).all()
 
 
 @pytest.mark.parametrize("view", [MESH, SURROUNDINGS])

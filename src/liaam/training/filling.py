@@ -40,7 +40,7 @@ def filled(
     ----------
     shapes : (m, n, 2) float64
         NaN where missing. Each shape has at least three landmarks, each landmark is known in a shape, and the shapes
-        are linked by common landmarks (:func:`unlinked`).
+        are linked by common landmarks (:func:`is_enough`).
     folds : sequence of int arrays
         Shapes that are left out together, such as those of one object.
     progress : callable, optional
@@ -127,6 +127,11 @@ def _expected(
     factors = np.zeros((len(values), *shape.shape))
     factors[:, ~known] = displacements @ unposed.matrix.T
     return expected, factors
+
+
+def is_enough(known: np.ndarray) -> bool:
+    """Whether missing landmarks of shapes can be estimated from these shapes alone, by which are known, (m, n) bool."""
+    return bool(known.any(axis=0).all()) and len(unlinked(known)) == 1
 
 
 def unlinked(known: np.ndarray) -> list[np.ndarray]:

@@ -30,6 +30,7 @@ from liaam.training.entries import (
     without_folded,
 )
 from liaam.training.features import encoder_of
+from liaam.training.filling import is_enough
 from liaam.training.images import check_images
 from liaam.training.lamps import Copies, LearntLamps, learn_lamps
 from liaam.training.left_out import ViewSettings, calibrated, can_be_calibrated, fitted_of, folds_of
@@ -129,15 +130,19 @@ def train(
     )
     models = []
     for group in groups:
-        part = samples if len(groups) == 1 else _part_of(samples, [samples.entries[i] for i in group], progress)
+        part = samples if len(groups) == 1 else _part_of(samples, group, progress)
         points_of_part = points if len(groups) == 1 else points_of(points, group)
         models.append(_train_one(part, points_of_part, task))
     return replace(models[0], others=tuple(models[1:])) if len(groups) > 1 else models[0]
 
 
-def _part_of(data: TrainingData, entries: list[Entry], progress: Progress | bool | None) -> TrainingData:
-    """Return some of the samples, whose missing landmarks are estimated from these alone."""
-    part = replace(data, entries=entries)
+def _part_of(data: TrainingData, indices: np.ndarray, progress: Progress | bool | None) -> TrainingData:
+    """Return some of the samples, whose missing landmarks are estimated anew from these alone if that is possible."""
+    entries = [data.entries[i] for i in indices]
+    missing = None if data.missing is None else data.missing.of(indices)
+    part = replace(data, entries=entries, missing=missing)
+    if missing is not None and not is_enough(missing.known):
+        return part
     return with_all_landmarks(part, folds_of(part.names), progress)
 
 
@@ -197,11 +202,10 @@ def _train_one(data: TrainingData, points: Points | None, task: _Task) -> AAM:
         if len(sound) == len(entries):
             break
         # Learn again from the images that do not fold the mesh, which have been checked already.
-        entries = [entries[i] for i in sound]
+        data = _part_of(replace(data, entries=entries), sound, task.progress)
+        entries = data.entries
         grey = grey[sound]
         points = points_of(points, sound)
-        data = _part_of(data, entries, task.progress)
-        entries = data.entries
         shapes = _learn_shapes(data, options)
         model = _without_appearances(data, shapes, task)
 
