@@ -258,6 +258,9 @@ def test_a_landmark_that_is_missing_in_all_images_is_refused_by_its_number(pairs
     for _, points in pairs:
         points[4] = 50.0
     refused(pairs, "landmark 10 is missing in all 3 images: place it in some images, or remove it from all")
+    names = [f"p{i}" for i in range(58)]
+    named = [(image, Landmarks(points, (), names)) for image, points in pairs]
+    refused(named, r"landmark 10 \(p9\) is missing in all 3 images")
 
 
 def test_sides_that_are_never_placed_together_are_refused(scenes):

@@ -136,7 +136,8 @@ def read_entries(data: Iterable, contours: Iterable | None = None, strict: bool 
         contours_of_files = contours_of_files or sample.contours
         if sample.landmark_names:
             orders.setdefault(tuple(sorted(sample.landmark_names)), sample.landmark_names)
-    entries = _usable(entries, strict)
+    landmark_names = next(iter(orders.values())) if len(orders) == 1 else ()
+    entries = _usable(entries, landmark_names, strict)
     if len(entries) < FEWEST:
         few = count_of(len(entries), "landmarked image")
         raise TrainingError(f"{few}: too few to learn from; at least {FEWEST} are needed, 5 to 20 are better")
@@ -144,7 +145,7 @@ def read_entries(data: Iterable, contours: Iterable | None = None, strict: bool 
         entries=entries,
         contours=contours_of_files if contours is None else contours_of(contours, len(entries[0].points)),
         edges=_edges_of(contours_of_files),
-        landmark_names=next(iter(orders.values())) if len(orders) == 1 else (),
+        landmark_names=landmark_names,
     )
 
 
@@ -183,7 +184,7 @@ def _as_contour(given: Any) -> Contour | None:
         return None
 
 
-def _usable(entries: list[Entry], strict: bool) -> list[Entry]:
+def _usable(entries: list[Entry], landmark_names: Sequence[str], strict: bool) -> list[Entry]:
     """Return the samples from whose landmarks a model can be learnt, some of which may be missing.
 
     Warns the caller of train, which is decorated, of those that are left out. If ``strict``, samples with missing
@@ -211,7 +212,7 @@ def _usable(entries: list[Entry], strict: bool) -> list[Entry]:
         )
         entries = [entry for entry, n in zip(entries, counts, strict=True) if n >= FEWEST_KNOWN]
     if len(entries) >= FEWEST:  # else there are too few anyway, which is said elsewhere
-        check_known([entry.name for entry in entries], known_of(entries))
+        check_known([entry.name for entry in entries], known_of(entries), landmark_names)
     return entries
 
 
