@@ -40,8 +40,8 @@ def check_known(names: Sequence[str], known: np.ndarray, landmark_names: Sequenc
     rare = np.flatnonzero(counts < FEWEST)
     if len(rare):
         warnings.warn(
-            f"{_called(rare, landmark_names)} placed in only 1 of {len(names)} images, from which little can be learnt: "
-            f"place {_it_or_them(rare)} in more images",
+            f"{_called(rare, landmark_names)} placed in only 1 of {len(names)} images, from which little can be "
+            f"learnt: place {_it_or_them(rare)} in more images",
             stacklevel=6,
         )
 
