@@ -1,5 +1,6 @@
 """Odd folders and images, as a new user has them: every mishap has a message that names the remedy."""
 
+import json
 import re
 
 import numpy as np
@@ -176,6 +177,26 @@ def test_every_object_of_an_image_is_trained_on(run, scenes, tmp_path):
     assert "left out 1: one of several objects in an image lacks landmarks (party1#2)" in out
     assert "first: 8 of 58; place them or delete the object, in all.xml" in out
     assert "trained on 5 images" in out
+
+
+def test_training_and_show_report_how_often_landmarks_are_missing(run, folder, scenes, tmp_path):
+    for i in range(4):
+        points = scenes[i].landmarks.copy()
+        points[[3, 8 + i]] = np.nan
+        write_landmarks(folder / f"face{i}.pts", points)
+    model_file = tmp_path / "m.liaam"
+    code, out, err = run("train", folder, "-o", model_file, *FAST)
+    assert (code, err) == (0, "")
+    said = "estimated from the others. Of 9 images, landmark 4 is missing in 4, 9 in 1, 10 in 1, 11 in 1, 12 in 1"
+    assert f"missing landmarks: 8 of 522 (2%), {said}" in out
+    code, out, _ = run("show", model_file, "-o", tmp_path / "facts.json")
+    assert code == 0 and said in out
+    facts = json.loads((tmp_path / "facts.json").read_text())
+    assert facts["images"] == 9 and len(facts["landmarks"]) == 58
+    assert facts["landmarks"][3] == {"number": 4, "name": None, "missing": 4}
+    assert facts["landmarks"][0]["missing"] == 0
+    code, _, err = run("show", model_file, "-o", tmp_path / "facts.txt")
+    assert code == 1 and "give a name that ends in .png, .svg or .pdf, or in .json" in err
 
 
 def test_strict_training_refuses_a_missing_landmark_before_any_work(run, folder, scenes, tmp_path):

@@ -270,6 +270,23 @@ def test_variances_along_and_across_contours_are_calibrated_apart(rng):
     assert ratios[0] < 7.0 and ratios[1] > 12.0  # of 36: what fits state themselves is no direction's
 
 
+def test_errors_of_landmarks_that_are_not_known_are_left_out(rng):
+    shape = rng.uniform(-20, 20, (6, 2))
+    errors = rng.standard_normal((200, 6, 2)) * np.array([1, 1, 1, 1, 1, 3.0])[:, None]
+    spreads = np.tile(0.1 * np.eye(2), (200, 6, 1, 1))
+    shapes = np.tile(0.01 * np.eye(2), (6, 1, 1))
+    alike = Alike.of(shape, ())
+    whole = learn_covariances(errors, spreads, 1.0, np.ones(200), shapes, alike)
+    holed = errors.copy()
+    holed[::2, 5] = np.nan
+    holed[:, 2] = np.nan
+    part = learn_covariances(holed, spreads, 1.0, np.ones(200), shapes, alike)
+    sizes = [np.trace(each["bias"], axis1=1, axis2=2) for each in (whole, part)]
+    assert sizes[1][5] == pytest.approx(sizes[0][5], rel=0.3)  # of half as many errors
+    np.testing.assert_allclose(sizes[1][[0, 1, 3, 4]], sizes[0][[0, 1, 3, 4]], rtol=0.1)
+    assert sizes[1][[0, 1, 3, 4]].max() < sizes[1][2] < sizes[1][5]  # that of a landmark without errors is the mean
+
+
 def test_few_pictures_widen_it(rng):
     errors = rng.standard_normal((5, 40, 2))
     few = beyond(errors, np.zeros((5, 40, 2, 2)), np.zeros((40, 2, 2)), Alike.of(np.zeros((40, 2)), ()))

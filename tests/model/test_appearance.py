@@ -26,6 +26,23 @@ def test_unusable_pixels_are_filled_in_not_learnt(rng):
     assert model.usable[25] == pytest.approx(10 / 12)
 
 
+def test_pixels_that_no_landmarks_place_do_not_count(rng):
+    textures = rng.normal(size=(8, 30, 3)).astype(np.float32)
+    usable = np.ones((8, 30), np.float32)
+    usable[5, 7] = 0
+    known = np.ones((8, 30), bool)
+    known[:4, 7] = False
+    known[:, 9] = False
+    spoilt = textures.copy()
+    spoilt[:4, 7] = 99.0
+    model, other = (train_appearance_model(Textures.of(values, usable, known), 3) for values in (textures, spoilt))
+    np.testing.assert_array_equal(other.mean, model.mean)
+    np.testing.assert_array_equal(other.modes, model.modes)
+    assert model.usable[7] == pytest.approx(3 / 4)  # of the four images in which it could be observed
+    assert model.usable[9] == 0
+    assert (np.delete(model.usable, [7, 9]) == 1).all()
+
+
 def test_pixels_no_image_shows_keep_a_value_and_weigh_nothing(rng):
     textures = rng.normal(size=(5, 30, 3)).astype(np.float32)
     usable = np.ones((5, 30), np.float32)

@@ -85,6 +85,10 @@ def test_a_mirrored_shape_is_wholly_folded():
     assert folded_share(SQUARE, triangles) == 0
     assert folded_share(SQUARE * [-1, 1], triangles) == 1
     assert folded_share(SQUARE * 0, triangles) == 1
+    known = np.array([True, True, True, False])
+    whole = known[triangles].all(axis=1)
+    assert folded_share(SQUARE * [-1, 1], triangles, known) == pytest.approx(whole.mean())
+    assert folded_share(SQUARE * [-1, 1], triangles, ~known) == 0
 
 
 def test_folded_share_is_a_share_of_area():

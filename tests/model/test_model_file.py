@@ -477,6 +477,10 @@ FORGERIES = {
     "many images": (entry("n_images", value=float("inf")), "infinity"),
     "other pixels": (other_pixels, "0/soft.modes has type int8 and shape"),
     "no name": (without("name"), "name"),
+    "few counts": (entry("n_missing", value=[1]), "n_missing has not 4 numbers from 0 to 3"),
+    "many missing": (entry("n_missing", value=[0, 0, 4, 0]), "n_missing has not 4 numbers from 0 to 3"),
+    "half missing": (entry("n_missing", value=[0, 0.5, 0, 0]), "n_missing has not 4 numbers from 0 to 3"),
+    "odd counts": (entry("n_missing", value="many"), "n_missing has not 4 numbers from 0 to 3"),
     "bad eigenvalue": (number("mesh/shape.eigenvalues", slice(None), -1.0), "shape.eigenvalues"),
 }
 

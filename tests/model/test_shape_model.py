@@ -22,7 +22,6 @@ from liaam.model.shape import (
     similarity_modes,
 )
 from liaam.model.shape_prior import SHARES, fit_freedom, log_density, smooth_covariance, spread_points
-from liaam.training.entries import placed_by_others
 
 
 def similarity(scale: float, angle: float, x: float, y: float) -> Similarity:
@@ -84,20 +83,6 @@ def test_the_mean_of_moved_copies_is_the_shape(rng):
     mean = procrustes_mean(copies)
     np.testing.assert_allclose(align(mean, shape)(mean), shape, atol=1e-8)
     assert np.linalg.norm(mean) == pytest.approx(1)
-
-
-def test_missing_points_are_placed_by_the_mean_of_moved_copies(rng):
-    shape = rng.normal(size=(9, 2))
-    copies = np.array([similarity(i + 1, i, 3 * i, -i)(shape) for i in range(6)])
-    holed = copies.copy()
-    for i, missing in enumerate(((0, 1), (2,), (3, 4), (5,), (6, 8), (0, 7))):
-        holed[i, list(missing)] = np.nan  # no copy is whole
-    np.testing.assert_allclose(placed_by_others(holed), copies, atol=1e-6)
-    holed[0, :7] = np.nan  # two points are too few
-    np.testing.assert_array_equal(placed_by_others(holed), holed)
-    holed[0] = copies[0]
-    holed[:, 4] = np.nan  # none has it
-    np.testing.assert_array_equal(placed_by_others(holed), holed)
 
 
 @given(seed=st.integers(0, 99))

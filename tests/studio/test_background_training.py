@@ -225,6 +225,31 @@ def is_trained_on(model, name):
     return name in model.facts["pictures"].keys() - model.facts["left_out"]
 
 
+def test_pictures_with_absent_points_are_trained_on_and_measured(setting):
+    project, models, _, trainer = setting(5, 5)
+    for i in range(1, 6):
+        marks = project.marks(f"p{i}.png")
+        absent = [i, 30]
+        marks["points"] = [None if j in absent else point for j, point in enumerate(marks["points"])]
+        if i == 1:  # one of them has the point
+            marks["points"][30] = [80.0, 60.0]
+            absent = [i]
+        project.save_marks(f"p{i}.png", {**marks, "absent": absent, "origins": None})
+    assert states(project) == ["done"] * 5
+    assert [item.placed.sum() for item in project.annotated()] == [57, 56, 56, 56, 56]
+    own, not_own = project.own_complete()
+    assert (own, not_own) == ({}, [])  # comparisons need all points
+    trainer.start()
+    ended = trainer.wait(240)
+    assert (ended.state, ended.error) == ("done", None)
+    assert "landmark 31 is placed in only 1 of 5 images" in ended.what
+    model = models.current.model
+    assert model.n_images == 5 and models.current.facts["left_out"] == {}
+    assert model.n_missing[30] == 4 and model.n_missing[1:6].tolist() == [1] * 5
+    (version,) = trainer.versions.as_json(project.templates.order)
+    assert version["held_out"] == 1 and 0 < version["error"] < 0.1
+
+
 def test_possible_slips_are_left_out_unless_a_person_wants_them(setting):
     project, models, _, trainer = setting(4, 4)
     (first, *_), slip = project.annotated(), "points 1–2 are exchanged"

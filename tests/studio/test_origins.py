@@ -117,7 +117,7 @@ def test_a_picture_is_done_without_the_points_that_its_object_lacks(small):
     for project in (small, Project(small.root)):
         assert (states(project)["p1.png"], states(project)["p2.png"]) == ("done", "partial")
         assert by_name(project)["p1.png"]["absent"] == 1 and project.marks("p1.png")["absent"] == [1]
-        assert project.annotated() == []  # training needs all points
+        assert project.annotated() == []  # training needs three points
     assert read_landmarks(small.root / "p1.ljson").missing.tolist() == [False, True, False]
     save(small, "p1.png", POINTS)  # placed after all
     assert small.marks("p1.png")["absent"] == [] and len(small.annotated()) == 1

@@ -20,7 +20,7 @@ from liaam.model.mesh import delaunay, signed_areas
 from liaam.morphometry import measure, read_specimens
 from liaam.photometry import CameraModel, invariant
 from liaam.training import TrainingOptions, images as images_of_training, train as train_as_users_do
-from liaam.training.entries import read_entries
+from liaam.training.entries import known_of, read_entries, with_all_landmarks
 from liaam.training.left_out import describe_objects, folds_of
 from liaam.training.options import ARGUMENTS
 from setups import disturb, model_pixels, train_on
@@ -223,36 +223,74 @@ def test_counts_that_differ_are_refused(pairs):
     refused(pairs, "image 2 has 57 landmarks but image 1 has 58")
 
 
-def test_images_with_missing_landmarks_are_left_out(pairs):
+def test_missing_landmarks_are_estimated_from_the_other_images(pairs, recwarn):
+    true = pairs[0][1].copy()
+    for i, (_, points) in enumerate(pairs):
+        points[i] = np.nan
+    data = read_entries(pairs)
+    np.testing.assert_array_equal(known_of(data.entries), ~np.eye(3, 58, dtype=bool))
+    entries = with_all_landmarks(data, folds_of(data.names)).entries
+    assert not recwarn.list
+    assert np.linalg.norm(entries[0].points[0] - true[0]) < 0.1 * np.ptp(true, axis=0).max()
+    np.testing.assert_array_equal(entries[0].points[1:], true[1:])
+
+
+def test_images_with_hardly_any_landmarks_are_left_out_by_name(pairs):
     pairs = [*pairs[:3], (pairs[0][0], pairs[0][1].copy())]
-    pairs[2][1][[4, 9]] = np.nan
-    with pytest.warns(UserWarning, match="1 image has missing landmarks and is left out: image 3"):
+    pairs[2][1][2:] = np.nan
+    with pytest.warns(UserWarning, match=r"1 image has fewer than 3 landmarks and is left out: image 3 \(2\); place"):
         entries = read_entries(pairs).entries
     assert [entry.name for entry in entries] == ["image 1", "image 2", "image 4"]
+    pairs[2][1][:] = np.nan
+    refused(pairs, "image 3: all of its 58 landmarks are missing")
+
+
+def test_too_few_images_with_landmarks_are_refused(pairs):
+    pairs[1][1][1:] = np.nan
+    with pytest.warns(UserWarning, match=r"left out: image 2 \(1\)"):
+        refused(pairs, "2 landmarked images: too few to learn from")
+
+
+def test_a_landmark_that_is_missing_in_all_images_is_refused_by_its_number(pairs):
+    for _, points in pairs:
+        points[[4, 9]] = np.nan
+    refused(pairs, "landmarks 5, 10 are missing in all 3 images: place them in some images, or remove them from all")
+    for _, points in pairs:
+        points[4] = 50.0
+    refused(pairs, "landmark 10 is missing in all 3 images: place it in some images, or remove it from all")
+    names = [f"p{i}" for i in range(58)]
+    named = [(image, Landmarks(points, (), names)) for image, points in pairs]
+    refused(named, r"landmark 10 \(p9\) is missing in all 3 images")
+
+
+def test_sides_that_are_never_placed_together_are_refused(scenes):
+    pairs = [(scene.image, scene.landmarks.copy()) for scene in scenes[:5]]
+    for i, (_, points) in enumerate(pairs):
+        points[slice(30, None) if i % 2 else slice(0, 30)] = np.nan
+    refused(
+        pairs,
+        r"some images \(image 1, image 3, image 5\) share fewer than 2 landmarks with others \(image 2, image 4\), so "
+        "nothing says where landmarks 31–58 lie relative to landmarks 1–30: place both in some images, or train on one",
+    )
+
+
+def test_a_landmark_that_one_image_has_is_said(pairs):
+    for _, points in pairs[1:]:
+        points[7] = np.nan
+    with pytest.warns(UserWarning, match="landmark 8 is placed in only 1 of 3 images, from which little can be learnt"):
+        read_entries(pairs)
 
 
 def test_warnings_of_samples_name_the_line_that_calls_train(scenes):
     pairs = [(scene.image, scene.landmarks.copy()) for scene in scenes[:5]]
-    pairs[2][1][[4, 9]] = np.nan
-    with pytest.warns(UserWarning, match="missing landmarks") as caught:
+    for _, points in pairs[1:]:
+        points[30] = np.nan
+    pairs[2][1][2:] = np.nan
+    with pytest.warns(UserWarning, match="landmark") as caught:
         train(pairs, diagonal=40.0, camera=LINEAR, blurs=(0.0,), leave_out=False)
-    (warning,) = [each for each in caught if "missing landmarks" in str(each.message)]
-    assert warning.filename == __file__
-
-
-def test_too_few_complete_images_have_their_landmarks_placed_by_the_others(pairs):
-    true = pairs[0][1].copy()
-    for i, (_, points) in enumerate(pairs):
-        points[i] = np.nan
-    with pytest.warns(UserWarning, match="are placed where the other images suggest"):
-        entries = read_entries(pairs).entries
-    assert len(entries) == len(pairs)
-    assert np.linalg.norm(entries[0].points[0] - true[0]) < 0.1 * np.ptp(true, axis=0).max()
-    np.testing.assert_array_equal(entries[0].points[1:], true[1:])
-    pairs[0][1][:56] = np.nan
-    refused(pairs, "too many to place them by the other images")
-    pairs[0][1][:] = np.nan
-    refused(pairs, "image 1: all of its 58 landmarks are missing")
+    few, rare = (each for each in caught if "landmark" in str(each.message))
+    assert "fewer than 3 landmarks" in str(few.message) and "only 1 of 4 images" in str(rare.message)
+    assert few.filename == rare.filename == __file__
 
 
 @pytest.mark.parametrize("bad", [np.zeros((58, 3)), np.zeros(58), np.zeros((2, 2))])

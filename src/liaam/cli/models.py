@@ -1,8 +1,9 @@
 """The command ``liaam show``."""
 
+import json
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import numpy as np
 import typer
@@ -12,11 +13,13 @@ from liaam.cli.inputs import read_sample
 from liaam.cli.lamps import LAMPS_SUFFIX, read_lamps
 from liaam.cli.terminal import cell, progress_bar, say, show_table
 from liaam.errors import LiaamError
-from liaam.io.atomic import check_output
+from liaam.io.atomic import check_output, write_text_atomically
 from liaam.io.files import count_of
 from liaam.models import MODELS, model_file as file_of
 
 FIGURE_SUFFIXES = (".png", ".svg", ".pdf")
+FACTS_SUFFIX = ".json"
+MOST_NAMED = 6  # Largest number of landmarks that are named as often missing
 
 if TYPE_CHECKING:
     from liaam.model import AAM
@@ -33,7 +36,11 @@ def show(
     ] = None,
     output: Annotated[
         Path | None,
-        typer.Option("--output", "-o", help="Also draw the model, or the effect of each lamp: .png, .svg or .pdf."),
+        typer.Option(
+            "--output",
+            "-o",
+            help="Also draw the model, or the effect of each lamp: .png, .svg or .pdf. Or describe the model: .json.",
+        ),
     ] = None,
     image: Annotated[
         Path | None,
@@ -55,8 +62,9 @@ def show(
     if image is not None and not lit:
         raise LiaamError("--image works with lamp files only; leave it out to draw a model")
     file = file_of(file)
-    if output is not None and output.suffix.lower() not in FIGURE_SUFFIXES:
-        raise LiaamError(f"{output}: give a name that ends in .png, .svg or .pdf")
+    as_json = output is not None and output.suffix.lower() == FACTS_SUFFIX and not lit
+    if output is not None and not as_json and output.suffix.lower() not in FIGURE_SUFFIXES:
+        raise LiaamError(f"{output}: give a name that ends in .png, .svg or .pdf{'' if lit else ', or in .json'}")
     if output is not None:
         check_output(output)
     from liaam.plotting import figure_of_lamps, figure_of_model, save_figure
@@ -70,6 +78,10 @@ def show(
     else:
         model = load_model(file)
         print_rows(describe(model, file))
+        if output is not None and as_json:
+            write_text_atomically(output, json.dumps(facts_of(model), indent=1, ensure_ascii=False) + "\n")
+            say(f"written to {output}")
+            return
         draw = partial(figure_of_model, model)
     if output is None:
         return
@@ -120,6 +132,7 @@ def describe(model: "AAM", path: Path) -> dict[str, str]:
         "trained on": f"{model.n_all_images} {'' if model.is_colour else 'grey '}images{count_copies(model)}",
         **({"shapes": f"{describe_shapes(model)}; below, the first"} if model.others else {}),
         "landmarks": f"{model.n_points}, in {len(model.triangles)} triangles and {len(model.contours)} contours",
+        **({"missing landmarks": describe_missing(model)} if model.n_all_missing.any() else {}),
         "shape modes": f"{count_modes(model)}, and 4 of position, size and rotation; spread {spread:.1f} px",
         "appearance modes": ", ".join(f"{a.n_modes} {name}" for name, a in appearances.items()),
         "methods": ", ".join(methods_of(model)),
@@ -130,6 +143,53 @@ def describe(model: "AAM", path: Path) -> dict[str, str]:
         "camera": f"response {response}, theta {theta:.1f}° ({error}){calibrated}",
         **({"credit": model.credit} if model.credit else {}),
         "core": f"compiled, {_core.INSTRUCTION_SET}" if _core.BUILT else "not compiled (NumPy)",
+    }
+
+
+def describe_missing(model: "AAM") -> str:
+    """Describe how often landmarks were missing in the training images, those that most images lacked first."""
+    counts = model.n_all_missing
+    n_images = model.n_all_images
+    total = int(counts.sum())
+    often = [int(i) for i in np.argsort(-counts, kind="stable") if counts[i]]
+    most = often[0]
+    named = [f"landmark {_label(model, most)} is missing in {counts[most]}"]
+    named += [f"{_label(model, i)} in {counts[i]}" for i in often[1:MOST_NAMED]]
+    others = len(often) - len(named)
+    rest = f" and {others} more in at most {counts[often[MOST_NAMED]]}" if others else ""
+    share = total / (model.n_points * n_images)
+    return (
+        f"{total} of {model.n_points * n_images} ({share:.0%}), estimated from the others. Of "
+        f"{count_of(n_images, 'image')}, {', '.join(named)}{rest}"
+    )
+
+
+def _label(model: "AAM", i: int) -> str:
+    """Return the number of a landmark from 1, and its name if it has one."""
+    return f"{i + 1} ({model.landmark_names[i]})" if model.landmark_names else f"{i + 1}"
+
+
+def facts_of(model: "AAM") -> dict[str, Any]:
+    """Describe a model as JSON: its images, landmarks and methods.
+
+    Of each landmark, ``missing`` is the number of training images in which it was missing.
+    """
+    from liaam.fitting.methods import methods_of
+
+    names = model.landmark_names or (None,) * model.n_points
+    return {
+        "name": model.name,
+        "images": model.n_all_images,
+        "copies": model.n_copies,
+        "images_by_shape": [part.n_images for part in model.parts],
+        "colour": model.is_colour,
+        "landmarks": [
+            {"number": i + 1, "name": name, "missing": int(missing)}
+            for i, (name, missing) in enumerate(zip(names, model.n_all_missing, strict=True))
+        ],
+        "methods": list(methods_of(model)),
+        "calibrated": model.calibrated,
+        "credit": model.credit,
     }
 
 

@@ -8,7 +8,7 @@ import typer
 from liaam.cli import inputs
 from liaam.cli.check import warn_of_faults
 from liaam.cli.lamps import LAMPS_SUFFIX, TrainingLampOption, read_lamps
-from liaam.cli.models import count_copies, count_modes, describe_shapes
+from liaam.cli.models import count_copies, count_modes, describe_missing, describe_shapes
 from liaam.cli.terminal import complain, progress_bar, say
 from liaam.errors import LiaamError
 from liaam.io import IMAGE_SUFFIXES, LANDMARK_SUFFIXES
@@ -198,6 +198,8 @@ def report(model: "AAM", output: Path, light: "LearntLamps | Literal['auto'] | N
 
     modes = f"shape modes: {count_modes(model)}; pixels: {model.n_pixels}"
     say(f"{output}: trained on {model.n_all_images} images{count_copies(model)}; {modes}")
+    if model.n_all_missing.any():
+        say(f"missing landmarks: {describe_missing(model)}")
     if model.others:
         say(f"kinds of shape: {describe_shapes(model)} (--shapes 1 for one model)")
     if not len(model.shape_model.modes):

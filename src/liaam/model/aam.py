@@ -69,6 +69,9 @@ class AAM:
         other attributes are those of the model of the most frequent shape; see :attr:`parts`.
     same_images : bool
         Whether the further shapes were learnt from copies of the images of the first, such as turned heads.
+    n_missing : (n,) int64, optional
+        Number of training images in which each landmark was missing, and was estimated from the others; None if none
+        was. See :attr:`n_all_missing`.
     """
 
     views: Mapping[str, View]
@@ -89,6 +92,7 @@ class AAM:
     credit: str = ""
     others: tuple["AAM", ...] = ()
     same_images: bool = False
+    n_missing: np.ndarray | None = None
 
     def __getstate__(self) -> dict:
         """Leave out the fitters that :func:`liaam.fit` keeps with a model."""
@@ -128,6 +132,15 @@ class AAM:
     def n_all_images(self) -> int:
         """Number of training images of all shapes."""
         return self.n_images if self.same_images else sum(part.n_images for part in self.parts)
+
+    @property
+    def n_all_missing(self) -> np.ndarray:
+        """Number of training images of all shapes in which each landmark was missing, (n,) int64."""
+        total = np.zeros(self.n_points, np.int64)
+        for part in self.parts[:1] if self.same_images else self.parts:
+            if part.n_missing is not None:
+                total += part.n_missing
+        return total
 
     @property
     def n_copies(self) -> int:

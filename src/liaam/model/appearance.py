@@ -52,7 +52,8 @@ class AppearanceModel:
     eigenvalues : (m,) float64
         Variance along each mode.
     usable : (n_pixels,) float32
-        Fraction of training images in which the pixel was usable, 0 to 1: its weight in a fit.
+        Fraction of training images in which the pixel was usable, 0 to 1, of those in which known landmarks place it:
+        its weight in a fit.
     unexplained : (n_pixels, c, c) float32, optional
         Covariance of the leave-one-out residuals at each pixel: the model's error on unseen images.
     """
@@ -120,19 +121,31 @@ FILLING_PASSES = 5  # Iterations of PCA imputation; the imputed values hardly ch
 class Textures:
     """Textures (n, n_pixels, c) to learn from. Entries that are not observed are missing.
 
-    ``usable`` (n, n_pixels) float32 is 1 for pixels with an observed channel, else 0.
+    ``usable`` (n, n_pixels) float32 is 1 for pixels with an observed channel, else 0. ``known`` (n, n_pixels) bool says
+    which pixels known landmarks place, so that they could be observed at all; None if all are.
     """
 
     values: np.ndarray
     observed: np.ndarray
     usable: np.ndarray
+    known: np.ndarray | None = None
 
     @classmethod
-    def of(cls, values: np.ndarray, usable: np.ndarray) -> "Textures":
+    def of(cls, values: np.ndarray, usable: np.ndarray, known: np.ndarray | None = None) -> "Textures":
         """Make textures from a mask by pixel (n, n_pixels) or by channel (n, n_pixels, c)."""
+        if known is not None:
+            usable = usable * (known if usable.ndim == 2 else known[..., None])
         if usable.ndim == 3:
-            return cls(values, usable > 0, usable.max(axis=2).astype(np.float32))
-        return cls(values, np.broadcast_to((usable > 0)[..., None], values.shape), usable)
+            return cls(values, usable > 0, usable.max(axis=2).astype(np.float32), known)
+        return cls(values, np.broadcast_to((usable > 0)[..., None], values.shape), usable, known)
+
+    def weights(self, rows: np.ndarray | None = None) -> np.ndarray:
+        """Share of the textures in which each pixel is usable, of those in which it could be, (n_pixels,) float32."""
+        usable = self.usable if rows is None else self.usable[rows]
+        if self.known is None:
+            return usable.mean(axis=0).astype(np.float32)
+        known = self.known if rows is None else self.known[rows]
+        return (usable.sum(axis=0) / np.maximum(known.sum(axis=0), 1)).astype(np.float32)
 
     @property
     def vectors(self) -> np.ndarray:
@@ -196,8 +209,9 @@ def train_appearance_model(
     components = components_by(vectors, vectors.mean(axis=0, dtype=np.float64), products, variance)
     n, n_pixels = usable.shape
     c = textures.values.shape[2]
+    weights = textures.weights(rows)
     if left_out is None:
-        return _appearance(components, c, usable)
+        return _appearance(components, c, weights)
     # Row i of ``explained`` holds the combination of the other vectors that reconstructs vector i.
     explained = explained_by_others(products, variance, left_out) if n > 1 else np.eye(n)
     left = (np.eye(n) - explained).astype(np.float32)
@@ -209,18 +223,18 @@ def train_appearance_model(
         for a in range(c):
             for b in range(a, c):
                 moments[part, a, b] = moments[part, b, a] = np.einsum("in,in->n", weighed[..., a], residuals[..., b])
-    return _appearance(components, c, usable, moments / np.maximum(usable.sum(axis=0), 1)[:, None, None])
+    return _appearance(components, c, weights, moments / np.maximum(usable.sum(axis=0), 1)[:, None, None])
 
 
 def _appearance(
-    components: Components, c: int, usable: np.ndarray, unexplained: np.ndarray | None = None
+    components: Components, c: int, weights: np.ndarray, unexplained: np.ndarray | None = None
 ) -> AppearanceModel:
-    n_pixels = usable.shape[1]
+    n_pixels = len(weights)
     return AppearanceModel(
         components.mean.reshape(n_pixels, c).astype(np.float32),
         components.modes.reshape(-1, n_pixels, c).astype(np.float32),
         components.eigenvalues,
-        usable.mean(axis=0).astype(np.float32),
+        weights,
         unexplained,
     )
 
@@ -238,4 +252,4 @@ def train_illumination(values: AppearanceModel, relit: Textures, variance: float
     beyond = filled - (filled @ identity) @ identity.T
     # About zero, not about the mean: the mean change of light is a mode like any other.
     zero = np.zeros(n_pixels * c)
-    return _appearance(components_by(beyond, zero, gram_about(beyond, zero), variance), c, relit.usable)
+    return _appearance(components_by(beyond, zero, gram_about(beyond, zero), variance), c, relit.weights())

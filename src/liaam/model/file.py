@@ -122,6 +122,7 @@ def _fields(header: dict, tensors: dict[str, np.ndarray]) -> dict[str, Any]:
         "name": text_of(header["name"]),
         "credit": text_of(header.get("credit", "")),
         "same_images": bool(header.get("same_images", False)),
+        "n_missing": _n_missing(header, n, n_images),
         "n_textures": n_textures,
         "n_lamps": n_lamps,
         "light": read_light(tensors, n) if "light.modes" in tensors else None,
@@ -192,6 +193,16 @@ def _count(header: dict, key: str) -> int:
     if int(count) != count or not 0 <= count <= MAX_IMAGES:
         raise ValueError(f"{key} is not a number from 0 to {MAX_IMAGES:,}")
     return int(count)
+
+
+def _n_missing(header: dict, n: int, n_images: int) -> np.ndarray | None:
+    """Return the number of images in which each of n landmarks was missing, (n,) int64; None if none was."""
+    if "n_missing" not in header:
+        return None
+    counts = np.array(header["n_missing"])
+    if counts.shape != (n,) or counts.dtype.kind != "i" or not 0 <= counts.min() <= counts.max() < n_images:
+        raise ValueError(f"n_missing has not {n} numbers from 0 to {n_images - 1}")
+    return counts.astype(np.int64)
 
 
 def _fields_of_others(header: dict, tensors: dict[str, np.ndarray]) -> list[dict[str, Any] | np.ndarray]:

@@ -92,6 +92,8 @@ def _header(model: "AAM") -> dict[str, Any]:
         header["credit"] = model.credit
     if model.same_images:
         header["same_images"] = True
+    if model.n_missing is not None:
+        header["n_missing"] = model.n_missing.tolist()
     if model.features is not None:
         header["features"] = model.features.name
     return header

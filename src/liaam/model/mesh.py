@@ -66,11 +66,17 @@ def signed_areas(points: np.ndarray, triangles: np.ndarray) -> np.ndarray:
     return 0.5 * (u[:, 0] * v[:, 1] - u[:, 1] * v[:, 0])
 
 
-def folded_share(shape: np.ndarray, triangles: np.ndarray) -> float:
-    """Fraction of a shape's absolute area in flipped triangles, 0 to 1 (1 if it has no area)."""
+def folded_share(shape: np.ndarray, triangles: np.ndarray, known: np.ndarray | None = None) -> float:
+    """Fraction of a shape's absolute area in flipped triangles, 0 to 1 (1 if it has no area).
+
+    If only some points are ``known`` (n,), triangles with others do not count as flipped.
+    """
     areas = signed_areas(shape, triangles)
     total = np.abs(areas).sum()
-    return float(np.abs(areas[areas < 0]).sum() / total) if total > 0 else 1.0
+    are_flipped = areas < 0
+    if known is not None:
+        are_flipped &= known[triangles].all(axis=1)
+    return float(np.abs(areas[are_flipped]).sum() / total) if total > 0 else 1.0
 
 
 def barycentric(points: np.ndarray, triangle: np.ndarray) -> np.ndarray:
@@ -115,6 +121,12 @@ def surroundings(points: np.ndarray, triangles: np.ndarray, width: float = SURRO
     areas = signed_areas(extension @ points, strip)
     strip = strip[areas > 1e-6 * np.abs(areas).sum()]
     return extension, np.concatenate([triangles, strip]).astype(np.int32)
+
+
+# Largest weight of estimated landmarks in the position of a pixel that counts as known. Trained on 30 fly wings, nine
+# in ten without one landmark, fits are off by 0.391 % of the diagonal (0.403 with a weight of 0, 0.393 with 1/2); on 40
+# cephalograms without a fifth of their landmarks by 1.21 % (1.24, 1.23; experiments/notes/missing-landmarks.md).
+MOST_ESTIMATED = 1 / 3
 
 
 @dataclass(frozen=True, eq=False)
@@ -192,6 +204,13 @@ class ReferenceFrame:
     def weights(self) -> np.ndarray:
         """Barycentric weights beta_v(x) of those vertices, (n_pixels, 3) float64."""
         return self._raster[2]
+
+    def are_known(self, known: np.ndarray) -> np.ndarray:
+        """Whether each model pixel can be placed by known vertices (n_points,) bool, (n_pixels,) bool.
+
+        Those that are not known have a weight of at most :data:`MOST_ESTIMATED` there.
+        """
+        return (self.weights * ~known[self.vertices]).sum(axis=1) <= MOST_ESTIMATED
 
     def gradient(self, values: np.ndarray) -> np.ndarray:
         """Derivatives of per-pixel values (n_pixels, k) along x and y, (n_pixels, 2, k) float64.

@@ -45,6 +45,7 @@ def mirrored_model(model: "AAM", order: np.ndarray) -> "AAM":
         points=None,
         regressor=None,
         search_filter=search_filter,
+        n_missing=None if model.n_missing is None else model.n_missing[order],
     )
 
 

@@ -10,7 +10,8 @@ import numpy as np
 
 from liaam.errors import TrainingError
 from liaam.model import pca
-from liaam.model.shape_prior import Deviations, SmoothPrior, covariance, fit_freedom, fit_prior, modes_of
+from liaam.model.missing import Missing
+from liaam.model.shape_prior import Deviations, SmoothPrior, Spread, covariance, fit_freedom, fit_prior, modes_of
 
 
 def corners_of(shape: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -264,18 +265,24 @@ def scaled_mean(shapes: np.ndarray, diagonal: float) -> np.ndarray:
     return mean * (diagonal / diagonal_of(mean))
 
 
-def choose_recipe(mean: np.ndarray, shapes: np.ndarray, prior: str, folds: Sequence[np.ndarray]) -> Recipe:
+def choose_recipe(
+    mean: np.ndarray,
+    shapes: np.ndarray,
+    prior: str,
+    folds: Sequence[np.ndarray],
+    missing: Missing | None = None,
+) -> Recipe:
     """Choose the settings under which left-out shapes are most likely. The shapes of a fold are left out together."""
     if prior not in ("smooth", "wide"):
         return Recipe(prior)
-    plain = fit_prior(deviations_from(mean, shapes), folds)
+    plain = fit_prior(deviations_from(mean, shapes, missing=missing), folds)
     # The mean may be asymmetric, such as of turned heads; a single shape may still be symmetric.
     tries = min(MIRRORED_TRIES, MIRRORED_POINTS // len(mean))
     orders = (mirror_order(shape) for shape in (mean, *shapes[:tries]))
     order = next((order for order in orders if order is not None), None)
     if order is None:
         return Recipe(prior, plain)
-    mirrored = fit_prior(deviations_from(mean, shapes, order), folds)
+    mirrored = fit_prior(deviations_from(mean, shapes, order, missing), folds)
     return Recipe(prior, mirrored, order) if mirrored.evidence > plain.evidence else Recipe(prior, plain)
 
 
@@ -285,27 +292,50 @@ def shape_model_on(
     variance: pca.Variance,
     recipe: Recipe,
     folds: Sequence[np.ndarray] | None = None,
+    missing: Missing | None = None,
 ) -> ShapeModel:
-    """Learn the modes of shapes (n_shapes, n_points, 2) around a given mean shape (n_points, 2)."""
+    """Learn the modes of shapes (n_shapes, n_points, 2) around a given mean shape (n_points, 2).
+
+    If ``missing`` says that landmarks are estimates, their uncertainty is part of the variance, and the error on unseen
+    shapes is that of the known ones.
+    """
     folds = pca.some_folds(len(shapes)) if folds is None else folds
-    deviations = deviations_from(mean, shapes, recipe.mirrored)
+    deviations = deviations_from(mean, shapes, recipe.mirrored, missing)
     if recipe.smooth is not None:
         model = _smooth_model(deviations, variance, recipe.smooth, folds)
         return replace(model, eigenvalues=WIDER * model.eigenvalues) if recipe.prior == "wide" else model
     vectors = deviations.own
     if variance == "auto":
         variance = pca.count_by_evidence(vectors, folds, deviations.dimension)
-    components = pca.principal_components(vectors, variance)
+    components = _components(deviations, variance)
     modes = components.modes - components.modes @ deviations.rigid.T @ deviations.rigid
     eigenvalues = components.eigenvalues
     if recipe.prior == "shrunk":
         eigenvalues = pca.left_out_variances(vectors, folds, len(modes))
     left = pca.unexplained_by_others(vectors, variance, folds).astype(np.float64)
-    return ShapeModel(mean, np.ascontiguousarray(modes), eigenvalues, _moments(left))
+    return ShapeModel(mean, np.ascontiguousarray(modes), eigenvalues, _moments(left, deviations.spread))
 
 
-def deviations_from(mean: np.ndarray, shapes: np.ndarray, order: np.ndarray | None = None) -> Deviations:
-    """Deviations of shapes from a mean; also those of the mirrored shapes if an order is given."""
+def _components(deviations: Deviations, variance: float | int) -> pca.Components:
+    """Principal components of deviations, of which those of missing landmarks are expected values."""
+    own = deviations.own
+    if deviations.spread is None:
+        return pca.principal_components(own, variance)
+    mean = own.mean(axis=0)
+    examples = np.concatenate([own, mean + deviations.spread.rows])
+    components = pca.components_by(examples, mean, pca.gram_about(examples, mean), variance)
+    # The rows of the spread are no further shapes.
+    degrees_of_freedom = max(len(own) - 1, 1)
+    return replace(components, eigenvalues=components.eigenvalues * (len(examples) - 1) / degrees_of_freedom)
+
+
+def deviations_from(
+    mean: np.ndarray, shapes: np.ndarray, order: np.ndarray | None = None, missing: Missing | None = None
+) -> Deviations:
+    """Deviations of shapes from a mean; also those of the mirrored shapes if an order is given.
+
+    ``missing`` says which landmarks are estimates, and how uncertain these are; None if all are known.
+    """
     rigid = similarity_modes(mean)
     n = len(shapes)
     if order is not None:
@@ -315,7 +345,31 @@ def deviations_from(mean: np.ndarray, shapes: np.ndarray, order: np.ndarray | No
     # Modes are orthogonal to the similarities, so that p and pose do not trade off.
     deviations -= deviations @ rigid.T @ rigid
     deviations[np.abs(deviations) < 1e-9 * diagonal_of(mean)] = 0.0  # rounding must not become a mode
-    return Deviations(mean, rigid, deviations[:n], deviations[n:])
+    spread = None if missing is None else _spread(mean, shapes, order, missing, rigid)
+    return Deviations(mean, rigid, deviations[:n], deviations[n:], spread)
+
+
+def _spread(
+    mean: np.ndarray, shapes: np.ndarray, order: np.ndarray | None, missing: Missing, rigid: np.ndarray
+) -> Spread:
+    """Return the covariances of the deviations of shapes, of which the second half are mirrored if there is an order.
+
+    The deviations are orthogonal to the similarities ``rigid`` (4, 2 n_points), so their covariances are too.
+    """
+
+    def aligned_rows(factors: np.ndarray, shape: np.ndarray) -> np.ndarray:
+        """Return displacements of a shape as displacements of the mean."""
+        rows = (factors @ align(shape, mean).matrix.T).reshape(len(factors), shape.size)
+        return rows - rows @ rigid.T @ rigid
+
+    n = len(missing.factors)
+    owners = np.repeat(np.arange(n), [len(factors) for factors in missing.factors])
+    rows = np.concatenate([aligned_rows(missing.factors[i], shapes[i]) for i in range(n)])
+    further = rows[:0]
+    if order is not None:
+        mirrored = [(factors * [-1.0, 1.0])[:, order] for factors in missing.factors]
+        further = np.concatenate([aligned_rows(mirrored[i], shapes[n + i]) for i in range(n)])
+    return Spread(rows, owners, missing.known, further)
 
 
 def _smooth_model(
@@ -334,6 +388,11 @@ def _smooth_model(
         pca.LeftOutCoordinates(v + prior.noise * v.mean(), np.square(away @ part_modes.T), np.square(away).sum(axis=1))
         for away, part_modes, v in parts
     ]
+    if deviations.spread is not None:
+        left_out = [
+            _expected(part, deviations.spread.of(fold), part_modes)
+            for part, fold, (_, part_modes, _) in zip(left_out, folds, parts, strict=True)
+        ]
     if variance == "auto":
         evidence = [pca.log_evidence(part, len(part.eigenvalues)) for part in left_out if part.eigenvalues[0] > 0]
         count = int(np.sum(evidence, axis=0).argmax()) if evidence else 0
@@ -343,13 +402,26 @@ def _smooth_model(
     left = np.zeros_like(deviations.own)
     for fold, (away, own_modes, _) in zip(folds, parts, strict=True):
         left[fold] = away - away @ own_modes[:count].T @ own_modes[:count]
-    return ShapeModel(deviations.mean, modes[:count], values[:count], _moments(left), freedom)
+    unexplained = _moments(left, deviations.spread)
+    return ShapeModel(deviations.mean, modes[:count], values[:count], unexplained, freedom)
 
 
-def _moments(left: np.ndarray) -> np.ndarray:
-    """Second moments (n_points, 2, 2) of residuals (n, 2 n_points) of shapes."""
+def _expected(part: pca.LeftOutCoordinates, spread: Spread, modes: np.ndarray) -> pca.LeftOutCoordinates:
+    """Add the variances of estimated landmarks to the squared coordinates of left-out shapes in modes (r, d)."""
+    squares = part.squares + spread.squares_along(modes)
+    # The modes span the space of the deviations.
+    distances = part.distances + spread.squares_along(modes).sum(axis=1)
+    return replace(part, squares=squares, distances=distances)
+
+
+def _moments(left: np.ndarray, spread: Spread | None = None) -> np.ndarray:
+    """Second moments (n_points, 2, 2) of residuals (n, 2 n_points) of shapes, at their known landmarks."""
     by_landmark = left.reshape(len(left), -1, 2)
-    return np.einsum("ina,inb->nab", by_landmark, by_landmark) / len(left)
+    if spread is None:
+        return np.einsum("ina,inb->nab", by_landmark, by_landmark) / len(left)
+    by_landmark = by_landmark * spread.known[..., None]
+    counts = np.maximum(spread.known.sum(axis=0), 1)
+    return np.einsum("ina,inb->nab", by_landmark, by_landmark) / counts[:, None, None]
 
 
 # Largest root mean square distance between a symmetric shape and its mirror image, as a fraction of its diagonal.

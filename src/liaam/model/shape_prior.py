@@ -44,17 +44,54 @@ class SmoothPrior:
 
 
 @dataclass(frozen=True, eq=False)
+class Spread:
+    """Covariances of deviations whose landmarks are partly estimated.
+
+    ``rows`` (r, 2 n_points) float64 are displacements. The outer products of those of a shape sum up to its
+    covariance. ``owners`` (r,) int are the shapes that they belong to, and ``known`` (n, n_points) bool says which
+    landmarks of the shapes are known. ``further`` are the rows of mirrored shapes in the same order, or no rows.
+    """
+
+    rows: np.ndarray
+    owners: np.ndarray
+    known: np.ndarray
+    further: np.ndarray
+
+    def of(self, kept: np.ndarray) -> "Spread":
+        """Return the covariances of some of the shapes."""
+        places = np.full(len(self.known), -1)
+        places[kept] = np.arange(len(kept))
+        owners = places[self.owners]
+        are_kept = owners >= 0
+        further = self.further[are_kept] if len(self.further) else self.further
+        return Spread(self.rows[are_kept], owners[are_kept], self.known[kept], further)
+
+    def moments(self) -> np.ndarray:
+        """Sum of the covariances of all examples, (2 n_points, 2 n_points) float64."""
+        everything = np.concatenate([self.rows, self.further])
+        return everything.T @ everything
+
+    def squares_along(self, modes: np.ndarray) -> np.ndarray:
+        """Return the variance of each shape along modes (k, 2 n_points), (n, k) float64."""
+        squares = np.zeros((len(self.known), len(modes)))
+        np.add.at(squares, self.owners, np.square(self.rows @ modes.T))
+        return squares
+
+
+@dataclass(frozen=True, eq=False)
 class Deviations:
     """Aligned shapes as deviations ``own`` (n, 2 n_points) from a mean shape (n_points, 2).
 
     They are orthogonal to the similarity vectors ``rigid`` (4, 2 n_points), which are orthonormal. ``further`` are
-    examples such as mirrored shapes, in which row i belongs to ``own[i]``, or no rows.
+    examples such as mirrored shapes, in which row i belongs to ``own[i]``, or no rows. ``spread`` are the covariances
+    of both if landmarks are missing.
     """
 
     mean: np.ndarray
     rigid: np.ndarray
     own: np.ndarray
     further: np.ndarray
+    spread: Spread | None = None
 
     @property
     def dimension(self) -> int:
@@ -64,7 +101,8 @@ class Deviations:
     def of(self, kept: np.ndarray) -> "Deviations":
         """Return the deviations of some of the shapes."""
         further = self.further[kept] if len(self.further) else self.further
-        return Deviations(self.mean, self.rigid, self.own[kept], further)
+        spread = None if self.spread is None else self.spread.of(kept)
+        return Deviations(self.mean, self.rigid, self.own[kept], further, spread)
 
     def thinned(self, count: int) -> "Deviations":
         """Return the deviations of at most ``count`` landmarks, spread over the mean shape."""
@@ -77,12 +115,21 @@ class Deviations:
         def part(rows: np.ndarray) -> np.ndarray:
             return rows[:, columns] - rows[:, columns] @ rigid.T @ rigid
 
-        return Deviations(self.mean[chosen], rigid, part(self.own), part(self.further))
+        spread = self.spread
+        if spread is not None:
+            spread = Spread(part(spread.rows), spread.owners, spread.known[:, chosen], part(spread.further))
+        return Deviations(self.mean[chosen], rigid, part(self.own), part(self.further), spread)
 
     def sample_covariance(self) -> np.ndarray:
-        """Second moments of all examples about the mean of ``own``, (d, d) float64."""
+        """Second moments of all examples about the mean of ``own``, (d, d) float64.
+
+        Of missing landmarks these are expected values: the M-step of expectation maximisation.
+        """
         everything = np.concatenate([self.own, self.further]) - self.own.mean(axis=0)
-        return everything.T @ everything / max(len(everything) - 1, 1)
+        moments = everything.T @ everything
+        if self.spread is not None:
+            moments += self.spread.moments()
+        return moments / max(len(everything) - 1, 1)
 
 
 def spread_points(points: np.ndarray, count: int) -> np.ndarray:
@@ -123,16 +170,20 @@ def modes_of(spread: np.ndarray, rigid: np.ndarray) -> tuple[np.ndarray, np.ndar
     return np.ascontiguousarray(modes * np.where(largest < 0, -1.0, 1.0)), np.where(values > 1e-12 * total, values, 0.0)
 
 
-def log_density(away: np.ndarray, spread: np.ndarray, noises: np.ndarray, rigid: np.ndarray) -> np.ndarray:
+def log_density(
+    away: np.ndarray, spread: np.ndarray, noises: np.ndarray, rigid: np.ndarray, uncertain: np.ndarray | None = None
+) -> np.ndarray:
     """Return the log-density of deviations (n, d) under N(0, spread + noise), summed over them, for each noise, (k,).
 
-    Both live in the space orthogonal to the similarities ``rigid`` (r, d), where the noise is white.
+    Both live in the space orthogonal to the similarities ``rigid`` (r, d), where the noise is white. If the deviations
+    are expected values, ``uncertain`` (k, d) are the rows of their covariances, and the density is an expected value.
     """
     from scipy.linalg import solve_triangular  # heavy: imported when first needed
 
     similar = rigid.T @ rigid
     beyond = np.eye(len(similar)) - similar
-    away = away @ beyond
+    n = len(away)
+    away = (away if uncertain is None else np.concatenate([away, uncertain])) @ beyond
     densities = []
     for noise in noises:
         # A variance of 1 along the similarities, where nothing deviates, adds nothing to the density.
@@ -140,7 +191,7 @@ def log_density(away: np.ndarray, spread: np.ndarray, noises: np.ndarray, rigid:
         whitened = solve_triangular(factor, away.T, lower=True, check_finite=False)
         log_determinant = 2.0 * np.log(np.diag(factor)).sum()
         constant = (len(similar) - len(rigid)) * np.log(2.0 * np.pi) + log_determinant
-        densities.append(-0.5 * (np.square(whitened).sum() + len(away) * constant))
+        densities.append(-0.5 * (np.square(whitened).sum() + n * constant))
     return np.array(densities)
 
 
@@ -162,11 +213,12 @@ def fit_prior(deviations: Deviations, folds: Sequence[np.ndarray]) -> SmoothPrio
         if not trace > 0:
             continue
         count += len(fold)
+        uncertain = None if deviations.spread is None else deviations.spread.of(fold).rows
         smooth = {width: smooth_covariance(part.mean, part.rigid, width) for width in WIDTHS}
         noises = np.array(NOISES) * trace / part.dimension
         for i, (share, width) in enumerate(mixtures):
             spread = (1.0 - share) * sample + share * trace * smooth[width]
-            total[i] += log_density(away, spread, noises, part.rigid)
+            total[i] += log_density(away, spread, noises, part.rigid, uncertain)
     if not count:
         return SmoothPrior(0.0, WIDTHS[0], NOISES[0])
     best, noise = np.unravel_index(total.argmax(), total.shape)

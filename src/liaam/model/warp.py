@@ -86,6 +86,13 @@ class PiecewiseAffineWarp:
         corners, beta = self._corners
         return np.einsum("nv,nva->na", beta, self._vertices(landmarks)[corners])
 
+    def are_known(self, known: np.ndarray) -> np.ndarray:
+        """Whether each model pixel can be placed by known landmarks (n_points,) bool, (n_pixels,) bool."""
+        if self.extension is not None:
+            # A vertex around the mesh follows one landmark of its hull, and hardly the others.
+            known = known[self.extension.argmax(axis=1)]
+        return self._used(self.frame.are_known(known))
+
     def _vertices(self, landmarks: np.ndarray) -> np.ndarray:
         """Positions of the frame's vertices, (n_vertices, 2), from those of the landmarks."""
         return landmarks if self.extension is None else self.extension @ landmarks

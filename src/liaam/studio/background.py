@@ -200,8 +200,9 @@ class Background:
         if revisions == self._checked:
             return True
         slips: dict[str, tuple[str, str, list[int]]] = {}
-        for fault in find_label_faults([item.points for item in done]) if len(done) >= LEAST_PICTURES else ():
-            item = done[fault.picture]
+        whole = [item for item in done if item.placed.all()]
+        for fault in find_label_faults([item.points for item in whole]) if len(whole) >= LEAST_PICTURES else ():
+            item = whole[fault.picture]
             slips.setdefault(item.name, (item.revision, fault.message, [int(index) for index in fault.points]))
         self.project.set_slips(slips)
         self._checked = revisions

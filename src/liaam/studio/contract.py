@@ -39,7 +39,7 @@ class Picture(TypedDict):
     slip: Annotated[NotRequired[str | None], "What looks wrong with its landmarks."]
     slip_points: Annotated[NotRequired[list[int]], "Indices of these points."]
     left_out: Annotated[NotRequired[str | None], "Who left it out of training."]
-    absent: Annotated[NotRequired[int], "Number of points that the object lacks, so that no training uses the picture."]
+    absent: Annotated[NotRequired[int], "Number of points that the object lacks."]
     unconfirmed: Annotated[NotRequired[int], "Number of points that no person placed, moved or confirmed one by one."]
     revision: Annotated[NotRequired[str | None], "Of the landmark file; null if there is none."]
 

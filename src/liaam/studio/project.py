@@ -64,19 +64,25 @@ EXPORTS = {
 }
 """Ends of the names of exported files, by kind."""
 
+FEWEST_PLACED = 3  # fewest points of a picture that training uses; others may be absent
 UNKNOWN_SIZE = (640, 480)  # width and height that a template is read for where no picture can be read
 
 
 @dataclass(frozen=True)
 class Annotated:
-    """A picture with all its landmarks, for training, and what seems to be wrong with them."""
+    """A picture with its landmarks, for training, and what seems to be wrong with them."""
 
     name: str
     path: Path
-    points: np.ndarray  # (n, 2) float64, pixels
+    points: np.ndarray  # (n, 2) float64, pixels; NaN where the object lacks a point
     own: np.ndarray  # (n,) bool: points that a person has placed, moved or confirmed one by one
     revision: str  # :meth:`PictureStates.version_of` the landmarks
     slip: str | None = None  # description of what seems to be wrong
+
+    @property
+    def placed(self) -> np.ndarray:
+        """Which points have a position, (n,) bool."""
+        return np.asarray(~np.isnan(self.points).any(axis=1))
 
 
 @dataclass(frozen=True)
@@ -309,7 +315,7 @@ class Project:
         return {file.name: self._states.version_of(self._landmarks.of(file)) for file in files}
 
     def annotated(self) -> list[Annotated]:
-        """Return the pictures that have all points and are not left out of training."""
+        """Return the pictures that have all points, but for absent ones, and are not left out of training."""
         annotated = []
         with self._lock:
             self._rescan(strict=True)
@@ -331,9 +337,11 @@ class Project:
         return annotated
 
     def _is_for_training(self, file: File) -> bool:
-        """Return whether a picture can be read, has all points, and is not left out of training."""
+        """Return whether a picture can be read, has enough points, and is not left out of training."""
         is_unreadable = isinstance(self._listing.size_of(file), str)  # why it cannot be read
-        return not is_unreadable and self._states.is_whole(file) and self._log.who("left out", file.name) is None
+        if is_unreadable or not self._states.is_done(file) or self._landmarks.of(file).n_placed < FEWEST_PLACED:
+            return False
+        return self._log.who("left out", file.name) is None
 
     def export(self, kind: str) -> tuple[str, bytes]:
         """Return the name and the content of a file with the landmarks of all pictures, one of :data:`EXPORTS`."""
@@ -417,8 +425,11 @@ class Project:
         self._states.slips = slips
 
     def own_complete(self) -> tuple[dict[str, np.ndarray], list[str]]:
-        """Return the points of the pictures of :meth:`annotated` that are all a person's own, and the other names."""
-        done = self.annotated()
+        """Return the points of pictures that lack none and are all a person's own, and the names of other whole ones.
+
+        The pictures are those of :meth:`annotated`.
+        """
+        done = [item for item in self.annotated() if item.placed.all()]
         own = {item.name: item.points for item in done if item.own.all()}
         return own, [item.name for item in done if item.name not in own]
 

@@ -304,11 +304,6 @@ class PictureStates:
             return False
         return self._misplaced(file, marks) is None
 
-    def is_whole(self, file: File) -> bool:
-        """Whether a picture is done and lacks no point, as training and comparisons need it."""
-        template = self.templates.current
-        return self.is_done(file) and template is not None and self.landmarks.of(file).n_placed == len(template)
-
     def _error_of(self, file: File, marks: Marks) -> str | None:
         """Return what is wrong with the landmarks of a usable picture, or why the model proposed none."""
         if not marks.file:

@@ -100,7 +100,7 @@ class Trainer:
                 raise Refusal(422, f"the template has {len(template)} points, but a shape needs at least 3: add some")
             path = self.project.store.path(MODEL_FILE)
             name = self.project.title
-            truths = [item.name for item in done if item.name in used and item.own.mean() >= LEAST_OWN]
+            truths = [item.name for item in done if item.name in used and item.own[item.placed].mean() >= LEAST_OWN]
             held_out = choose_held_out(truths, self.versions.held_out(order), len(used))
             job = TrainingJob(done, template.contours, template.names, order, path, name, held_out, wrong)
             self._order = job.order
@@ -221,9 +221,11 @@ def folded(model: AAM, used: Sequence[Annotated]) -> dict[str, str]:
 
 
 def _folded_share(model: AAM, points: np.ndarray) -> float:
-    """Return the fraction of a model's mesh that points (n, 2) flip."""
+    """Return the fraction of a model's mesh that points (n, 2) flip; some may be NaN."""
     mean = model.shape_model.mean.reshape(-1, 2)
-    return float(folded_share(align(points, mean)(points), model.triangles))
+    aligned = align(points, mean)(points)
+    lacks = np.isnan(aligned)
+    return float(folded_share(np.where(lacks, mean, aligned), model.triangles, np.asarray(~lacks.any(axis=1))))
 
 
 def _work(job: TrainingJob, pipe: Any) -> None:
@@ -247,7 +249,8 @@ def _work(job: TrainingJob, pipe: Any) -> None:
                     if item.name in job.held_out:
                         with suppress(LiaamError, MemoryError):
                             landmarks = fitter.fit(item.path).landmarks
-                            error = point_error(landmarks[item.own], item.points[item.own]) / diagonal_of(item.points)
+                            size = diagonal_of(item.points[item.placed])
+                            error = point_error(landmarks[item.own], item.points[item.own]) / size
                             if np.isfinite(error):
                                 errors[item.name] = round(error, 5)
                 pipe.send(("measured", errors))

@@ -85,7 +85,7 @@ def learn_covariances(
     ----------
     errors : (m, n, 2) float64
         Errors of right fits to left-out images, pixels of the frame, along and across the contours of the mean shape
-        as they are along and across those of the image.
+        as they are along and across those of the image. NaN where the true landmark is not known.
     spreads : (m, n, 2, 2) float64
         Covariances of the landmarks by the fits, turned as the errors.
     factor : float
@@ -106,7 +106,8 @@ def learn_covariances(
     bias = beyond(errors, fitted, landmarks, alike)
     stated = fitted + landmarks + (units / unit)[:, None, None, None] * bias
     squares = np.square(np.einsum("nia,mna->mni", alike.axes, errors)) / alike.variances(stated)
-    scales = np.clip(alike.mean(squares.mean(axis=0)) / max(float(squares.mean()), 1e-12), *SCALES)
+    of_all = float(mean_of_known(squares))
+    scales = np.clip(alike.mean(mean_of_known(squares, axis=0, otherwise=of_all)) / max(of_all, 1e-12), *SCALES)
     least = min(float(scales.min()), 1.0)
     rest = alike.scaled(stated.mean(axis=0), scales) - least * (fitted.mean(axis=0) + landmarks)
     return {
@@ -118,13 +119,31 @@ def learn_covariances(
 
 
 def beyond(errors: np.ndarray, spreads: np.ndarray, landmarks: np.ndarray, alike: Alike) -> np.ndarray:
-    """Return the covariance (n, 2, 2) of errors (m, n, 2) beyond that of fits (m, n, 2, 2) and of shapes (n, 2, 2)."""
-    moments = _positive(np.einsum("mna,mnb->nab", errors, errors) / len(errors) - spreads.mean(axis=0))
-    return _positive(widened(moments, len(errors), alike) - landmarks)
+    """Return the covariance (n, 2, 2) of errors (m, n, 2) beyond that of fits (m, n, 2, 2) and of shapes (n, 2, 2).
+
+    Errors that are NaN are left out. A landmark without errors has the mean covariance of the others.
+    """
+    counts = (~np.isnan(errors).any(axis=2)).sum(axis=0)[:, None, None]
+    known = np.nan_to_num(errors)
+    moments = _positive(np.einsum("mna,mnb->nab", known, known) / np.maximum(counts, 1) - spreads.mean(axis=0))
+    has_errors = counts[:, 0, 0] > 0
+    moments[~has_errors] = moments[has_errors].mean(axis=0)
+    return _positive(widened(moments, counts, alike) - landmarks)
 
 
-def widened(moments: np.ndarray, m: int, alike: Alike) -> np.ndarray:
-    """Shrink second moments (n, 2, 2) of m errors towards the mean of those that are alike, and inflate them."""
+def mean_of_known(values: np.ndarray, axis: int | None = None, otherwise: float = np.nan) -> np.ndarray:
+    """Return the mean of values (any shape) that are not NaN, along an axis or of all; ``otherwise`` without any."""
+    are_known = ~np.isnan(values)
+    counts = are_known.sum(axis=axis)
+    means = np.where(are_known, values, 0.0).sum(axis=axis) / np.maximum(counts, 1)
+    return np.where(counts > 0, means, otherwise)
+
+
+def widened(moments: np.ndarray, m: int | np.ndarray, alike: Alike) -> np.ndarray:
+    """Shrink second moments (n, 2, 2) of m errors towards the mean of those that are alike, and inflate them.
+
+    The number of errors may differ by landmark: an array that broadcasts with the moments, such as (n, 1, 1).
+    """
     pooled = np.einsum("ni,nia,nib->nab", alike.mean(alike.variances(moments)), alike.axes, alike.axes)
     return (m * moments + SHRINK * pooled) / (m + SHRINK) * (1.0 + TAIL / (m + STEADY))
 

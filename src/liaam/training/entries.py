@@ -20,7 +20,11 @@ from liaam.io.landmarks.base import Contour, contour_of
 from liaam.io.landmarks.formats import needs_image
 from liaam.model.file import MAX_POINTS
 from liaam.model.mesh import FOLD_TOLERANCE, delaunay, folded_share, signed_areas, triangles_from_edges
-from liaam.model.shape import align, procrustes_mean
+from liaam.model.missing import Missing
+from liaam.model.shape import align
+from liaam.progress import Progress, reported
+from liaam.training.filling import FEWEST_KNOWN, filled
+from liaam.training.incomplete import check_known
 
 # Least ratio of the landmarks' minor to major spread: that of a rod 80 times as long as wide. Measured on generated
 # rods: the search finds those up to 20 times as long as wide, and fits from a start converge up to 40 times.
@@ -34,13 +38,26 @@ IndexedContours = tuple[tuple[tuple[int, ...], bool], ...]
 """Lines through landmarks: the indices of these in turn, and whether the line is closed."""
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Entry:
-    """A validated training sample: a name for messages, a function that reads the image, and its landmarks."""
+    """A validated training sample.
+
+    Attributes
+    ----------
+    name : str
+        Name for messages.
+    read_image : callable
+        Function that reads the image.
+    points : (n, 2) float64
+        Landmarks, pixels. Missing ones are NaN, or where the other images suggest.
+    known : (n,) bool, optional
+        Which landmarks are known; None if all are.
+    """
 
     name: str
     read_image: Callable[[], np.ndarray]
     points: np.ndarray
+    known: np.ndarray | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -56,12 +73,15 @@ class TrainingData:
         Pairs of landmarks that the contours of the landmark files connect. They may form a mesh.
     landmark_names : tuple of str
         Names of the landmarks; empty if the samples have none, or do not agree.
+    missing : Missing, optional
+        Which landmarks are estimates; None if all are known, or if they have not been estimated yet.
     """
 
     entries: list[Entry]
     contours: IndexedContours
     edges: np.ndarray
     landmark_names: tuple[str, ...]
+    missing: Missing | None = None
 
     @property
     def shapes(self) -> np.ndarray:
@@ -97,7 +117,7 @@ def read_entries(data: Iterable, contours: Iterable | None = None, strict: bool 
     Returns
     -------
     TrainingData
-        Landmarks with names are put in the order of the first sample with names.
+        Landmarks with names are put in the order of the first sample with names. Missing ones are NaN.
     """
     if isinstance(data, (str, os.PathLike)) or not isinstance(data, Iterable):
         raise TrainingError(f"{data!r} is not a set of landmarked images; for a folder give liaam.load_folder(folder)")
@@ -116,7 +136,8 @@ def read_entries(data: Iterable, contours: Iterable | None = None, strict: bool 
         contours_of_files = contours_of_files or sample.contours
         if sample.landmark_names:
             orders.setdefault(tuple(sorted(sample.landmark_names)), sample.landmark_names)
-    entries = _complete(entries, strict)
+    landmark_names = next(iter(orders.values())) if len(orders) == 1 else ()
+    entries = _usable(entries, landmark_names, strict)
     if len(entries) < FEWEST:
         few = count_of(len(entries), "landmarked image")
         raise TrainingError(f"{few}: too few to learn from; at least {FEWEST} are needed, 5 to 20 are better")
@@ -124,7 +145,7 @@ def read_entries(data: Iterable, contours: Iterable | None = None, strict: bool 
         entries=entries,
         contours=contours_of_files if contours is None else contours_of(contours, len(entries[0].points)),
         edges=_edges_of(contours_of_files),
-        landmark_names=next(iter(orders.values())) if len(orders) == 1 else (),
+        landmark_names=landmark_names,
     )
 
 
@@ -163,55 +184,59 @@ def _as_contour(given: Any) -> Contour | None:
         return None
 
 
-def _complete(entries: list[Entry], strict: bool) -> list[Entry]:
-    """Leave out the samples with missing landmarks; if too few are complete, place these as the others suggest.
+def _usable(entries: list[Entry], landmark_names: Sequence[str], strict: bool) -> list[Entry]:
+    """Return the samples from whose landmarks a model can be learnt, some of which may be missing.
 
-    Warns the caller of train, which is decorated, of what was done. If ``strict``, such samples are refused instead.
+    Warns the caller of train, which is decorated, of those that are left out. If ``strict``, samples with missing
+    landmarks are refused instead. Raises a TrainingError if a landmark is missing in all, or if nothing says where some
+    landmarks lie relative to others.
     """
-    incomplete = [entry for entry in entries if np.isnan(entry.points).any()]
+    incomplete = [entry for entry in entries if entry.known is not None]
     if not incomplete:
         return entries
-    complete = [entry for entry in entries if not np.isnan(entry.points).any()]
-    names = some_names([entry.name for entry in incomplete])
     if strict:
+        names = some_names([entry.name for entry in incomplete])
         raise TrainingError(
             f"landmarks are missing in {count_of(len(incomplete), 'image')} ({names}): place them, or train without "
             "--strict (strict=False)"
         )
-    if len(incomplete) == 1:
-        images_have = "1 image has"
-        are = "is"
-    else:
-        images_have = f"{len(incomplete)} images have"
-        are = "are"
-    if len(complete) >= FEWEST:
-        warnings.warn(f"{images_have} missing landmarks and {are} left out: {names}", stacklevel=5)
-        return complete
-    points = placed_by_others(np.array([entry.points for entry in entries]))
-    if np.isnan(points).any():
-        raise TrainingError(
-            f"{len(incomplete)} of {len(entries)} images have missing landmarks ({names}), too many to place them by "
-            "the other images; place them, or remove these images"
+    counts = known_of(entries).sum(axis=1).tolist()
+    poor = [f"{entry.name} ({n})" for entry, n in zip(entries, counts, strict=True) if n < FEWEST_KNOWN]
+    if poor:
+        have = "1 image has" if len(poor) == 1 else f"{len(poor)} images have"
+        are = "is" if len(poor) == 1 else "are"
+        warnings.warn(
+            f"{have} fewer than {FEWEST_KNOWN} landmarks and {are} left out: {some_names(poor)}; place at least "
+            f"{FEWEST_KNOWN} landmarks, or remove these images",
+            stacklevel=5,
         )
-    warnings.warn(
-        f"{images_have} missing landmarks, which are placed where the other images suggest, because only "
-        f"{len(complete)} are complete: {names}",
-        stacklevel=5,
-    )
-    return [replace(entry, points=placed) for entry, placed in zip(entries, points, strict=True)]
+        entries = [entry for entry, n in zip(entries, counts, strict=True) if n >= FEWEST_KNOWN]
+    if len(entries) >= FEWEST:  # else there are too few anyway, which is said elsewhere
+        check_known([entry.name for entry in entries], known_of(entries), landmark_names)
+    return entries
 
 
-def placed_by_others(shapes: np.ndarray) -> np.ndarray:
-    """Place the missing landmarks (NaN) of shapes (m, n, 2) where the mean of all, aligned by similarity, has them.
+def known_of(entries: Sequence[Entry]) -> np.ndarray:
+    """Whether each landmark of each sample is known, (m, n) bool."""
+    return np.array([np.ones(len(each.points), bool) if each.known is None else each.known for each in entries])
 
-    NaN remains where fewer than three landmarks of a shape are known, or where none has the landmark.
+
+def with_all_landmarks(
+    data: TrainingData, folds: Sequence[np.ndarray], progress: Progress | bool | None = False
+) -> TrainingData:
+    """Return samples in which missing landmarks are where the other images suggest (:mod:`liaam.training.filling`).
+
+    ``folds`` are samples that are left out together, by index; ``progress`` is that of :func:`train`.
     """
-    is_placed = ~np.isnan(shapes).any(axis=2)
-    if (is_placed.sum(axis=1) < 3).any() or not is_placed.any(axis=0).all():
-        return shapes
-    mean = procrustes_mean(shapes)
-    expected = [align(mean, shape)(mean) for shape in shapes]
-    return np.where(np.isnan(shapes), expected, shapes)
+    entries = data.entries
+    known = known_of(entries)
+    if known.all():
+        return replace(data, missing=None)
+    holed = np.where(known[..., None], data.shapes, np.nan)
+    with reported("missing landmarks", progress) as report:
+        shapes, missing = filled(holed, folds, report)
+    entries = [replace(entry, points=points) for entry, points in zip(entries, shapes, strict=True)]
+    return replace(data, entries=entries, missing=missing)
 
 
 def _read_sample(item: Any, i: int, order: tuple[str, ...]) -> _Sample:
@@ -239,7 +264,9 @@ def _read_sample(item: Any, i: int, order: tuple[str, ...]) -> _Sample:
         raise TrainingError(f"{name}: the landmarks are not numbers; give (n, 2) points") from None
     _check_points(points, name)
     contours = tuple((tuple(c.indices), bool(c.closed)) for c in getattr(landmarks, "contours", ()))
-    return _Sample(Entry(name, read, points), contours, tuple(getattr(landmarks, "names", ())))
+    is_known = np.asarray(~np.isnan(points).any(axis=1))
+    entry = Entry(name, read, points, None if is_known.all() else is_known)
+    return _Sample(entry, contours, tuple(getattr(landmarks, "names", ())))
 
 
 def _pair_of(item: Any, i: int) -> tuple[Any, Any]:
@@ -295,7 +322,8 @@ def _check_points(points: np.ndarray, name: str) -> None:
         raise TrainingError(f"{name}: a landmark is infinite, or has only one of x and y; give NaN for missing ones")
     if is_missing.all():
         raise TrainingError(f"{name}: all of its {len(points)} landmarks are missing (NaN); place them, or remove it")
-    if np.ptp(points[~is_missing], axis=0).max() < LEAST_EXTENT:
+    placed = points[~is_missing]
+    if len(placed) >= FEWEST_KNOWN and np.ptp(placed, axis=0).max() < LEAST_EXTENT:
         raise TrainingError(
             f"{name}: all landmarks lie within {LEAST_EXTENT:g} pixels of each other; are they in pixels?"
         )
@@ -351,7 +379,10 @@ def without_folded(
 
     Raises a TrainingError if there are too few of them, if most samples fold the mesh, or, if ``strict``, if any does.
     """
-    shares = np.array([folded_share(align(entry.points, mean)(entry.points), triangles) for entry in entries])
+    aligned = [align(entry.points, mean)(entry.points) for entry in entries]
+    shares = np.array(
+        [folded_share(points, triangles, entry.known) for points, entry in zip(aligned, entries, strict=True)]
+    )
     sound = np.flatnonzero(shares <= FOLD_TOLERANCE)
     if len(sound) == len(entries):
         return sound

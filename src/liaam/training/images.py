@@ -88,14 +88,23 @@ def _inspect(warp: PiecewiseAffineWarp, response: Response, entry: Entry) -> _In
         refuse_unscaled(image, entry.name, response)
     except ImageError as fault:
         return _Inspection(damage=str(fault))
-    pixels = warp.interpolate(entry.points)
-    outside = describe_outside(entry.points, image.shape, pixels)
+    pixels = _known_pixels(entry, warp)
+    outside = describe_outside(entry.points, image.shape, pixels, entry.known)
     exposure = _describe_exposure(image, pixels, response)
     return _Inspection(
         is_grey=is_grey(image),
         outside=f"{entry.name}: {outside}" if outside else "",
         exposure=f"{entry.name}: {exposure}" if exposure else "",
     )
+
+
+def _known_pixels(entry: Entry, warp: PiecewiseAffineWarp) -> np.ndarray:
+    """Positions of the mesh's pixels that known landmarks place, (k, 2); of these landmarks if there are none."""
+    pixels = warp.interpolate(entry.points)
+    if entry.known is None:
+        return pixels
+    pixels = pixels[warp.are_known(entry.known)]
+    return pixels if len(pixels) else entry.points[entry.known]
 
 
 def _refuse_faults(inspections: Sequence[_Inspection]) -> None:
@@ -134,10 +143,16 @@ def _describe_exposure(image: np.ndarray, points: np.ndarray, response: Response
     return f"the object is almost completely {fault} ({usable:.0%} of its pixels are usable)"
 
 
-def describe_outside(landmarks: np.ndarray, shape: tuple[int, ...], points: np.ndarray | None = None) -> str:
+def describe_outside(
+    landmarks: np.ndarray,
+    shape: tuple[int, ...],
+    points: np.ndarray | None = None,
+    known: np.ndarray | None = None,
+) -> str:
     """Describe how far landmarks (n, 2) lie outside an image of a shape (h, w, ...). Empty if that is no fault.
 
     Most of the points (k, 2), pixels of the mesh, must lie inside; by default the landmarks, which is less strict.
+    Estimated landmarks, which are not ``known`` (n,), may lie anywhere.
     """
     if points is None:
         points = landmarks
@@ -146,6 +161,8 @@ def describe_outside(landmarks: np.ndarray, shape: tuple[int, ...], points: np.n
     first = -0.5
     last = np.array([width, height]) - 0.5
     distances = np.maximum(first - landmarks, landmarks - last).max(axis=1)
+    if known is not None:
+        distances = np.where(known, distances, -np.inf)
     inside = float(((points > first) & (points < last)).all(axis=1).mean())
     if inside >= LEAST_INSIDE and distances.max() <= FAR * diagonal_of(landmarks):
         return ""

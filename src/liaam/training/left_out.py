@@ -10,14 +10,15 @@ from liaam.fitting.methods import Method, needed_by
 from liaam.io.files import some_names
 from liaam.model import AAM, VIEWS, Level
 from liaam.model.appearance import COPIED_APPEARANCES, AppearanceModel, Textures, train_appearance_model
+from liaam.model.missing import Missing
 from liaam.model.pca import Variance
 from liaam.model.shape import Recipe, shape_model_on
 from liaam.model.views import shape_model_of
 from liaam.photometry.encoding import as_colour
 from liaam.training.entries import Entry, image_of
 from liaam.training.lamps import Copies
-from liaam.training.regressor import RegressorData
-from liaam.training.reliability import LeftOutImage, calibrate
+from liaam.training.regressor import Regression, RegressorData
+from liaam.training.reliability import LeftOutImage, calibrate, fit_left_out
 from liaam.training.textures import FITTED, SOURCES, Sampled, Steps, learning_cost
 
 LEFT_OUT_FOLDS = 5  # Largest number of folds: a model is trained without each, which takes as long as a level
@@ -49,13 +50,14 @@ def calibrated(
     model: AAM,
     entries: list[Entry],
     shapes: np.ndarray,
+    missing: Missing | None,
     sampled: Sampled,
     copied: Copies,
     settings: Mapping[str, ViewSettings],
     methods: Sequence[Method],
     folds: list[np.ndarray],
     steps: Steps,
-    regression: RegressorData | None = None,
+    regression: Regression | None = None,
 ) -> AAM:
     """Calibrate the quality of methods' fits on left-out images, original and relit by left-out lamps.
 
@@ -70,6 +72,8 @@ def calibrated(
         All m images.
     shapes : (m, n, 2) float64
         Their landmarks.
+    missing : Missing, optional
+        Which of these are estimates, that fits are not compared with; None if all are known.
     sampled : Sampled
         Their textures, and those of their copies.
     copied : Copies
@@ -81,33 +85,45 @@ def calibrated(
         Images that are left out together, by index.
     steps : Steps
         Reports each image.
-    regression : RegressorData, optional
-        What the model's regressor was learnt from, if it has one.
+    regression : Regression, optional
+        Whether a regressor is needed, and what it is learnt from; None if there is to be none.
 
     Returns
     -------
     AAM
-        The model, with the calibrations in its views.
+        The model, with the calibrations in its views, and with a regressor if fits to left-out images need one.
     """
     halves = [np.zeros(0, int)] if copied.lamps is None else copied.lamps.halves()
 
-    def images() -> Iterator[LeftOutImage]:
-        """Yield some images of each fold with the model of the other folds, one model at a time."""
+    def images(data: RegressorData | None = None) -> Iterator[LeftOutImage]:
+        """Yield some images of each fold with the model of the other folds, one model at a time.
+
+        With ``data``, these models have regressors.
+        """
         for i, fold in enumerate(folds):
             steps.next(f"leaving out part {i + 1} of {len(folds)}", learning_cost(model.n_textures))
             lamps = halves[i % len(halves)]
             under_other_lamps = np.flatnonzero(~np.isin(copied.lit_by, lamps))
-            part = _without(model, fold, shapes, sampled, settings, methods, under_other_lamps)
-            if regression is not None:
-                part = replace(part, regressor=regression.learn(shape_model_of(part.views), without=fold))
+            part = _without(model, fold, shapes, missing, sampled, settings, methods, under_other_lamps)
+            if data is not None:
+                part = replace(part, regressor=data.learn(shape_model_of(part.views), without=fold))
             for j in fitted_of(fold, folds):
                 steps.next(f"fitting {entries[j].name}", FITTED)
                 image = as_colour(entries[j].read_image(), entries[j].name)
-                yield LeftOutImage(part, image, shapes[j])
+                yield LeftOutImage(part, image, shapes[j], entries[j].known)
                 for relit in copied.relit(j, image, shapes[j], model.response, lamps):
-                    yield LeftOutImage(part, relit, shapes[j], relit=True)
+                    yield LeftOutImage(part, relit, shapes[j], entries[j].known, relit=True)
 
-    reliabilities = calibrate(model, images(), methods)
+    tried = fit_left_out(model, images(), methods)
+    if regression is not None and regression.is_needed(tried):
+        data = regression.data()
+        steps.total += len(folds) * learning_cost(model.n_textures)
+        steps.total += FITTED * sum(len(fitted_of(fold, folds)) for fold in folds)
+        regressed = fit_left_out(model, images(data), methods)
+        if regression.helps(tried, regressed):
+            tried = regressed
+            model = replace(model, regressor=data.learn(shape_model_of(model.views)))
+    reliabilities = calibrate(model, tried, methods)
     for view in VIEWS:
         names = [method.name for method in methods if method.view == view]
         model = model.with_view(
@@ -172,6 +188,7 @@ def _without(
     model: AAM,
     fold: np.ndarray,
     shapes: np.ndarray,
+    missing: Missing | None,
     sampled: Sampled,
     settings: Mapping[str, ViewSettings],
     methods: Sequence[Method],
@@ -200,7 +217,13 @@ def _without(
             levels.append(Level(level.blur, appearances))
         shape_variance = of_view.shape_variance
         modes = len(view.shape_model.modes) if shape_variance == "auto" else shape_variance
-        shape_model = shape_model_on(view.shape_model.mean, shapes[others], modes, of_view.recipe)
+        shape_model = shape_model_on(
+            view.shape_model.mean,
+            shapes[others],
+            modes,
+            of_view.recipe,
+            missing=None if missing is None else missing.of(others),
+        )
         warp = replace(view.warp, shape_model=shape_model)
         model = model.with_view(name, warp=warp, levels=tuple(levels))
     return model

@@ -82,13 +82,15 @@ class TrainingOptions:
         (:attr:`liaam.AAM.parts`). ``auto``: more than one if this makes left-out shapes clearly more likely.
     regressor : bool or "auto"
         Whether to learn also a regressor of the landmarks (:mod:`liaam.model.regressor`), which fits of the default
-        method start from and weigh in. It helps most with objects that vary much. ``auto``: unless the images are relit
-        by lamps, whose light the regressor does not learn, or all of the variance is kept.
+        method start from and weigh in. It helps with objects that vary much. ``auto``: if without it some fits to
+        left-out images fail, and fewer fail with it; not if the images are relit by lamps, whose light the regressor
+        does not learn, or if all of the variance is kept. It takes left-out images (``leave_out``).
     leave_out : bool
         Whether to leave images out in turn and fit them, to calibrate ``FitResult.quality`` and
         ``landmark_covariances``. This doubles the time of training.
     strict : bool
-        Whether to refuse images that are left out otherwise: with missing landmarks, or landmarks that fold the mesh.
+        Whether to refuse images with missing landmarks, and those with landmarks that fold the mesh, which are left out
+        otherwise.
     """
 
     diagonal: float = 150.0

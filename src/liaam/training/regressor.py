@@ -1,10 +1,11 @@
 """Learn to place landmarks by regression, from the images of a model (:mod:`liaam.model.regressor`)."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
+from liaam.fitting.methods import DEFAULT_METHOD
 from liaam.model import AAM
 from liaam.model.point_map import LEAST_NOISE, PointErrors
 from liaam.model.regressor import (
@@ -20,6 +21,7 @@ from liaam.model.regressor import (
 from liaam.model.shape import ShapeModel, align, corners_of, diagonal_of, rotation
 from liaam.photometry.encoding import as_colour
 from liaam.training.entries import Entry
+from liaam.training.reliability import LeftOutFits
 from liaam.workers import in_threads
 
 # Distances of the histograms around a landmark in each step, pixels of SIZE: from the surroundings of a start that is
@@ -66,9 +68,13 @@ class RegressorData:
     def of(
         cls, entries: Sequence[Entry], shapes: np.ndarray, model: AAM, groups: Sequence[np.ndarray]
     ) -> "RegressorData":
-        """Read the images of a model, at even distances if there are many; ``shapes`` (m, n, 2) are their landmarks."""
-        count = min(len(entries), MOST_IMAGES)
-        images = np.linspace(0, len(entries) - 1, count).astype(int)
+        """Read the images of a model whose landmarks are all known, at even distances if there are many.
+
+        ``shapes`` (m, n, 2) are the landmarks of all images.
+        """
+        complete = np.array([i for i, entry in enumerate(entries) if entry.known is None], int)
+        count = min(len(complete), MOST_IMAGES)
+        images = complete[np.linspace(0, max(len(complete) - 1, 0), count).astype(int)]
         mean = model.shape_model.mean * (SIZE / model.diagonal)
 
         def histograms_of(i: int) -> OrientationHistograms:
@@ -87,6 +93,33 @@ class RegressorData:
         if len(groups) < LEAST_GROUPS:
             return None
         return learn_regressor(self.views.of(used), shapes, groups)
+
+
+@dataclass(frozen=True, eq=False)
+class Regression:
+    """Whether a model needs a regressor, and what it is learnt from.
+
+    Attributes
+    ----------
+    data : callable
+        Reads the images and returns the RegressorData.
+    forced : bool
+        Whether the model gets a regressor in any case.
+    """
+
+    data: Callable[[], RegressorData]
+    forced: bool = False
+
+    def is_needed(self, fits: Mapping[str, LeftOutFits]) -> bool:
+        """Return whether a fit to a left-out image that started near the object is not right."""
+        method = fits.get(DEFAULT_METHOD)
+        if method is None:
+            return False
+        return self.forced or method.n_near_right < method.n_near
+
+    def helps(self, fits: Mapping[str, LeftOutFits], regressed: Mapping[str, LeftOutFits]) -> bool:
+        """Return whether more fits that started near the object are right with a regressor than without."""
+        return self.forced or regressed[DEFAULT_METHOD].n_near_right > fits[DEFAULT_METHOD].n_near_right
 
 
 @dataclass(frozen=True, eq=False)

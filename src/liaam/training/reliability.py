@@ -5,8 +5,8 @@ threshold depends on the object and the model. Training therefore fits models to
 starts, and at the best wrong places that a search finds.
 """
 
-from collections.abc import Iterable, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from typing import NamedTuple
 
 import numpy as np
@@ -47,12 +47,14 @@ MOST_ODDS = 9.0
 class LeftOutImage:
     """An image, its landmarks, and a model trained without it, on the reference frame of the full model.
 
-    ``relit`` marks images whose light was changed; their background is then not valid.
+    ``known`` (n,) says which landmarks are known, with which alone fits are compared; None if all are. ``relit`` marks
+    images whose light was changed; their background is then not valid.
     """
 
     model: AAM
     image: np.ndarray
     points: np.ndarray
+    known: np.ndarray | None = None
     relit: bool = False
 
 
@@ -69,7 +71,7 @@ class LeftOutFit(NamedTuple):
     evidence: np.ndarray
     """(2,) float64"""
     errors: np.ndarray
-    """(n, 2) float64: true minus fitted landmarks."""
+    """(n, 2) float64: true minus fitted landmarks; NaN where the true one is not known."""
     spreads: np.ndarray
     """(n, 2, 2) float64: covariances of the landmarks by the fit."""
     surprise: float
@@ -86,8 +88,25 @@ class LeftOutFit(NamedTuple):
         return self.error > WRONG
 
 
-def calibrate(model: AAM, pictures: Iterable[LeftOutImage], methods: Sequence[Method]) -> dict[str, Reliability]:
-    """Learn the quality of fits and the errors of right fits from left-out images.
+@dataclass
+class LeftOutFits:
+    """The fits of a method to left-out images.
+
+    ``n_near`` is the number of starts near the object, of which some fits may be lost by their status; the others are
+    in ``fits``, with those from other starts.
+    """
+
+    fits: list[LeftOutFit] = field(default_factory=list)
+    n_near: int = 0
+
+    @property
+    def n_near_right(self) -> int:
+        """Number of right fits from starts near the object."""
+        return sum(fit.near and fit.right for fit in self.fits)
+
+
+def fit_left_out(model: AAM, pictures: Iterable[LeftOutImage], methods: Sequence[Method]) -> dict[str, LeftOutFits]:
+    """Fit left-out images from near and distant starts, and at the best wrong places that a search finds.
 
     Parameters
     ----------
@@ -95,16 +114,15 @@ def calibrate(model: AAM, pictures: Iterable[LeftOutImage], methods: Sequence[Me
         Model trained on all images.
     pictures : iterable of LeftOutImage
     methods : sequence of Method
-        Methods to calibrate.
 
     Returns
     -------
-    dict of Reliability
-        By the names of the methods, without those that have too few right fits to learn from.
+    dict of LeftOutFits
+        By the names of the methods.
     """
     finder = Finder(model)
     fitters = []
-    fits: dict[str, list[LeftOutFit]] = {method.name: [] for method in methods}
+    fits = {method.name: LeftOutFits() for method in methods}
     for i, picture in enumerate(pictures):
         if not fitters or fitters[0].model is not picture.model:
             fitters = [Fitter(picture.model, method, OPTIONS, restarts=False) for method in methods]
@@ -120,8 +138,18 @@ def calibrate(model: AAM, pictures: Iterable[LeftOutImage], methods: Sequence[Me
                 tried = [_fit(picture, fitter, start, k == 0) for k, start in enumerate(starts)]
                 wrong = [fit for place in places if (fit := _fit(picture, fitter, place)) and fit.wrong]
                 # Of the wrong places, that which explains most.
-                fits[method.name] += [*filter(None, tried), *sorted(wrong, key=lambda fit: -fit.evidence[0])[:1]]
-    learnt = {method.name: learnt_from(model, fits[method.name], method.view) for method in methods}
+                worst = sorted(wrong, key=lambda fit: -fit.evidence[0])[:1]
+                fits[method.name].fits += [*filter(None, tried), *worst]
+                fits[method.name].n_near += 1
+    return fits
+
+
+def calibrate(model: AAM, fits: Mapping[str, LeftOutFits], methods: Sequence[Method]) -> dict[str, Reliability]:
+    """Learn the quality of fits and the errors of right fits from those to left-out images.
+
+    Return the calibrations by the names of the methods, without those that have too few right fits to learn from.
+    """
+    learnt = {method.name: learnt_from(model, fits[method.name].fits, method.view) for method in methods}
     return {name: each for name, each in learnt.items() if each is not None}
 
 
@@ -131,19 +159,23 @@ def _fit(picture: LeftOutImage, fitter: Fitter, start: np.ndarray | Detection, n
     model = picture.model
     if result.status.lost or not (np.isfinite(result.landmarks).all() and np.isfinite(result.evidence).all()):
         return None
-    error = outline_errors(result.landmarks, picture.points, model.contours).mean() / diagonal_of(picture.points)
+    known = np.ones(model.n_points, bool) if picture.known is None else picture.known
+    error = outline_errors(result.landmarks, picture.points, model.contours)[known].mean()
     unposed = result.pose.inverse()
     shapes = fitter.shapes
     truth = unposed(picture.points)
     turns = contour_turns(truth, shapes.mean, model.contours)
-    off = shapes.parameters(truth) - result.p
+    # Landmarks that are not known are no surprise, so that only a share of the parameters' errors is seen.
+    seen = truth if picture.known is None else np.where(known[:, None], truth, unposed(result.landmarks))
+    off = shapes.parameters(seen) - result.p
+    errors = np.einsum("nab,nb->na", turns, (picture.points - result.landmarks) @ unposed.matrix.T)
     return LeftOutFit(
         near,
-        float(error),
+        float(error / diagonal_of(picture.points)),
         result.evidence,
-        np.einsum("nab,nb->na", turns, (picture.points - result.landmarks) @ unposed.matrix.T),
+        errors if picture.known is None else np.where(known[:, None], errors, np.nan),
         turns @ fitted_covariances(shapes, result.covariance) @ np.swapaxes(turns, 1, 2),
-        surprise(off, result.covariance),
+        surprise(off, result.covariance) / float(known.mean()),
         result.residual_variance,
     )
 
@@ -168,7 +200,7 @@ def learnt_from(model: AAM, fits: Sequence[LeftOutFit], view: str) -> Reliabilit
         np.array([fit.spreads for fit in near_fits]),
         variance_factor(np.array([fit.surprise for fit in near_fits])),
         np.array([fit.unit for fit in near_fits]),
-        nothing if unexplained is None else widened(unexplained, model.n_images, alike),
+        nothing if unexplained is None else widened(unexplained, _n_known(model), alike),
         alike,
     )
     made = Reliability(weights=weights, **covariances)
@@ -176,6 +208,13 @@ def learnt_from(model: AAM, fits: Sequence[LeftOutFit], view: str) -> Reliabilit
     near = [fit.right for fit in fits if fit.near]
     prior = min((sum(near) + 1) / (len(near) - sum(near) + 1), MOST_ODDS)  # as if there were one more of each
     return replace(made, typical=float(np.quantile(qualities, RARE)), prior=prior)
+
+
+def _n_known(model: AAM) -> int | np.ndarray:
+    """Return the number of images in which landmarks are known: of all, or (n, 1, 1) of each."""
+    if model.n_missing is None:
+        return model.n_images
+    return (model.n_images - model.n_missing)[:, None, None]
 
 
 def _near(picture: LeftOutImage, rng: np.random.Generator) -> np.ndarray:

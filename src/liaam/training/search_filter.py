@@ -54,10 +54,16 @@ class FilterLearner:
         self.inside = np.zeros(2 * self.half[::-1] + 1, bool)
         self.inside[at[:, 1] + self.half[1], at[:, 0] + self.half[0]] = True
         self.total = np.zeros((*self.inside.shape, 2))
+        self.counts = np.zeros(self.inside.shape)  # images that show each pixel's part of the object
         self.count = 0
+        self._at = at
+        self._frame = frame
 
-    def add(self, image: np.ndarray, points: np.ndarray) -> None:
-        """Add a training image or a copy of one, in a pose near that of its landmarks."""
+    def add(self, image: np.ndarray, points: np.ndarray, known: np.ndarray | None = None) -> None:
+        """Add a training image or a copy of one, in a pose near that of its landmarks.
+
+        Pixels that the ``known`` landmarks (n,) do not place are left out.
+        """
         import cv2  # heavy: imported when first needed
 
         rng = np.random.default_rng([40, self.count])
@@ -84,13 +90,24 @@ class FilterLearner:
         flags = cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP
         seen = cv2.warpAffine(values, affine, (width, height), flags=flags, borderMode=cv2.BORDER_REPLICATE)
         field = soft_directions(seen, self.blur)[BORDER:-BORDER, BORDER:-BORDER]
-        self.total += np.stack([np.real(field), np.imag(field)], axis=-1)
+        used = self._used(known)
+        self.total += np.stack([np.real(field), np.imag(field)], axis=-1) * used[..., None]
+        self.counts += used
         self.count += 1
+
+    def _used(self, known: np.ndarray | None) -> np.ndarray:
+        """Return the pixels of the window to use of an image with some known landmarks, (h, w) bool; by default all."""
+        if known is None:
+            return np.ones(self.inside.shape, bool)
+        used = np.zeros(self.inside.shape, bool)
+        x, y = self._at[self._frame.are_known(known)].T
+        used[y + self.half[1], x + self.half[0]] = True
+        return used
 
     def learnt(self) -> np.ndarray:
         """Return the filter, (h, w, 2) float32, whose response to the mean is 1."""
         y, x = np.nonzero(self.inside)
-        mean = (self.total[y, x] / self.count).T.ravel()
+        mean = (self.total[y, x] / np.maximum(self.counts[y, x], 1)[:, None]).T.ravel()
         along = _covariances(self.blur, max(self.inside.shape))[:, :, y[:, None] - y, x[:, None] - x]
         noise = along.transpose(0, 2, 1, 3).reshape(len(mean), len(mean))
         noise[np.diag_indices(len(mean))] += RIDGE * noise.trace() / len(mean)

@@ -10,7 +10,7 @@ from liaam.photometry import CameraModel
 from liaam.photometry.encoding import as_colour
 from liaam.training.entries import Entry
 from liaam.training.lamps.copies import mirrored
-from liaam.training.textures import sample_appearance
+from liaam.training.textures import sample_known
 from liaam.workers import in_threads
 
 # Smallest and largest number of images to compare with their mirror images
@@ -41,8 +41,11 @@ def sideways_offset(
         """Mean and difference of both gradients (n_pixels, 2), and their shift (2,) by an offset of one pixel."""
         image = camera.flatten(as_colour(entry.read_image(), entry.name))
         both = ((image, entry.points), mirrored(image, entry.points, order))
+        known = entry.known
+        known_of_both = (known, None if known is None else known[order])
         (direct, usable), (other, also) = (
-            sample_appearance(*pair, warp, "soft", camera.response, blur) for pair in both
+            sample_known(*pair, known, warp, "soft", camera.response, blur)
+            for pair, known in zip(both, known_of_both, strict=True)
         )
         direct, other = (values[:, :2] * (usable * also)[:, None] for values in (direct, other))
         move = sum(align(warp.rest, points).inverse().matrix[:, 0] for _, points in both)

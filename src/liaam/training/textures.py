@@ -145,19 +145,20 @@ def sample_all(
         steps.next(entry.name)
         image = camera.flatten(as_colour(entry.read_image(), entry.name))
         has_colour = not grey[i]
-        filters.add(image, entry.points)
+        filters.add(image, entry.points, entry.known)
         row = int(first_rows[i])
         for store in stores_of_copies:
-            store.add(row, image, entry.points, camera, has_colour)
+            store.add(row, image, entry.points, entry.known, camera, has_colour)
         for row_of_coloured in np.flatnonzero(coloured == i):  # one row, or none
             for store in other_stores:
-                store.add(int(row_of_coloured), image, entry.points, camera, has_colour)
+                store.add(int(row_of_coloured), image, entry.points, entry.known, camera, has_colour)
         copies = copied.of_picture(i, image, entry.points, camera.response, model.diagonal)
-        for row, (copy, points) in enumerate(copies, first_rows[i] + 1):
+        for j, (copy, points) in enumerate(copies):
             steps.next(f"a copy of {entry.name}")
-            filters.add(copy, points)
+            known = copied.known_of(i, j, entry.known)
+            filters.add(copy, points, known)
             for store in stores_of_copies:
-                store.add(row, copy, points, camera, has_colour)
+                store.add(row + 1 + j, copy, points, known, camera, has_colour)
     textures = {name: store.textures() for name, store in stores.items()}
     return Sampled(textures, owners, coloured, bool(grey.all()))
 
@@ -189,6 +190,8 @@ class _Store:
         Values by level.
     usable : dict of int to (n_textures, n_pixels) or (n_textures, n_pixels, c) float32 array
         Whether they are usable, 0 or 1, by level.
+    known : (n_textures, n_pixels) bool array
+        Whether known landmarks place a pixel.
     """
 
     encoding: Encoding
@@ -196,9 +199,23 @@ class _Store:
     blurs: dict[int, float]
     values: dict[int, np.ndarray]
     usable: dict[int, np.ndarray]
+    known: np.ndarray
 
-    def add(self, row: int, image: np.ndarray, points: np.ndarray, camera: CameraModel, has_colour: bool) -> None:
-        """Sample an image, warped by its landmarks (n, 2), and keep that in a row of all levels."""
+    def add(
+        self,
+        row: int,
+        image: np.ndarray,
+        points: np.ndarray,
+        known: np.ndarray | None,
+        camera: CameraModel,
+        has_colour: bool,
+    ) -> None:
+        """Sample an image, warped by its landmarks (n, 2), and keep that in a row of all levels.
+
+        Pixels that the ``known`` landmarks (n,) do not place are not observed.
+        """
+        if known is not None:
+            self.known[row] = self.warp.are_known(known)
         for level, blur in self.blurs.items():
             values, usable = sample_appearance(image, points, self.warp, self.encoding, camera.response, blur)
             values, usable = _to_learn(self.encoding, values, usable, camera.theta, has_colour)
@@ -207,7 +224,8 @@ class _Store:
 
     def textures(self) -> dict[int, Textures]:
         """Return the textures by level."""
-        return {level: Textures.of(self.values[level], self.usable[level]) for level in self.blurs}
+        known = None if self.known.all() else self.known
+        return {level: Textures.of(self.values[level], self.usable[level], known) for level in self.blurs}
 
 
 def _store(
@@ -235,6 +253,7 @@ def _store(
         blurs={each.level: blurs[view][each.level] for each in levels},
         values={each.level: np.empty(shape, np.float32) for each in levels},
         usable={each.level: np.empty(shape_of_usable, np.float32) for each in levels},
+        known=np.ones(shape[:2], bool),
     )
 
 
@@ -277,6 +296,20 @@ def sample_appearance(
     return values, usable * (border == points).all(axis=1)
 
 
+def sample_known(
+    image: np.ndarray,
+    shape: np.ndarray,
+    known: np.ndarray | None,
+    warp: PiecewiseAffineWarp,
+    encoding: Encoding,
+    response: Response,
+    blur: float,
+) -> tuple[np.ndarray, np.ndarray]:
+    """Sample an image as :func:`sample_appearance`; pixels that landmarks not ``known`` (n,) place are unusable."""
+    values, usable = sample_appearance(image, shape, warp, encoding, response, blur)
+    return values, usable if known is None else usable * warp.are_known(known)
+
+
 def level_appearances(
     sampled: Sampled, names: list[str], level: int, theta: float, variance: Variance, folds: list[np.ndarray]
 ) -> dict[str, AppearanceModel]:
@@ -293,7 +326,8 @@ def level_appearances(
             continue
         if name == "invariant":
             # LIT: project first, then learn (paper section 4).
-            textures = Textures.of(textures.values @ invariant_row(theta).T.astype(np.float32), textures.usable)
+            projected = textures.values @ invariant_row(theta).T.astype(np.float32)
+            textures = Textures.of(projected, textures.usable, textures.known)
         modes = count_by_evidence(textures.vectors, sampled.folds(name, folds)) if variance == "auto" else variance
         if name == "search":
             appearances[name] = strongest_modes(train_appearance_model(textures, modes))
@@ -308,5 +342,6 @@ def _illumination(
 ) -> AppearanceModel:
     """Learn the modes of light in the copies among textures (mask ``copies``) that the modes of ``values`` lack."""
     modes = ILLUMINATION_VARIANCE if variance == "auto" else variance
-    relit = Textures(textures.values[copies], textures.observed[copies], textures.usable[copies])
+    known = None if textures.known is None else textures.known[copies]
+    relit = Textures(textures.values[copies], textures.observed[copies], textures.usable[copies], known)
     return train_illumination(values, relit, modes)

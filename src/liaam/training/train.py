@@ -3,6 +3,7 @@
 import warnings
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace
+from functools import partial
 from os import PathLike
 from typing import Any
 
@@ -12,22 +13,31 @@ from liaam.errors import TrainingError
 from liaam.fitting.methods import Method
 from liaam.model import AAM, MESH, SURROUNDINGS, VIEWS, Level, View
 from liaam.model.cost import TooLargeError, check_cost
+from liaam.model.missing import Missing
 from liaam.model.shape import Recipe, ShapeModel, choose_recipe, mirror_order, scaled_mean, shape_model_on
-from liaam.model.views import shape_model_of
 from liaam.photometry import CameraModel
 from liaam.photometry.camera import check_camera
 from liaam.photometry.features import FeatureFunction
 from liaam.progress import Progress, reported
 from liaam.training import faces
 from liaam.training.compacting import ALL, chosen, keep_only, wanted
-from liaam.training.entries import Entry, TrainingData, check_flat, mesh_of, read_entries, without_folded
+from liaam.training.entries import (
+    Entry,
+    TrainingData,
+    check_flat,
+    mesh_of,
+    read_entries,
+    with_all_landmarks,
+    without_folded,
+)
 from liaam.training.features import encoder_of
+from liaam.training.filling import is_enough
 from liaam.training.images import check_images
 from liaam.training.lamps import Copies, LearntLamps, learn_lamps
 from liaam.training.left_out import ViewSettings, calibrated, can_be_calibrated, fitted_of, folds_of, groups_of
 from liaam.training.options import AUTO, TrainingOptions
 from liaam.training.points import Points, map_of_points, points_of
-from liaam.training.regressor import RegressorData
+from liaam.training.regressor import Regression, RegressorData
 from liaam.training.search_filter import FilterLearner
 from liaam.training.shapes import shape_groups
 from liaam.training.symmetry import describe_offset, sideways_offset
@@ -56,7 +66,9 @@ def train(
     ----------
     data : Dataset, or iterable of Sample or (image, landmarks) pairs
         Images are (h, w, 3) arrays or paths; landmarks are (n, 2) arrays (x, y), :class:`liaam.io.Landmarks` or paths.
-        All must have the same number of points, in the same order.
+        All must have the same number of points, in the same order. Missing ones are (NaN, NaN): the shapes are learnt
+        by expectation maximisation, and the appearance where known landmarks place it. :attr:`liaam.AAM.n_missing`
+        counts them.
     options : TrainingOptions, optional
         How to train. The defaults suit most data.
     camera : CameraModel, optional
@@ -83,7 +95,8 @@ def train(
         Name of the model, for display.
     progress : bool or callable, optional
         Whether to show a progress bar on standard error; by default on a terminal, after two seconds. Or a function
-        that is called with (done, total, what) before each step and at the end, in units of about the same time.
+        that is called with (done, total, what) before each step and at the end, in units of about the same time. If
+        landmarks are missing, a count of its own for these comes first.
     **changes
         Fields of :class:`TrainingOptions` that replace those of ``options``, such as ``diagonal=100``.
 
@@ -94,9 +107,9 @@ def train(
     Raises
     ------
     TrainingError
-        If there are fewer than 3 shapes, or shapes of different lengths, missing (NaN) landmarks, black images and the
-        like. The message names the sample. Samples whose landmarks fold the mesh are left out, with a warning, unless
-        most do.
+        If there are fewer than 3 shapes, or shapes of different lengths, a landmark that is missing in all, black
+        images and the like. The message names the sample. Samples with fewer than 3 landmarks, and those whose
+        landmarks fold the mesh, are left out, with a warning, unless most do.
     """
     if not isinstance(options, TrainingOptions | None):
         raise TrainingError(f"options {options!r}: give TrainingOptions, or options, camera and lamps by name")
@@ -104,6 +117,7 @@ def train(
     camera = camera or CameraModel()
     check_camera(camera)
     samples = read_entries(data, contours, options.strict)
+    samples = with_all_landmarks(samples, folds_of(samples.names), progress)
     groups = shape_groups(samples.shapes, samples.names, options.shapes)
     if len(groups) > 1 and not isinstance(lamps, str | PathLike | LearntLamps | None):
         lamps = list(lamps)  # every model learns from them
@@ -118,10 +132,20 @@ def train(
     )
     models = []
     for group in groups:
-        part = replace(samples, entries=[samples.entries[i] for i in group])
+        part = samples if len(groups) == 1 else _part_of(samples, group, progress)
         points_of_part = points if len(groups) == 1 else points_of(points, group)
         models.append(_train_one(part, points_of_part, task))
     return replace(models[0], others=tuple(models[1:])) if len(groups) > 1 else models[0]
+
+
+def _part_of(data: TrainingData, indices: np.ndarray, progress: Progress | bool | None) -> TrainingData:
+    """Return some of the samples, whose missing landmarks are estimated anew from these alone if that is possible."""
+    entries = [data.entries[i] for i in indices]
+    missing = None if data.missing is None else data.missing.of(indices)
+    part = replace(data, entries=entries, missing=missing)
+    if missing is not None and not is_enough(missing.known):
+        return part
+    return with_all_landmarks(part, folds_of(part.names), progress)
 
 
 @dataclass(frozen=True, eq=False)
@@ -145,6 +169,8 @@ class _Shapes:
     ----------
     landmarks : (m, n, 2) float64
         Landmarks of all images.
+    missing : Missing, optional
+        Which of these are estimates, and how uncertain they are; None if all are known.
     folds : list of arrays
         Images that are left out together, by index.
     mean : (n, 2) float64
@@ -158,6 +184,7 @@ class _Shapes:
     """
 
     landmarks: np.ndarray
+    missing: Missing | None
     folds: list[np.ndarray]
     mean: np.ndarray
     recipes: dict[str, Recipe]
@@ -177,10 +204,10 @@ def _train_one(data: TrainingData, points: Points | None, task: _Task) -> AAM:
         if len(sound) == len(entries):
             break
         # Learn again from the images that do not fold the mesh, which have been checked already.
-        entries = [entries[i] for i in sound]
+        data = _part_of(replace(data, entries=entries), sound, task.progress)
+        entries = data.entries
         grey = grey[sound]
         points = points_of(points, sound)
-        data = replace(data, entries=entries)
         shapes = _learn_shapes(data, options)
         model = _without_appearances(data, shapes, task)
 
@@ -202,8 +229,9 @@ def _train_one(data: TrainingData, points: Points | None, task: _Task) -> AAM:
     regression = None
     if options.learns_regressor(under_lamps=lamps is not None):
         groups = groups_of([entry.name for entry in entries])
-        regression = RegressorData.of(entries, shapes.landmarks, model, groups)
-        model = replace(model, regressor=regression.learn(shape_model_of(model.views)))
+        regression = Regression(
+            data=partial(RegressorData.of, entries, shapes.landmarks, model, groups), forced=options.regressor is True
+        )
     names = _names_to_learn(options, has_features=encoder is not None)
     blurs = options.blurs_by_view
     with reported("training", task.progress) as report:
@@ -218,6 +246,7 @@ def _train_one(data: TrainingData, points: Points | None, task: _Task) -> AAM:
                 model,
                 entries=entries,
                 shapes=shapes.landmarks,
+                missing=shapes.missing,
                 sampled=sampled,
                 copied=copies,
                 settings=_settings_of_parts(shapes, options),
@@ -241,12 +270,17 @@ def _learn_shapes(data: TrainingData, options: TrainingOptions) -> _Shapes:
     triangles = mesh_of(mean, options.triangles, data.edges)  # first, so that its faults are raised soon
     prior_of = options.priors(landmarks.shape[1])
     # Views with the same prior share recipe and shape model, which take time to learn.
-    recipes = {prior: choose_recipe(mean, landmarks, prior, folds) for prior in dict.fromkeys(prior_of.values())}
+    missing = data.missing
+    recipes = {
+        prior: choose_recipe(mean, landmarks, prior, folds, missing) for prior in dict.fromkeys(prior_of.values())
+    }
     models = {
-        prior: shape_model_on(mean, landmarks, options.variance, recipe, folds) for prior, recipe in recipes.items()
+        prior: shape_model_on(mean, landmarks, options.variance, recipe, folds, missing)
+        for prior, recipe in recipes.items()
     }
     return _Shapes(
         landmarks=landmarks,
+        missing=missing,
         folds=folds,
         mean=mean,
         recipes={view: recipes[prior_of[view]] for view in VIEWS},
@@ -268,6 +302,7 @@ def _without_appearances(data: TrainingData, shapes: _Shapes, task: _Task) -> AA
         contours=data.contours,
         landmark_names=data.landmark_names,
         name=task.name,
+        n_missing=None if data.missing is None else data.missing.counts,
     )
 
 

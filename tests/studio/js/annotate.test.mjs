@@ -871,6 +871,14 @@ test("the first model comes with four pictures, the next after three more", () =
   assert.ok(!assist.shouldTrain(project(four, { model: { stale: 3, source: "file" } }), auto));
 });
 
+test("a picture without some absent points counts for training, one with hardly any point does not", () => {
+  const all = project(["done", "done", "done", "done"]);
+  Object.assign(all.pictures[0], { absent: 4, placed: 3 });
+  assert.ok(assist.shouldTrain(all, { auto: true }));
+  Object.assign(all.pictures[0], { absent: 5, placed: 2 });
+  assert.ok(!assist.shouldTrain(all, { auto: true }));
+});
+
 test("what failed is not tried again by itself until something changes", () => {
   const four = project(["done", "done", "done", "done"]);
   const failedAt = assist.situation(four);

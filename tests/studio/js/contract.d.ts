@@ -32,7 +32,7 @@ interface Picture {
   slip_points?: number[];
   /** Who left it out of training. */
   left_out?: string | null;
-  /** Number of points that the object lacks, so that no training uses the picture. */
+  /** Number of points that the object lacks. */
   absent?: number;
   /** Number of points that no person placed, moved or confirmed one by one. */
   unconfirmed?: number;

@@ -57,6 +57,21 @@ class Copies:
         n_lamps = 1 if self.lamps is None else len(self.lamps)
         return np.random.default_rng([30, i]).choice(n_lamps, count, replace=count > n_lamps)
 
+    def known_of(self, i: int, j: int, known: np.ndarray | None) -> np.ndarray | None:
+        """Return which landmarks of copy j of image i are known, from those ``known`` (n,) of the image.
+
+        None if all are.
+        """
+        if known is None or self.order is None or not self.are_mirrored(i)[j]:
+            return known
+        return known[self.order]
+
+    def are_mirrored(self, i: int) -> np.ndarray:
+        """Whether each copy of image i is mirrored, (count,) bool: the first half of them, of a symmetric object."""
+        count = int(self.counts[i])
+        n_mirrored = 0 if self.order is None else (count + 1) // 2
+        return np.arange(count) < n_mirrored
+
     def of_picture(
         self, i: int, image: np.ndarray, points: np.ndarray, response: Response, diagonal: float
     ) -> Iterator[tuple[np.ndarray, np.ndarray]]:
@@ -69,7 +84,9 @@ class Copies:
         offset = self.offset * diagonal_of(points) / size
         if self.order is not None:
             other, moved = mirrored(image, points, self.order, offset)
-            first, which = np.split(which, [(len(which) + 1) // 2])
+            are_mirrored = self.are_mirrored(i)
+            first = which[are_mirrored]
+            which = which[~are_mirrored]
             yield from ((copy, moved) for copy in self._relit(other, moved, first, response))
         yield from ((copy, points) for copy in self._relit(image, points, which, response))
 

@@ -6,6 +6,7 @@ import { openIn } from "./strip-filters.js";
 import { button, dialog, h, icon, listOf } from "./ui.js";
 
 const LEAST = 3; // pictures needed for training
+const FEWEST_PLACED = 3; // points that a picture needs for training, if others are absent
 const AUTO_FIRST = 4; // done pictures after which the first model is trained automatically
 const AUTO_AGAIN = 3; // pictures completed or changed after which it is trained again
 const SHOWN = 5; // slips that are listed before training
@@ -14,9 +15,9 @@ const AUTO_KEY = "liaam-studio:auto-train";
 const countOf = (pictures, ...states) => pictures.filter(({ state }) => states.includes(state)).length;
 const openList = (of) => /** @type {HTMLSelectElement} */ (document.querySelector(of)).showPicker();
 
-/** The pictures that a training uses, which needs all points, and those of them whose points look wrong. */
-const forTraining = (pictures) =>
-  pictures.filter(({ state, left_out: who, absent }) => state === "done" && !who && !absent);
+/** The pictures that a training uses, which may lack absent points, and those of them whose points look wrong. */
+const forTraining = (pictures) => pictures.filter(({ state, left_out: who, absent, placed }) =>
+  state === "done" && !who && !(absent && placed < FEWEST_PLACED));
 const slipped = (pictures) => forTraining(pictures).filter(({ slip }) => slip);
 
 /** Whether to train automatically. `failedAt`: the `situation` in which training last failed or was stopped. */

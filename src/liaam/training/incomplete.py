@@ -1,0 +1,64 @@
+"""Check which landmarks of the training images are missing."""
+
+import warnings
+from collections.abc import Sequence
+
+import numpy as np
+
+from liaam.errors import TrainingError
+from liaam.formatting import ranges_of
+from liaam.io.files import some_names
+from liaam.training.filling import COMMON, unlinked
+
+FEWEST = 2  # Fewest images that should have a landmark, to learn how it varies
+MOST_NAMED = 12  # Largest number of landmarks that a message names
+
+
+def check_known(names: Sequence[str], known: np.ndarray, landmark_names: Sequence[str] = ()) -> None:
+    """Check which landmarks of images of these names are known, (m, n) bool. The landmarks may have names.
+
+    Raises a TrainingError if a landmark is missing in all, or if nothing says where some lie relative to others. Warns
+    the caller of train of landmarks that hardly any image has.
+    """
+    counts = known.sum(axis=0)
+    if not counts.all():
+        absent = np.flatnonzero(counts == 0)
+        raise TrainingError(
+            f"{_called(absent, landmark_names)} missing in all {len(names)} images: place {_it_or_them(absent)} in "
+            f"some images, or remove {_it_or_them(absent)} from all landmark files"
+        )
+    groups = unlinked(known)
+    if len(groups) > 1:
+        first = some_names([names[int(i)] for i in groups[0]], 3)
+        second = some_names([names[int(i)] for i in groups[1]], 3)
+        raise TrainingError(
+            f"some images ({first}) share fewer than {COMMON} landmarks with others ({second}), so nothing says where "
+            f"landmarks {_numbers_of(known[groups[0]])} lie relative to landmarks "
+            f"{_numbers_of(known[groups[1]])}: place both in some images, or train on one of these groups "
+            "of images"
+        )
+    rare = np.flatnonzero(counts < FEWEST)
+    if len(rare):
+        warnings.warn(
+            f"{_called(rare, landmark_names)} placed in only 1 of {len(names)} images, from which little can be "
+            f"learnt: place {_it_or_them(rare)} in more images",
+            stacklevel=6,
+        )
+
+
+def _numbers_of(known: np.ndarray) -> str:
+    """Return the numbers from 1 of the landmarks that some images have, of those that are known, (k, n) bool."""
+    return ranges_of((np.flatnonzero(known.any(axis=0)) + 1).tolist())
+
+
+def _called(landmarks: np.ndarray, names: Sequence[str]) -> str:
+    """Return the numbers of landmarks from 1, and their names if they have any, with the verb to be."""
+    labels = [f"{i + 1} ({names[i]})" if names else f"{i + 1}" for i in landmarks.tolist()]
+    if len(landmarks) == 1:
+        return f"landmark {labels[0]} is"
+    return f"landmarks {some_names(labels, MOST_NAMED)} are"
+
+
+def _it_or_them(landmarks: np.ndarray) -> str:
+    """Return the pronoun for landmarks."""
+    return "it" if len(landmarks) == 1 else "them"
