@@ -125,6 +125,8 @@ def describe(model: "AAM", path: Path) -> dict[str, str]:
     calibrated = "".join(f", {name}" for name in ("vignetting", "noise") if getattr(camera, name))
     if model.points is not None:
         more["starts from"] = f"{model.points.n_theirs} points of another landmarker, too"
+    if model.regressor is not None:
+        more["regressor"] = describe_regressor(model)
     if model.features is not None:
         more["features"] = f"{model.features.name}, a function"
     return {
@@ -144,6 +146,13 @@ def describe(model: "AAM", path: Path) -> dict[str, str]:
         **({"credit": model.credit} if model.credit else {}),
         "core": f"compiled, {_core.INSTRUCTION_SET}" if _core.BUILT else "not compiled (NumPy)",
     }
+
+
+def describe_regressor(model: "AAM") -> str:
+    """Return how well the regressor of a model finds the landmarks."""
+    assert model.regressor is not None
+    share = model.regressor.left_out.deviation / model.diagonal
+    return f"fits start from landmarks by regression, which are off by {share:.1%} of the object's size"
 
 
 def describe_missing(model: "AAM") -> str:

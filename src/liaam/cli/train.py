@@ -8,7 +8,7 @@ import typer
 from liaam.cli import inputs
 from liaam.cli.check import warn_of_faults
 from liaam.cli.lamps import LAMPS_SUFFIX, TrainingLampOption, read_lamps
-from liaam.cli.models import count_copies, count_modes, describe_missing, describe_shapes
+from liaam.cli.models import count_copies, count_modes, describe_missing, describe_regressor, describe_shapes
 from liaam.cli.terminal import complain, progress_bar, say
 from liaam.errors import LiaamError
 from liaam.io import IMAGE_SUFFIXES, LANDMARK_SUFFIXES
@@ -76,6 +76,13 @@ def train(
     ] = None,
     methods: MethodsOption = "",
     shapes: inputs.ShapesOption = inputs.AUTO,
+    regressor: Annotated[
+        str,
+        typer.Option(
+            help="Also learn to find the landmarks by regression, which fits start from and weigh in: 'auto' if "
+            "without it some fits to left-out images fail and fewer fail with it, 'always', or 'none'."
+        ),
+    ] = inputs.AUTO,
     leave_out: Annotated[
         bool,
         typer.Option(
@@ -117,6 +124,7 @@ def train(
             contours=contours or None,
             methods=parse_methods(methods),
             shapes=inputs.parse_shapes(shapes),
+            regressor=parse_regressor(regressor),
             name=name or inputs.folder_of(folder)[0].name,
             leave_out=leave_out,
             strict=strict,
@@ -181,6 +189,14 @@ def check_model_name(output: Path, folder: Path) -> None:
         )
 
 
+def parse_regressor(text: str) -> bool | str:
+    """Return what --regressor says: whether there is to be one, or ``auto``."""
+    choices: dict[str, bool | str] = {inputs.AUTO: inputs.AUTO, "always": True, "none": False}
+    if text not in choices:
+        raise LiaamError(f"--regressor {text}: give {', '.join(choices)}")
+    return choices[text]
+
+
 def parse_lamps(
     lamps: Path, training_lamp: str | None, camera: "CameraModel"
 ) -> "LearntLamps | Literal['auto'] | None":
@@ -218,6 +234,8 @@ def report(model: "AAM", output: Path, light: "LearntLamps | Literal['auto'] | N
             f"the other landmarker's {model.points.n_theirs} points: mapped to the landmarks with an error of "
             f"{away:.1f} pixels ({away / model.diagonal:.1%}) on left-out images"
         )
+    if model.regressor is not None:
+        say(f"{describe_regressor(model)} (--regressor none for none)")
     if not leave_out:
         say("the quality and the ellipses of fits are not calibrated (--no-leave-out)")
     elif not model.calibrated:

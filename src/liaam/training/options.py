@@ -84,7 +84,7 @@ class TrainingOptions:
         Whether to learn also a regressor of the landmarks (:mod:`liaam.model.regressor`), which fits of the default
         method start from and weigh in. It helps with objects that vary much. ``auto``: if without it some fits to
         left-out images fail, and fewer fail with it; not if the images are relit by lamps, whose light the regressor
-        does not learn, or if all of the variance is kept. It takes left-out images (``leave_out``).
+        does not learn, nor if all of the variance is kept or no images are left out.
     leave_out : bool
         Whether to leave images out in turn and fit them, to calibrate ``FitResult.quality`` and
         ``landmark_covariances``. This doubles the time of training.

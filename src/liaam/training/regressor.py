@@ -32,6 +32,8 @@ STARTS = 10
 MOST_SAMPLES = 1000  # Largest number of starts of all images, of which each takes N_FEATURES numbers a landmark
 MOST_IMAGES = 100  # Largest number of images to learn from: each takes two megabytes
 LEAST_GROUPS = 3  # Least number of objects to learn from: errors are those of left-out ones
+ENOUGH = 15  # Number of fits to left-out images that fail if one in six does
+CLEARLY = 0.85  # Ratio of mean errors below which fits are clearly nearer
 # Standard deviations of starts: of the position as a fraction of the diagonal, of the logarithm of the size, and of the
 # rotation in degrees. Those of searches of objects that vary are larger, and those of boxes smaller.
 SHIFT = 0.06
@@ -111,15 +113,19 @@ class Regression:
     forced: bool = False
 
     def is_needed(self, fits: Mapping[str, LeftOutFits]) -> bool:
-        """Return whether a fit to a left-out image that started near the object is not right."""
+        """Return whether a fit to a left-out image from near the object is not right, or too few were tried to say."""
         method = fits.get(DEFAULT_METHOD)
         if method is None:
             return False
-        return self.forced or method.n_near_right < method.n_near
+        return self.forced or method.n_near_right < method.n_near or method.n_near < ENOUGH
 
     def helps(self, fits: Mapping[str, LeftOutFits], regressed: Mapping[str, LeftOutFits]) -> bool:
-        """Return whether more fits that started near the object are right with a regressor than without."""
-        return self.forced or regressed[DEFAULT_METHOD].n_near_right > fits[DEFAULT_METHOD].n_near_right
+        """Return whether more fits from near the object are right with a regressor, or as many clearly nearer."""
+        before = fits[DEFAULT_METHOD]
+        after = regressed[DEFAULT_METHOD]
+        if self.forced or after.n_near_right != before.n_near_right:
+            return self.forced or after.n_near_right > before.n_near_right
+        return after.near_error < CLEARLY * before.near_error
 
 
 @dataclass(frozen=True, eq=False)

@@ -104,6 +104,12 @@ class LeftOutFits:
         """Number of right fits from starts near the object."""
         return sum(fit.near and fit.right for fit in self.fits)
 
+    @property
+    def near_error(self) -> float:
+        """Mean error of the right fits from starts near the object, as a fraction of the diagonal; NaN without any."""
+        errors = [fit.error for fit in self.fits if fit.near and fit.right]
+        return float(np.mean(errors)) if errors else np.nan
+
 
 def fit_left_out(model: AAM, pictures: Iterable[LeftOutImage], methods: Sequence[Method]) -> dict[str, LeftOutFits]:
     """Fit left-out images from near and distant starts, and at the best wrong places that a search finds.

@@ -15,6 +15,7 @@ from liaam.model import AAM, MESH, SURROUNDINGS, VIEWS, Level, View
 from liaam.model.cost import TooLargeError, check_cost
 from liaam.model.missing import Missing
 from liaam.model.shape import Recipe, ShapeModel, choose_recipe, mirror_order, scaled_mean, shape_model_on
+from liaam.model.views import shape_model_of
 from liaam.photometry import CameraModel
 from liaam.photometry.camera import check_camera
 from liaam.photometry.features import FeatureFunction
@@ -255,6 +256,8 @@ def _train_one(data: TrainingData, points: Points | None, task: _Task) -> AAM:
                 steps=steps,
                 regression=regression,
             )
+        elif regression is not None and regression.forced:
+            model = replace(model, regressor=regression.data().learn(shape_model_of(model.views)))
         steps.next("trained", 0)
     if options.keeps_all:  # a model of exactly the training images is not rounded
         return model
