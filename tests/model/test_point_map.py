@@ -61,4 +61,4 @@ def test_the_precision_is_the_inverse_covariance_of_the_parameters(rng):
     shapes = ShapeModel(MEAN, np.zeros((0, 10)), np.zeros(0))
     found = PointMap(np.zeros((5, 12)), rng.normal(size=(3, 10)), 0.5)
     covariance = shapes.basis @ (found.errors.T @ found.errors + 0.5 * np.eye(10)) @ shapes.basis.T
-    np.testing.assert_allclose(found.precision(shapes) @ covariance, np.eye(4), atol=1e-9)
+    np.testing.assert_allclose(found.left_out.precision(shapes) @ covariance, np.eye(4), atol=1e-9)

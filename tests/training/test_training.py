@@ -25,6 +25,8 @@ from liaam.training.left_out import describe_objects, folds_of
 from liaam.training.options import ARGUMENTS
 from setups import disturb, model_pixels, train_on
 
+FIT_LEFT_OUT = "liaam.training.left_out.fit_left_out"
+
 LINEAR = CameraModel(response="linear")
 # The scenes are faces, but light is not what most of these tests are about; tests/training/test_faces.py is.
 train = partial(train_as_users_do, lamps=None)
@@ -565,7 +567,9 @@ def test_pictures_whose_names_tell_nothing_are_left_out_one_by_one_or_in_a_few_f
 def test_pictures_left_out_are_given_as_they_are(pairs, monkeypatch):
     """The fit itself takes vignetting off; twice would be once too often."""
     seen = []
-    monkeypatch.setattr("liaam.training.left_out.calibrate", lambda _m, pictures, _methods: seen.extend(pictures) or {})
+    monkeypatch.setattr(
+        "liaam.training.left_out.fit_left_out", lambda _m, pictures, _methods: seen.extend(pictures) or {}
+    )
     camera = CameraModel(response="linear", vignetting=(-0.3,))
     train(pairs, diagonal=40.0, camera=camera)
     assert len(seen) == len(pairs)
@@ -578,7 +582,9 @@ def test_pictures_left_out_are_given_as_they_are(pairs, monkeypatch):
 @pytest.mark.parametrize("prior", ["sample", "shrunk", "smooth", "wide"])
 def test_models_that_leave_pictures_out_are_learnt_in_the_same_way(scenes, monkeypatch, prior):
     seen = []
-    monkeypatch.setattr("liaam.training.left_out.calibrate", lambda _m, pictures, _methods: seen.extend(pictures) or {})
+    monkeypatch.setattr(
+        "liaam.training.left_out.fit_left_out", lambda _m, pictures, _methods: seen.extend(pictures) or {}
+    )
     options = {"diagonal": 40.0, "blurs": (1.0,), "prior": prior}
     model = train_on(scenes[:5], variance=3, leave_out=True, **options)
     assert len(model.views[SURROUNDINGS].shape_model.modes) == 3
@@ -590,7 +596,9 @@ def test_models_that_leave_pictures_out_are_learnt_in_the_same_way(scenes, monke
 
 def test_modes_are_counted_by_evidence_of_shapes_and_appearances_alike(scenes, monkeypatch):
     seen = []
-    monkeypatch.setattr("liaam.training.left_out.calibrate", lambda _m, pictures, _methods: seen.extend(pictures) or {})
+    monkeypatch.setattr(
+        "liaam.training.left_out.fit_left_out", lambda _m, pictures, _methods: seen.extend(pictures) or {}
+    )
     options = {"diagonal": 40.0, "blurs": (1.0,)}
     model = train_on(scenes, variance="auto", leave_out=True, **options)
     for count in (len(model.shape_model.modes), model.views[SURROUNDINGS].levels[0].appearances["soft"].n_modes):

@@ -31,7 +31,7 @@ SPACINGS = (12.0, 8.0, 5.0, 3.0)
 STARTS = 10
 MOST_SAMPLES = 1000  # Largest number of starts of all images, of which each takes N_FEATURES numbers a landmark
 MOST_IMAGES = 100  # Largest number of images to learn from: each takes two megabytes
-LEAST_GROUPS = 3  # Least number of objects to learn from: errors are those of left-out ones
+LEAST_OBJECTS = 4  # Least number of objects to learn from: errors are those of left-out ones
 ENOUGH = 15  # Number of fits to left-out images that fail if one in six does
 CLEARLY = 0.85  # Ratio of mean errors below which fits are clearly nearer
 # Standard deviations of starts: of the position as a fraction of the diagonal, of the logarithm of the size, and of the
@@ -41,8 +41,8 @@ SCALE = 0.15
 TURN = 10.0
 # Ridge on the weights of the features, as a fraction of the mean squared length of an image's features
 RIDGE = 0.3
-# Mean distance of the landmarks of a left-out image, as a fraction of the diagonal, beyond which it counts as lost: its
-# errors say nothing on those of the others.
+# Mean distance of the landmarks of a left-out image, as a fraction of the diagonal, beyond which it counts as lost, and
+# its errors do not count among those of the regressor: fits do not start from there.
 LOST = 0.06
 SHRINK = 5.0  # Weight, in images, of uncorrelated errors of equal variance in the estimate of the errors' covariance
 MOST_ROWS = 24  # Largest number of directions of the errors that are kept apart
@@ -92,7 +92,7 @@ class RegressorData:
         used = np.flatnonzero(~np.isin(self.images, left_out))
         groups = [np.flatnonzero(np.isin(self.images[used], group)) for group in self.groups]
         groups = [group for group in groups if len(group)]
-        if len(groups) < LEAST_GROUPS:
+        if len(groups) < LEAST_OBJECTS:
             return None
         return learn_regressor(self.views.of(used), shapes, groups)
 
@@ -105,17 +105,20 @@ class Regression:
     ----------
     data : callable
         Reads the images and returns the RegressorData.
+    n_objects : int
+        Number of objects in the training images.
     forced : bool
         Whether the model gets a regressor in any case.
     """
 
     data: Callable[[], RegressorData]
+    n_objects: int
     forced: bool = False
 
     def is_needed(self, fits: Mapping[str, LeftOutFits]) -> bool:
         """Return whether a fit to a left-out image from near the object is not right, or too few were tried to say."""
         method = fits.get(DEFAULT_METHOD)
-        if method is None:
+        if method is None or self.n_objects <= LEAST_OBJECTS:  # of which one is left out
             return False
         return self.forced or method.n_near_right < method.n_near or method.n_near < ENOUGH
 

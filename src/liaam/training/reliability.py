@@ -155,7 +155,8 @@ def calibrate(model: AAM, fits: Mapping[str, LeftOutFits], methods: Sequence[Met
 
     Return the calibrations by the names of the methods, without those that have too few right fits to learn from.
     """
-    learnt = {method.name: learnt_from(model, fits[method.name].fits, method.view) for method in methods}
+    views = {method.name: method.view for method in methods}
+    learnt = {name: learnt_from(model, of_method.fits, views[name]) for name, of_method in fits.items()}
     return {name: each for name, each in learnt.items() if each is not None}
 
 

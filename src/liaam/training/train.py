@@ -231,7 +231,9 @@ def _train_one(data: TrainingData, points: Points | None, task: _Task) -> AAM:
     if options.learns_regressor(under_lamps=lamps is not None):
         groups = groups_of([entry.name for entry in entries])
         regression = Regression(
-            data=partial(RegressorData.of, entries, shapes.landmarks, model, groups), forced=options.regressor is True
+            data=partial(RegressorData.of, entries, shapes.landmarks, model, groups),
+            n_objects=len(groups),
+            forced=options.regressor is True,
         )
     names = _names_to_learn(options, has_features=encoder is not None)
     blurs = options.blurs_by_view
