@@ -132,7 +132,7 @@ def place_all(page, truth: np.ndarray, near: float = 1.5) -> None:
         for _ in range(3):
             if np.linalg.norm(points_of(page)[i] - target) <= near:
                 break
-            drag(page, client(page, i), client(page, target.tolist()))
+            drag(page, client(page, i), client(page, target.tolist()), steps=1)  # the picture is drawn at each
 
 
 def errors(page, truth: np.ndarray) -> np.ndarray:
