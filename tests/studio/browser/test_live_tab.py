@@ -89,6 +89,19 @@ def use_camera(page) -> None:
     wait_for(page, TRACKED)
 
 
+def drawn(page) -> None:
+    """Wait until the page has been drawn."""
+    page.evaluate("() => new Promise((then) => requestAnimationFrame(() => requestAnimationFrame(then)))")
+
+
+def pause(page) -> None:
+    """Pause, and wait until the last frame is fitted and drawn."""
+    page.evaluate("() => window.liaamStudio.live.video().pause()")
+    drawn(page)  # the last frame has been sent
+    wait_for(page, "() => window.liaamStudio.live.isIdle()")
+    drawn(page)
+
+
 def saved(page, button: str, path: Path) -> Path:
     """Click a button that saves a file, and give the file."""
     with page.expect_download() as download:
@@ -245,8 +258,8 @@ def test_graphs_show_what_the_exported_track_says(live, tmp_path):
     live.locator("[data-testid=live-from]").select_option("3")
     live.locator("[data-testid=live-to]").select_option("7")
     wait_for(live, MORE, 20)
-    live.evaluate("() => window.liaamStudio.live.video().pause()")
-    live.wait_for_timeout(1000)  # frames on their way, and a drawing
+    pause(live)
+    live.wait_for_timeout(1000)  # graphs are drawn at intervals
     assert live.locator(GRAPHS).count() == 4
     shown = [float(re.sub("[^-0-9.]", "", text)) for text in live.evaluate(READ)]
     row = list(csv.DictReader(saved(live, "live-save", tmp_path).open()))[-1]
@@ -306,15 +319,14 @@ PIXELS = """() => {
 def test_a_front_camera_is_shown_as_in_a_mirror_and_its_data_are_not(live):
     use_camera(live)
     assert live.evaluate("() => window.liaamStudio.live.mirrored()")
-    live.evaluate("() => window.liaamStudio.live.video().pause()")
-    live.wait_for_timeout(1000)
+    pause(live)
     ways, shapes = {}, {}
     for flat in (False, True):
         if flat:
             live.locator("[data-testid=live-flat]").click()
             wait_for(live, WITHOUT_SHADING)
         for mirrored in (True, False):
-            live.wait_for_timeout(200)
+            drawn(live)
             data = live.evaluate(PIXELS)
             ways[flat, mirrored] = np.array(data).reshape(48, 64, 4)[..., :3].astype(float)
             shapes[flat, mirrored] = live.evaluate("() => window.liaamStudio.live.shown().fit.shape")
