@@ -1,7 +1,7 @@
 """Print packages that pyproject.toml states, for pip.
 
-``python .ci/packages.py docs``
-    The packages of an extra. Installing them does not build liaam.
+``python .ci/packages.py test docs``
+    The run-time dependencies, and the packages of extras. Installing them does not build liaam.
 ``python .ci/packages.py --lowest``
     The lowest versions of the run-time dependencies, as constraints.
 """
@@ -16,4 +16,5 @@ if sys.argv[1] == "--lowest":
     stated = [re.split(">=", each) for each in project["dependencies"] if ">=" in each]
     print("\n".join(f"{name}=={version}" for name, version in stated))
 else:
-    print("\n".join(project["optional-dependencies"][sys.argv[1]]))
+    extras = [project["optional-dependencies"][name] for name in sys.argv[1:]]
+    print("\n".join(sum(extras, project["dependencies"])))

@@ -13,7 +13,7 @@ import shutil
 import tempfile
 import threading
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import closing, contextmanager
 from dataclasses import dataclass
@@ -268,7 +268,7 @@ def light_from(*direction: float) -> str:
     return quote(json.dumps({"lamps": [{"direction": direction}], "ambient": 0.3}))
 
 
-def _template(n: int) -> dict[str, Any]:
+def _template(n: int) -> Mapping[str, Any]:
     contours = (Contour(tuple(range(min(13, n)))),)
     return Template(tuple(f"point {i + 1}" for i in range(n)), contours).as_json()
 

@@ -129,8 +129,6 @@ def _objects_of(specimens: Sequence[Specimen], known: dict[str, _Place]) -> list
 
 def _matched(places: Sequence[_Place], known: dict[str, _Place]) -> list[str]:
     """Return for each object of an image in a file its name in earlier files, or "" for others."""
-    from scipy.spatial import KDTree
-
     if not known:
         return [""] * len(places)
     if len(known) == len(places) == 1:  # wherever they are: another person may have digitised a part of the image
@@ -144,8 +142,8 @@ def _matched(places: Sequence[_Place], known: dict[str, _Place]) -> list[str]:
     away = _AWAY * (1 + np.arange(len(places) + len(known)))[:, None]
     centres = np.where(np.isnan(centres), away[: len(places)], centres)
     other_centres = np.where(np.isnan(other_centres), -away[len(places) :], other_centres)
-    _, nearest = KDTree(other_centres).query(centres)
-    _, nearest_of_other = KDTree(centres).query(other_centres)
+    nearest = _nearest(other_centres, centres)
+    nearest_of_other = _nearest(centres, other_centres)
     names = list(known)
     matched = []
     for i, (place, j) in enumerate(zip(places, nearest.tolist(), strict=True)):
@@ -153,6 +151,14 @@ def _matched(places: Sequence[_Place], known: dict[str, _Place]) -> list[str]:
         is_near = _are_near(moved, other_centres[j : j + 1], other_radii[j : j + 1])[0]
         matched.append(names[j] if is_near and nearest_of_other[j] == i else "")
     return matched
+
+
+def _nearest(points: np.ndarray, to: np.ndarray) -> np.ndarray:
+    """Return the index of the point that is nearest to each of some others, (n,)."""
+    from scipy.spatial import KDTree
+
+    _, nearest = KDTree(points).query(to)
+    return np.asarray(nearest)  # by its types, SciPy might return a number
 
 
 def doubts_about(records: Sequence[Record]) -> list[str]:

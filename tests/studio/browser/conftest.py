@@ -89,10 +89,11 @@ def portraits() -> list[Scene]:
 
 
 @pytest.fixture(scope="session")
-def portrait_model(portraits, tmp_path_factory) -> Path:
+def portrait_model(trained_once, portraits, tmp_path_factory) -> Path:
     """Give a model of the portraits."""
     path = tmp_path_factory.mktemp("model") / "portraits.liaam"
-    train([(scene.image, scene.landmarks) for scene in portraits[:8]], methods="all").save(path)
+    shown = [(scene.image, scene.landmarks) for scene in portraits[:8]]
+    trained_once("portraits", lambda: train(shown, methods="all")).save(path)
     return path
 
 

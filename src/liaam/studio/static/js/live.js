@@ -49,6 +49,7 @@ export class Tab {
       viewer: view.viewer, shown: () => view.shown, rate: () => view.meter.rate(), delays: () => view.delays,
       track: () => this.track, recorded: () => this.recorded.size, video: () => video, isOpen: () => this.source.isOpen,
       mirrored: () => view.mirrored, camera: () => this.source.camera, pair: () => view.graphs.pair,
+      isIdle: () => this._inFlight === 0 && this._missed === null,
     };
   }
 
