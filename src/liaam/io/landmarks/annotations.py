@@ -196,8 +196,10 @@ def _related(results: Any) -> dict[str, str]:
         ends = str(each.get("from_id")), str(each.get("to_id"))
         if each.get("type") == "relation":
             for point, region in (ends, ends[::-1]):
-                if point in keypoints and region not in keypoints:
-                    related[point] = region
+                if point not in keypoints or region in keypoints:
+                    continue
+                if related.setdefault(point, region) != region:
+                    raise LandmarkError("a keypoint is related to two regions: relate it to one.")
     return related
 
 

@@ -157,6 +157,8 @@ def parse_morphologika(source: Source) -> list[Landmarks]:
     n, n_points = (rd.parse_count(" ".join(parts[name]), name) for name in ("individuals", "landmarks"))
     if parts.get("dimensions", ["2"])[:1] != ["2"]:
         raise LandmarkError("it has points with x, y and z (Morphologika): export two dimensions.")
+    if n * n_points == 0:
+        raise LandmarkError(f"it says that it has {n} individuals of {n_points} landmarks: export it again.")
     lines = [line for line in parts["rawpoints"] if not line.startswith("'")]
     rd.check_count("file of Morphologika", n * n_points, lines)
     headings = [line.strip("' \t") for line in parts["rawpoints"] if line.startswith("'")]
