@@ -447,6 +447,9 @@ def test_scale_of_stereomorph() -> None:
     text = "<shapes>\n<scaling type=vector >0.05</scaling>\n<landmarks.pixel type=matrix >\n"
     text += "\ttip\t10\t20\n\tb\t1\t2\n</landmarks.pixel>\n"
     assert parse("a.txt", text).scale == 0.05
+    assert parse("a.txt", text).unit == ""
+    units = "</scaling>\n<scaling.units type=v >mm</scaling.units>"
+    assert parse("a.txt", text.replace("</scaling>", units)).unit == "mm"
     assert parse("a.txt", text.replace("0.05", "NA")).scale is None
     notes = Notes()
     assert parse("a.txt", text.replace("0.05", "-1"), notes=notes).scale is None

@@ -113,6 +113,8 @@ def describe(model: "AAM", path: Path) -> dict[str, str]:
     calibrated = "".join(f", {name}" for name in ("vignetting", "noise") if getattr(camera, name))
     if model.points is not None:
         more["starts from"] = f"{model.points.n_theirs} points of another landmarker, too"
+    if model.scale is not None:
+        more["scale"] = f"{model.scale} per pixel in all training images"
     if model.features is not None:
         more["features"] = f"{model.features.name}, a function"
     return {

@@ -21,6 +21,7 @@ from liaam.model.warp import PiecewiseAffineWarp
 from liaam.models import MODELS, model_file
 from liaam.photometry import CameraModel, Response
 from liaam.photometry.features import Features
+from liaam.scale.lengths import Length
 
 
 @dataclass(frozen=True, eq=False)
@@ -66,6 +67,8 @@ class AAM:
         other attributes are those of the model of the most frequent shape; see :attr:`parts`.
     same_images : bool
         Whether the further shapes were learnt from copies of the images of the first, such as turned heads.
+    scale : Length, optional
+        Length of a pixel of the training images, if all have the same.
     """
 
     views: Mapping[str, View]
@@ -85,6 +88,7 @@ class AAM:
     credit: str = ""
     others: tuple["AAM", ...] = ()
     same_images: bool = False
+    scale: Length | None = None
 
     def __getstate__(self) -> dict:
         """Leave out the fitters that :func:`liaam.fit` keeps with a model."""

@@ -21,6 +21,8 @@ from liaam.io.landmarks.formats import needs_image
 from liaam.model.file import MAX_POINTS
 from liaam.model.mesh import FOLD_TOLERANCE, delaunay, folded_share, signed_areas, triangles_from_edges
 from liaam.model.shape import align, procrustes_mean
+from liaam.scale.choice import length_of
+from liaam.scale.lengths import Length
 
 # Least ratio of the landmarks' minor to major spread: that of a rod 80 times as long as wide. Measured on generated
 # rods: the search finds those up to 20 times as long as wide, and fits from a start converge up to 40 times.
@@ -36,11 +38,15 @@ IndexedContours = tuple[tuple[tuple[int, ...], bool], ...]
 
 @dataclass(frozen=True)
 class Entry:
-    """A validated training sample: a name for messages, a function that reads the image, and its landmarks."""
+    """A validated training sample: a name for messages, a function that reads the image, and its landmarks.
+
+    ``pixel`` is the length of a pixel, if the landmark file states it.
+    """
 
     name: str
     read_image: Callable[[], np.ndarray]
     points: np.ndarray
+    pixel: Length | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -239,7 +245,8 @@ def _read_sample(item: Any, i: int, order: tuple[str, ...]) -> _Sample:
         raise TrainingError(f"{name}: the landmarks are not numbers; give (n, 2) points") from None
     _check_points(points, name)
     contours = tuple((tuple(c.indices), bool(c.closed)) for c in getattr(landmarks, "contours", ()))
-    return _Sample(Entry(name, read, points), contours, tuple(getattr(landmarks, "names", ())))
+    pixel = length_of(landmarks) if isinstance(landmarks, Landmarks) else None
+    return _Sample(Entry(name, read, points, pixel), contours, tuple(getattr(landmarks, "names", ())))
 
 
 def _pair_of(item: Any, i: int) -> tuple[Any, Any]:

@@ -17,6 +17,7 @@ from liaam.photometry import CameraModel
 from liaam.photometry.camera import check_camera
 from liaam.photometry.features import FeatureFunction
 from liaam.progress import Progress, reported
+from liaam.scale.choice import shared_length
 from liaam.training import faces
 from liaam.training.compacting import ALL, chosen, keep_only, wanted
 from liaam.training.entries import Entry, TrainingData, check_flat, mesh_of, read_entries, without_folded
@@ -119,7 +120,8 @@ def train(
         part = replace(samples, entries=[samples.entries[i] for i in group])
         points_of_part = points if len(groups) == 1 else points_of(points, group)
         models.append(_train_one(part, points_of_part, task))
-    return replace(models[0], others=tuple(models[1:])) if len(groups) > 1 else models[0]
+    scale = shared_length([entry.pixel for entry in samples.entries])
+    return replace(models[0], others=tuple(models[1:]), scale=scale)
 
 
 @dataclass(frozen=True, eq=False)

@@ -76,6 +76,8 @@ class Landmarks:
         What the positions count from, until they are converted to pixels of the image.
     format : str
         Name of the file's format, or empty.
+    unit : str
+        Unit of the scale, such as mm, or empty if unknown. Only ``.ljson`` stores it.
 
     Raises
     ------
@@ -94,6 +96,7 @@ class Landmarks:
     label: str = ""
     placing: Placing = Placing()
     format: str = ""
+    unit: str = ""
 
     def __post_init__(self) -> None:
         points = _checked_points(self.points)

@@ -31,7 +31,9 @@ def ljson_text(landmarks: Landmarks) -> str:
         labels = [{"label": "all", "mask": list(range(len(landmarks)))}]
     if landmarks.invisible:
         labels.append({"label": "invisible", "mask": list(landmarks.invisible)})
-    scale = {} if landmarks.scale is None else {"scale": landmarks.scale}
+    scale: dict[str, Any] = {} if landmarks.scale is None else {"scale": landmarks.scale}
+    if scale and landmarks.unit:
+        scale["scale_unit"] = landmarks.unit
     return json.dumps({"labels": labels, "landmarks": body, **scale, "version": 2}, ensure_ascii=False, indent=1) + "\n"
 
 

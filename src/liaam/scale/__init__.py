@@ -1,0 +1,6 @@
+"""The length of a pixel, with its unit and standard error: given, from the tags of an image, or from a ruler in it."""
+
+from liaam.scale.lengths import UNITS, Length, parse_length, unlike
+from liaam.scale.tags import length_in_tags
+
+__all__ = ["UNITS", "Length", "length_in_tags", "parse_length", "unlike"]
