@@ -122,6 +122,8 @@ def _quad(canvas: np.ndarray, corners: np.ndarray, level: float) -> None:
     """
     left, top = np.maximum(np.floor(corners.min(axis=0)).astype(int) - 2, 0)
     right, bottom = np.minimum(np.ceil(corners.max(axis=0)).astype(int) + 3, canvas.shape[::-1])
+    if left >= right or top >= bottom:  # it lies beyond the canvas
+        return
     y, x = np.mgrid[top:bottom, left:right].astype(np.float32) + 0.5
     share = np.ones(x.shape, np.float32)
     centre = corners.mean(axis=0)

@@ -10,6 +10,7 @@ import cv2
 import numpy as np
 
 from liaam.errors import LiaamError
+from liaam.formatting import short_repr
 from liaam.scale.lengths import Length
 
 SHORTEST = 40.0
@@ -41,7 +42,7 @@ _NOT_FOUND = (
 _SAME = 0.01  # greatest relative difference of the lengths of one bar that is printed twice
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False, repr=False)
 class Bar:
     """A scale bar in an image.
 
@@ -58,6 +59,8 @@ class Bar:
     length: float
     length_se: float
     ends: np.ndarray
+
+    __repr__ = short_repr
 
     @property
     def angle(self) -> float:

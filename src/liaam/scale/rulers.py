@@ -16,6 +16,7 @@ import cv2
 import numpy as np
 
 from liaam.errors import LiaamError
+from liaam.formatting import short_repr
 from liaam.scale.lengths import Length
 
 TILES = (96, 192, 384)
@@ -42,10 +43,11 @@ _PRESENT = 0.35  # least strength of a tick, of the stronger ones
 _MOST_LACKING = 0.1  # greatest share of ticks that are not there
 _MOST_TURNS = 8  # times that the direction is refined
 _LEVEL = 2e-3  # radians by which it then may still change
-_SHARED = 0.04
+_SHARED = 0.012
 """Standard error in pixels of either end of a ruler that neighbouring ticks share, by the ground and the resampling.
 
-On generated rulers errors are larger than the scatter of the ticks alone suggests, by about this."""
+On generated rulers errors are larger than the scatter of the ticks alone suggests, by about this: with it, 95 % are
+within 1.96 standard errors."""
 _STRAY = 0.05  # greatest root mean square distance of ticks from their places, of the period
 _SAME = 0.02  # greatest relative difference of periods of one ruler
 _MOST_LEVEL = 1e9  # of an image
@@ -53,10 +55,11 @@ _NOT_FOUND = (
     f"no ruler with {FEWEST_TICKS} even ticks or more is found: "
     "give the scale with --scale, or crop the image to its ruler"
 )
+_AT_ENDS = 2  # ticks at each end that are not fitted, as the ground that is subtracted changes there
 _DIVISORS = (10, 5, 4, 3, 2)  # of periods that only longer ticks have
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False, repr=False)
 class Ruler:
     """Ticks of a ruler in an image.
 
@@ -76,6 +79,8 @@ class Ruler:
     period_se: float
     ends: np.ndarray
     n_ticks: int
+
+    __repr__ = short_repr
 
     @property
     def angle(self) -> float:
@@ -288,13 +293,10 @@ def _aligned(grey: np.ndarray, proposal: _Proposal) -> _Proposal | None:
     band = _band(grey, proposal.centre, proposal.angle, _REACH)
     strength, coherence = _demodulated(band, proposal.period)
     middle = band.shape[1] // 2
-    near = slice(middle - int(3 * proposal.period), middle + int(3 * proposal.period) + 1)
-    rows = coherence[:, near].mean(axis=1)
-    best = int(rows.argmax())
-    if rows[best] < _COHERENT:
+    room = _room(coherence, proposal.period)
+    if room is None:
         return None
-    top, bottom = _run(rows > 0.7 * rows[best], best, 1)
-    left, right = _extent(coherence[top:bottom].mean(axis=0), middle, proposal.period)
+    top, bottom, left, right = room
     weights = strength[top:bottom, left:right]
     slope = _slope(weights) * proposal.period / (2 * np.pi)  # pixels along, per pixel across
     summed = weights.sum(axis=0)
@@ -312,6 +314,19 @@ def _aligned(grey: np.ndarray, proposal: _Proposal) -> _Proposal | None:
     return replace(proposal, centre=centre, angle=proposal.angle + math.atan(slope), period=1 / frequency)
 
 
+def _room(coherence: np.ndarray, period: float) -> tuple[int, int, int, int] | None:
+    """Return the rows and the columns of a band, around its middle, where a period is coherent; None if nowhere."""
+    middle = coherence.shape[1] // 2
+    near = slice(max(middle - int(3 * period), 0), middle + int(3 * period) + 1)
+    rows = coherence[:, near].mean(axis=1)
+    best = int(rows.argmax())
+    if rows[best] < _COHERENT:
+        return None
+    top, bottom = _run(rows > 0.7 * rows[best], best, 1)
+    along = coherence[top:bottom].mean(axis=0) > 0.6 * _COHERENT
+    return (top, bottom, *_run(along, middle, int(2 * period)))
+
+
 def _slope(strength: np.ndarray) -> float:
     """Return by how much the phase of rows (m, n) grows from one to the next, in radians."""
     if len(strength) < 2:
@@ -323,48 +338,39 @@ def _slope(strength: np.ndarray) -> float:
     return step + float(np.polyfit(rows, np.angle(relative), 1, w=np.abs(relative) + 1e-12)[0])
 
 
-def _extent(coherence: np.ndarray, middle: int, period: float) -> tuple[int, int]:
-    """Return where along the ruler the period is coherent."""
-    return _run(coherence > 0.6 * _COHERENT, middle, int(2 * period))
-
-
 def _measured(band: np.ndarray, proposal: _Proposal) -> Ruler | None:
     """Measure each tick of a proposal; None if they are too few, too far from their places, or no ruler's."""
-    strength, coherence = _demodulated(band, proposal.period)
+    _, coherence = _demodulated(band, proposal.period)
     middle = band.shape[1] // 2
-    near = slice(middle - int(3 * proposal.period), middle + int(3 * proposal.period) + 1)
-    rows = coherence[:, near].mean(axis=1)
-    best = int(rows.argmax())
-    if rows[best] < _COHERENT:
+    room = _room(coherence, proposal.period)
+    if room is None:
         return None
-    top, bottom = _run(rows > 0.7 * rows[best], best, 1)
-    left, right = _extent(coherence[top:bottom].mean(axis=0), middle, proposal.period)
+    top, bottom, left, right = room
     is_cut = top == 0 or bottom == len(band)  # stripes go on beyond the reach, and ticks do not
     if is_cut or right - left < _LONG * (bottom - top) or bottom - top < 3:
         return None
     profile = band[top:bottom].mean(axis=0)
-    phase = float(np.angle(strength[top:bottom, left:right].sum()))
-    ticks = _ticks(profile, proposal.period, -phase * proposal.period / (2 * np.pi), left, right)
+    ticks = _ticks(profile, proposal.period, left, right)
     if ticks is None:
         return None
-    numbers, places, error = ticks
+    numbers, places, error, span = ticks
     period, start = np.polyfit(numbers, places, 1)
     across = (top + bottom - 1) / 2 - _REACH
     direction = np.array([math.cos(proposal.angle), math.sin(proposal.angle)])
     normal = np.array([-direction[1], direction[0]])
-    ends = np.array([start + period * number - middle for number in (numbers[0], numbers[-1])])
+    ends = np.array([start + period * number - middle for number in span])
     points = proposal.centre + ends[:, None] * direction + across * normal
-    return Ruler(float(period), error, points, int(numbers[-1] - numbers[0]) + 1)
+    return Ruler(float(period), error, points, span[1] - span[0] + 1)
 
 
 def _ticks(
-    profile: np.ndarray, period: float, start: float, left: int, right: int
-) -> tuple[np.ndarray, np.ndarray, float] | None:
-    """Return the numbers and the places of ticks along a profile, and the standard error of their period; or None."""
+    profile: np.ndarray, period: float, left: int, right: int
+) -> tuple[np.ndarray, np.ndarray, float, tuple[int, int]] | None:
+    """Return numbers and places of ticks along a profile, the standard error of their period, and the end numbers."""
     flat = profile - _smooth(profile[None], 1.5 * period)[0]
     sign = -1.0 if np.mean(flat[left:right] ** 3) < 0 else 1.0  # ticks take less room than gaps
     lit = np.maximum(sign * flat, 0.0)
-    start, period = _locked(lit, start, period, left, right)
+    start = _place_of_first(lit, period, left, right)
     numbers = np.arange(math.ceil((left - start) / period), math.floor((right - 1 - start) / period) + 1)
     measured = [_tick(lit, start + number * period, period) for number in numbers]
     strengths = np.array([strength for _, strength in measured])
@@ -378,15 +384,15 @@ def _ticks(
     places = places[first:last][present]
     if len(present) < FEWEST_TICKS or 1 - present.mean() > _MOST_LACKING:
         return None
-    return _fitted(numbers, places, period)
+    inner = slice(_AT_ENDS, -_AT_ENDS) if len(numbers) >= FEWEST_TICKS + 2 * _AT_ENDS else slice(None)
+    fitted = _fitted(numbers[inner], places[inner], period)
+    return None if fitted is None else (*fitted, (int(numbers[0]), int(numbers[-1])))
 
 
-def _locked(lit: np.ndarray, start: float, period: float, left: int, right: int) -> tuple[float, float]:
-    """Return the start and the period that the ticks of a profile agree with best, near those that are given."""
-    at = np.arange(left, right)
-    turns = np.exp(-2j * np.pi * at / period) * lit[left:right]
-    phase = float(np.angle(turns.sum()))
-    return -phase * period / (2 * np.pi), period
+def _place_of_first(lit: np.ndarray, period: float, left: int, right: int) -> float:
+    """Return the place of a tick, by the phase of the period in a profile."""
+    turns = np.exp(-2j * np.pi * np.arange(left, right) / period) * lit[left:right]
+    return -float(np.angle(turns.sum())) * period / (2 * np.pi)
 
 
 def _tick(lit: np.ndarray, expected: float, period: float) -> tuple[float, float]:
