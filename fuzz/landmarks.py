@@ -46,8 +46,9 @@ _TXT = (
     b"<shapes>\n<image.name type=v >01.png</image.name>\n"
     b"<landmarks.pixel type=matrix >\na\t1\t2\nb\t3\t4\n</landmarks.pixel>\n",
 )
+_YOLO = b"0 0.5 0.5 0.4 0.3 0.1 0.2 2 0.3 0.4 1 0 0 0\n1 0.2 0.3 0.1 0.1 0.1 0.2 2 0.3 0.4 2 0.5 0.6 2\n"
 _TXT += (
-    b"0 0.5 0.5 0.4 0.3 0.1 0.2 2 0.3 0.4 1 0 0 0\n1 0.2 0.3 0.1 0.1 0.1 0.2 2 0.3 0.4 2 0.5 0.6 2\n",
+    _YOLO,
     b"[individuals]\n2\n[landmarks]\n2\n[dimensions]\n2\n[names]\n01\n02\n[wireframe]\n1 2\n[rawpoints]\n"
     b"'01\n1 2\n3 4\n'02\n5 6\n9999 9999\n",
     b"<shapes>\n<scaling type=vector >0.05</scaling>\n<landmarks.pixel type=matrix >\na\t1\t2\n</landmarks.pixel>\n",
@@ -217,7 +218,7 @@ _WORDS = {
     ".tps": (b"LM=", b"LM3=2", b"CURVES=", b"POINTS=", b"SCALE=", b"IMAGE=", b"ID=", b"=", b"\n", b" ", b"-1 -1\n"),
     ".json": (b"[", b"{", b"]", b"}", b'"', b",", b":", b"null", b"1e999", b'"keypoints"', b'"skeleton"'),
     ".geojson": (b"[", b"{", b"]", b"}", b'"', b",", b":", b"null", b'"Point"', b'"MultiPoint"', b'"coordinates"'),
-    ".fcsv": (b"# columns = id,x,y,z\n", b"#", b",", b"\n", b"nan", b"1e999", b"RAS"),
+    ".fcsv": (b"# columns = id,x,y,z\n", b"#", b" ", b"=", b'"', b",", b"\n", b"nan", b"1e999", b"RAS"),
     ".roi": (b"Iout", b"\xff\xff", b"\0\0", b"\x7f\xc0\0\0", b"\x7f\x80\0\0"),
     ".zip": (b"PK",),
     ".xlsx": (b"PK",),
@@ -239,11 +240,11 @@ def _roi(points: list[list[float]], options: int = 128) -> bytes:
     return (header + struct.pack(">hiii", options, 0, 0, 0)).ljust(64, b"\0") + body
 
 
-def _zip(files: dict[str, bytes]) -> bytes:
+def _zip(files: dict[str, bytes], packing: int = zipfile.ZIP_DEFLATED) -> bytes:
     buffer = io.BytesIO()
-    with zipfile.ZipFile(buffer, "w", zipfile.ZIP_DEFLATED) as archive:
+    with zipfile.ZipFile(buffer, "w", packing) as archive:
         for name, data in files.items():
-            archive.writestr(zipfile.ZipInfo(name), data)
+            archive.writestr(zipfile.ZipInfo(name), data, packing)
     return buffer.getvalue()
 
 
@@ -263,6 +264,16 @@ _SHEET_PARTS = {
     b'<c r="B1" t="s"><v>1</v></c><c r="C1" t="s"><v>2</v></c></row>%s</sheetData></worksheet>' % (_MAIN, _CELLS),
 }
 _XML_WORDS = (b"<c r='XFD9'>", b"<row>", b"</row>", b"<v>9999999</v>", b"t='s'", b"&amp;", b"<!DOCTYPE a>", b"\0")
+_BULK = (
+    b"<c>",
+    b"<a/>",
+    b"<si/>",
+    b"<row/>",
+    b"<row><c/></row>",
+    b"<row><c><v>1</v></c></row>",
+    b"<c t='s'><v>0</v></c>",
+)
+_PACKINGS = (zipfile.ZIP_STORED, zipfile.ZIP_BZIP2, zipfile.ZIP_LZMA)
 _ROI_WORDS = (b"Iout", b"\xff\xff", b"\x7f\xc0\0\0")
 
 
@@ -281,11 +292,24 @@ def _make_packed(suffix: str, rng: Random) -> bytes:
         return spoilt(rng, corpus(suffix), (b"PK\1\2", b"PK\3\4", b"PK\5\6", b"\xff\xff\xff\xff"))
     parts = dict(one_of(rng, _packed(suffix)))
     name = one_of(rng, list(parts))
-    if rng.random() < 0.1:
-        parts[name] += one_of(rng, (b"\0", b"<c>", b"<row><c><v>1</v></c></row>")) * int(rng.integers(200_000))
-    else:
+    kind = rng.random()
+    if kind < 0.1:
+        begin, end = (int(at) for at in np.sort(rng.integers(len(parts[name]) + 1, size=2)))
+        word = one_of(rng, (b"\0", *_BULK)) * int(rng.integers(200_000))
+        parts[name] = parts[name][:begin] + word + parts[name][begin if rng.random() < 0.8 else end :]
+    elif kind < 0.9:
         parts[name] = spoilt(rng, [parts[name]], _XML_WORDS if suffix == ".xlsx" else _ROI_WORDS)
-    return _zip(parts)
+    packing = zipfile.ZIP_DEFLATED if kind < 0.95 else one_of(rng, _PACKINGS)
+    return _with_more_entries(rng, _zip(parts, packing)) if kind > 0.9 else _zip(parts, packing)
+
+
+def _with_more_entries(rng: Random, data: bytes) -> bytes:
+    """Repeat an entry of the list of an archive; the size of the list may say so."""
+    begin = data.rindex(b"PK\1\2")
+    end = data.rindex(b"PK\5\6")
+    more = data[begin:end] * int(rng.integers(one_of(rng, (4, 1000, 100_000))))
+    size = int.from_bytes(data[end + 12 : end + 16], "little") + len(more) * int(rng.integers(2))
+    return data[:end] + more + data[end : end + 12] + struct.pack("<I", size) + data[end + 16 :]
 
 
 @cache
@@ -364,6 +388,33 @@ def check(suffix: str, data: bytes) -> None:
 def _prepare(suffix: str) -> None:
     for data in corpus(suffix):
         check(suffix, data)
+
+
+# YOLO's settings ----------------------------------------------------------------------------------
+
+
+_SETTINGS = (
+    b"kpt_shape: [3, 3]\nnames:\n  0: leaf\n  1: wing\nkpt_names:\n  0:\n    - a\n    - b\n    - c\n",
+    b"kpt_shape:\n- 3\n- 3\nnames: {0: leaf, 1: 'wing'}\nkpt_names: [a, b, c]\n",
+)
+_SETTINGS_WORDS = (b" ", b"\n", b"\t", b"-", b":", b"[", b"kpt_shape:", b"kpt_names:", b"names:", b"1", b"'", b"\n \n")
+
+
+def make_settings(rng: Random) -> bytes:
+    """Corrupt the settings beside labels of YOLO, of which liaam reads no more than 100 kB."""
+    return spoilt(rng, _SETTINGS, _SETTINGS_WORDS)[:100_000]
+
+
+def check_settings(data: bytes) -> None:
+    """Read the points of labels beside such settings."""
+    from liaam.io.landmarks import read_landmarks
+
+    Path("data.yaml").write_bytes(data)
+    Path("x.txt").write_bytes(_YOLO)
+    try:
+        assert len(read_landmarks("x.txt", (640, 480))) == 3
+    finally:
+        Path("data.yaml").unlink()
 
 
 # Folders ------------------------------------------------------------------------------------------
@@ -493,10 +544,14 @@ def _targets() -> list[Target]:
     ]
     valid: Any = [("01.png", _picture()), ("01.pts", _PTS[0])]
     fit: Any = ("x.json", json.dumps(_FITS[0]).encode())
+    settings = Target(
+        "yolo-settings", make_settings, check_settings, partial(check_settings, _SETTINGS[0]), ".yaml", share=0.5
+    )
     results = Target("results", make_results, check_results, partial(check_results, fit), share=0.5)
     sides = Target("sides", make_sides, check_sides, partial(check_sides, _SIDES[0]), ".csv", share=0.5)
     return [
         *formats,
+        settings,
         results,
         sides,
         Target("folder", make_folder, check_folder, partial(check_folder, valid), share=0.5),

@@ -25,7 +25,7 @@ LAYERS = (
     ("fitting",),
     ("datasets", "drawing"),
     ("model",),
-    ("photometry",),
+    ("photometry", "scale"),
     ("io",),
     ("error_measures", "models", "progress", "tables", "workers"),
     ("_core", "distance_transform", "encoding_constants", "formatting", "image_reference"),

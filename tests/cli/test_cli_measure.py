@@ -6,6 +6,7 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 import pytest
+from PIL import Image, TiffImagePlugin
 
 from liaam.io import Landmarks, write_collection
 from liaam.io.files import real_path
@@ -15,6 +16,7 @@ from liaam.studio.store import Store
 from liaam.studio.template import Template
 
 POINTS = np.array([[1.0, 2], [11, 2], [11, 22], [1, 22]])
+STATE_IT = "state it, as in --scale '0.012 mm', or --scale mm for that of the files"
 
 
 @pytest.fixture
@@ -32,7 +34,7 @@ def fits(tmp_path):
 def test_fits_are_measured(run, fits, tmp_path):
     table = tmp_path / "table.csv"
     code, out, err = run("measure", fits, "distance:1-2", "area:1-2-3-4", "-o", table, "--scale", 0.5)
-    assert (code, out) == (0, f"{table}: 3 specimens\n")
+    assert (code, out) == (0, f"{table}: 3 specimens (the scale has no unit: {STATE_IT})\n")
     assert err.startswith("1 of 3 have no shape")
     assert "wing2" in err
     read = pd.read_csv(table)
@@ -82,7 +84,7 @@ def test_curves_are_resampled_and_slid(run, tmp_path):
     [
         (["1-2"], "measure '1-2': give distance:1-5"),
         (["distance:1-9"], "there is no landmark '9'; give numbers from 1 to 4"),
-        (["--scale", "5mm"], "scale '5mm': give the length of a pixel"),
+        (["--scale", "5 apples"], "scale '5 apples': give the length of a pixel"),
         (["-o", "t.txt"], "give a name that ends in .csv"),
         (["-o", "fits/wing0.csv"], "is the input, or a file in it"),
         (["-o", "no/t.csv"], "cannot be written"),
@@ -277,3 +279,51 @@ def test_strict_refuses_individuals_that_would_be_left_out(run, wings, tmp_path)
     assert "fly3: it has 1 left and 2 right records with a shape, where most have 2 of each side; it is left out" in err
     code, _, err = run(*given, "--strict", "-o", tmp_path / "u.csv")
     assert code == 1 and "fly3" in err and not (tmp_path / "u.csv").exists()
+
+
+def tps(path, scales):
+    """Write square specimens with scales, one record each."""
+    records = (
+        f"LM=4\n1 2\n11 2\n11 22\n1 22\nIMAGE=w{i}.png\nID={i}\n{f'SCALE={scale}{chr(10)}' if scale else ''}"
+        for i, scale in enumerate(scales)
+    )
+    path.write_text("".join(records))
+    return path
+
+
+def test_units_are_said_and_written(run, tmp_path):
+    file = tps(tmp_path / "all.tps", [0.01] * 9 + [0.1])
+    code, out, err = run("measure", file, "distance:1-2", "-o", tmp_path / "t.csv", "--scale", "mm")
+    assert code == 0 and out == f"{tmp_path / 't.csv'}: 10 specimens in mm\n"
+    assert "1 of 10 have a scale unlike the usual 0.01 mm per pixel; check it: w9 (0.1)" in " ".join(err.split())
+    assert list(pd.read_csv(tmp_path / "t.csv"))[:3] == ["specimen", "scale_mm_per_px", "distance_1_2_mm"]
+    file = tps(tmp_path / "some.tps", [0.01, 0, 0.01])
+    code, out, err = run("measure", file, "distance:1-2", "-o", tmp_path / "t.csv", "--scale", "mm")
+    assert code == 0 and "1 of 3 have no scale, so that they have no sizes: w1" in " ".join(err.split())
+
+
+def test_the_calibration_of_tiffs_is_used_and_said(run, tmp_path):
+    tags = TiffImagePlugin.ImageFileDirectory_v2()
+    tags[270] = "ImageJ=1.53t\nunit=mm\n"
+    tags[282] = tags[283] = 20.0
+    Image.fromarray(np.zeros((40, 30, 3), np.uint8)).save(tmp_path / "a.tif", tiffinfo=tags)
+    (tmp_path / "a.csv").write_text("x,y\n1,2\n11,2\n5,9\n")
+    code, out, _ = run("measure", tmp_path / "a.csv", "distance:1-2", "-o", tmp_path / "t.csv")
+    assert code == 0
+    assert "the scale of 1 specimen is that of ImageJ's calibration (0.05 mm per pixel)" in " ".join(out.split())
+    assert pd.read_csv(tmp_path / "t.csv")["distance_1_2_mm"].tolist() == [0.5]
+    tags[283] = 10.0
+    Image.fromarray(np.zeros((40, 30, 3), np.uint8)).save(tmp_path / "a.tif", tiffinfo=tags)
+    code, out, err = run("measure", tmp_path / "a.csv", "distance:1-2", "-o", tmp_path / "t.csv")
+    assert code == 0 and "not square" in " ".join(err.split()) and "in pixels" in out
+
+
+def test_a_table_of_scales_is_used(run, tmp_path):
+    file = tps(tmp_path / "all.tps", [0, 0])
+    (tmp_path / "s.csv").write_text("image,scale,unit,scale_se\nw0.png,0.1,mm,0.001\nw1.png,,,\n")
+    code, out, err = run("measure", file, "distance:1-2", "-o", tmp_path / "t.csv", "--scale", tmp_path / "s.csv")
+    assert code == 0 and "a ruler in the image (0.1 mm per pixel)" in " ".join(out.split())
+    table = pd.read_csv(tmp_path / "t.csv")
+    assert table["distance_1_2_mm"].tolist()[0] == pytest.approx(1) and np.isnan(table["distance_1_2_mm"][1])
+    assert table["scale_mm_per_px_se"][0] == 0.001
+    assert "1 of 2 have no scale" in " ".join(err.split())

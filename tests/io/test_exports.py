@@ -4,9 +4,12 @@ import csv
 import io
 import json
 import struct
+import warnings
 import zipfile
+import zlib
 from pathlib import Path
 from typing import Any
+from xml.etree import ElementTree
 
 import numpy as np
 import pytest
@@ -15,9 +18,10 @@ from hypothesis import given, settings, strategies as st
 from liaam.datasets import load_folder
 from liaam.errors import LandmarkError
 from liaam.io import Reading, read_landmarks, write_image
-from liaam.io.landmarks import Landmarks, parse_landmark_data
+from liaam.io.landmarks import Landmarks, parse_landmark_data, spreadsheets, unpacking
 from liaam.io.landmarks.formats import name_of
 from liaam.io.landmarks.reading import Notes
+from tests.setups import growth
 
 SIZE = (200.0, 160.0)
 POINTS = [(10.0, 20.0), (30.5, 40.0), (50.0, 60.25)]
@@ -150,6 +154,50 @@ def test_yolo_files_that_do_not_hold_points_are_named(tmp_path: Path) -> None:
         read_landmarks(tmp_path / "a.txt", SIZE)
 
 
+def test_yolo_flags_written_with_decimals(tmp_path: Path) -> None:
+    line = yolo_line(2).split()
+    pairs = [f"{x} {y} {flag}" for x, y, flag in zip(line[5::2], line[6::2], ("2.000000", "1.0", "0.0"), strict=True)]
+    six = " ".join([*line[:5], *pairs, *pairs])  # 18 numbers, which nine pairs have too
+    read = parse("a.txt", six)
+    assert (len(read), read.invisible, read.missing.tolist()) == (6, (1, 4), [False, False, True] * 2)
+
+
+def test_yolo_says_that_it_takes_numbers_for_pairs_where_nothing_tells(tmp_path: Path) -> None:
+    notes = Notes()
+    assert len(parse("a.txt", "0 .5 .5 .4 .3 .1 .2 .93 .3 .4 .88", notes=notes)) == 3
+    assert notes.lines() == ["points of YOLO are taken for x and y, since no data.yaml has kpt_shape: a.txt"]
+    notes = Notes()
+    assert len(parse("a.txt", "0 .5 .5 .4 .3 .1 .2 .93 .3", notes=notes)) == 2
+    assert notes.lines() == []
+
+
+def test_yolo_objects_without_a_point_do_not_come_first() -> None:
+    read = parse("a.txt", "0 .5 .5 .9 .9 0 0 0 0 0 0\n0 .5 .5 .1 .1 .1 .2 2 .3 .4 2\n")
+    assert not read.missing.any() and not read.others
+    assert parse("a.txt", "0 .5 .5 .9 .9 0 0 0 0 0 0\n").missing.all()
+
+
+def test_yolo_points_at_minus_one_or_nan_are_missing() -> None:
+    assert parse("a.txt", "0 .5 .5 .4 .3 .1 .2 -1 -1 nan nan .5 .5").missing.tolist() == [False, True, True, False]
+
+
+def test_yolo_lines_of_several_lengths_are_named() -> None:
+    with pytest.raises(LandmarkError, match="line 2 has 5 numbers, but line 1 has 9: give each object its class"):
+        parse("a.txt", "0 .5 .5 .4 .3 .1 .2 .3 .4\n0 .5 .5 .4 .3\n")
+
+
+@pytest.mark.parametrize("text", ["\n", "kpt_names:\n  0: {}", "kpt_shape: [{}", "names:{}", " \n"])
+def test_time_to_read_yolo_s_settings_is_linear(tmp_path: Path, text: str) -> None:
+    (tmp_path / "a.txt").write_text(yolo_line(3))
+
+    def work(size: int) -> None:
+        filling = "1" * size if "{}" in text else text * size
+        (tmp_path / "data.yaml").write_text(text.format(filling) if "{}" in text else filling)
+        assert len(read_landmarks(tmp_path / "a.txt", SIZE)) == 3
+
+    assert growth(work, 10_000) < 30
+
+
 # Tables -------------------------------------------------------------------------------------------
 
 
@@ -164,6 +212,56 @@ def test_napari() -> None:
         parse("a.csv", table(header, *stack))
     with pytest.raises(LandmarkError, match="holds shapes of napari, not points"):
         parse("a.csv", table(["index", "shape-type", "vertex-index", "axis-0", "axis-1"], [0, "path", 0, 1, 2]))
+
+
+def test_napari_axes_are_told_by_their_numbers() -> None:
+    rows = [[i, x, y] for i, (x, y) in enumerate(POINTS)]
+    assert_points(parse("a.csv", table(["index", "axis-1", "axis-0"], *rows)))
+    stack = [[i, y, x, plane] for i, ((x, y), plane) in enumerate(zip(POINTS, ("3", "3.0", "3.00"), strict=True))]
+    assert_points(parse("a.csv", table(["index", "axis-1", "axis-2", "axis-0"], *stack)))
+    for header in (["index", "axis-0", "axis-2"], ["index", "axis-0"], ["index", "axis-0", "axis-1", "axis-1"]):
+        with pytest.raises(LandmarkError, match="its axes are not axis-0, axis-1 and so on, each once"):
+            parse("a.csv", table(header, [0, 1, 2, 3][: len(header)]))
+
+
+def test_makesense_names_the_line_of_a_fault_and_takes_numbers_for_names() -> None:
+    with pytest.raises(LandmarkError, match="'x' in line 2 is not a number"):
+        parse("a.csv", table(["a", 1, 2, "a.png", 200, 160], ["b", "x", 4, "a.png", 200, 160]))
+    rows = [[i, x, y, "a.png", 200, 160] for i, (x, y) in enumerate(POINTS, 1)]
+    assert_points(parse("a.csv", table(*rows)), (), "a.png")
+
+
+def test_a_cell_of_a_megabyte_is_named() -> None:
+    with pytest.raises(LandmarkError, match="end the quotes, or export JSON if cells are that long"):
+        parse("a.csv", "x,y\n1,2\n" + "1" * 200_000)
+
+
+def test_points_with_and_without_a_name_are_named_so() -> None:
+    with pytest.raises(LandmarkError, match="2 of the points of an object have no name: name each of them, or none"):
+        parse("a.csv", table(["axis-0", "axis-1", "name"], [1, 2, "a"], [3, 4, ""], [5, 6, ""]))
+    assert parse("a.csv", table(["axis-0", "axis-1", "name"], [1, 2, ""])).names == ()
+
+
+def test_sleap_rows_without_a_frame_or_body_parts_are_named() -> None:
+    header = ["track", "frame_idx", "a.x", "a.y", "b.x", "b.y"]
+    notes = Notes()
+    assert list(parse("a.csv", table(header, ["m", "", 1, 2, 3, 4], ["m", 7, 1, 2, 3, 4]), notes=notes)) == ["7"]
+    assert "left out line 2 (because it has no number of its frame" in notes.lines()[0]
+    with pytest.raises(LandmarkError, match="no columns of body parts"):
+        parse("a.csv", table(header[:2], ["m", 7]))
+
+
+def test_via_images_of_one_name_or_none_are_named() -> None:
+    regions = via_regions([{"n": name} for name in NAMES])
+    two = {f"a.png{size}": {"filename": "a.png", "size": size, "regions": regions} for size in (9, 10)}
+    notes = Notes()
+    assert_points(parse("a.json", two, notes=notes), NAMES, "a.png")
+    assert "two images are named 'a.png', of 9 and 10 bytes: rename one" in notes.lines()[0]
+    with pytest.raises(LandmarkError, match="has no file name of its image"):
+        parse("a.json", {"9": {"filename": "", "size": 9, "regions": regions}})
+    header = ["filename", "region_shape_attributes", "region_attributes"]
+    shape = json.dumps(regions[0]["shape_attributes"])
+    assert list(parse("a.csv", table(header, ["b.png", "", ""], ["", "", ""], ["a.png", shape, "{}"]))) == ["a.png"]
 
 
 def test_makesense_without_a_first_line() -> None:
@@ -289,6 +387,19 @@ def test_markups_of_slicer(tmp_path: Path) -> None:
     assert_points(load_folder(tmp_path)[0].landmarks, NAMES)
 
 
+def test_fiducials_of_slicer_with_a_comma_in_a_label() -> None:
+    text = '# CoordinateSystem = LPS\n# columns = id,x,y,z,label\na,1,2,0,"p, left"\nb,3,4,0,q\n'
+    assert parse("a.fcsv", text).names == ("p, left", "q")
+
+
+def test_time_to_read_the_comments_of_slicer_is_linear() -> None:
+    def work(size: int) -> None:
+        text = f"# columns = id,x,y,z,l{' ' * size}x\n#{' ' * size}\n# a = {' ' * size}.\na,1,2,0,p\nb,3,4,0,q\n"
+        assert len(parse("a.fcsv", text)) == 2
+
+    assert growth(work, 10_000) < 30
+
+
 @pytest.mark.parametrize(
     ("content", "words"),
     [
@@ -326,10 +437,19 @@ def test_morphologika() -> None:
         parse("shapes.txt", text.replace("[dimensions]\r\n2", "[dimensions]\r\n3"))
 
 
+@pytest.mark.parametrize(("n", "points"), [(999_999_999, 0), (0, 2), (999_999_999, 2)])
+def test_morphologika_s_counts_are_checked_before_they_are_used(n: int, points: int) -> None:
+    with pytest.raises(LandmarkError, match=r"it says that it has|points but 0 are there"):
+        parse("a.txt", f"[individuals]\n{n}\n[landmarks]\n{points}\n[rawpoints]\n")
+
+
 def test_scale_of_stereomorph() -> None:
     text = "<shapes>\n<scaling type=vector >0.05</scaling>\n<landmarks.pixel type=matrix >\n"
     text += "\ttip\t10\t20\n\tb\t1\t2\n</landmarks.pixel>\n"
     assert parse("a.txt", text).scale == 0.05
+    assert parse("a.txt", text).unit == ""
+    units = "</scaling>\n<scaling.units type=v >mm</scaling.units>"
+    assert parse("a.txt", text.replace("</scaling>", units)).unit == "mm"
     assert parse("a.txt", text.replace("0.05", "NA")).scale is None
     notes = Notes()
     assert parse("a.txt", text.replace("0.05", "-1"), notes=notes).scale is None
@@ -391,6 +511,108 @@ def test_selections_of_imagej() -> None:
     assert_points(parse("a.zip", numbered))
     both = parse("a.zip", archive({"b.roi": roi(corners), "c.roi": roi([(x + 9, y) for x, y in corners])}))
     np.testing.assert_allclose(both.others[0].points, np.add(POINTS, [9, 0]))
+
+
+def far_roi(points: list[tuple[int, int]]) -> bytes:
+    """Whole pixels, as ImageJ stores them: 16 bits without a sign where they exceed 32767."""
+    left, top = (min(values) for values in zip(*points, strict=True))
+    header = struct.pack(">4shBBHHhhH", b"Iout", 228, 10, 0, top % 65536, left % 65536, 0, 0, len(points))
+    xs, ys = zip(*points, strict=True)
+    body = struct.pack(f">{2 * len(points)}H", *(x - left for x in xs), *(y - top for y in ys))
+    return header.ljust(64, b"\0") + body
+
+
+@pytest.mark.parametrize(
+    "points", [[(40_000, 10), (41_000, 33_000)], [(-3, -5), (50_000, 7)], [(32_768, 32_767), (32_768, 32_767)]]
+)
+def test_whole_pixels_beyond_those_of_16_bits_with_a_sign(points: list[tuple[int, int]]) -> None:
+    np.testing.assert_array_equal(parse("a.roi", far_roi(points)).points, points)
+
+
+def test_fractions_of_pixels_beyond_those_of_16_bits() -> None:
+    at = np.array([[40_000.25, 10.5], [60_000.5, 50_000.75]])
+    data = bytearray(roi([(1.0, 2.0), (3.0, 4.0)]))
+    data[-16:] = at.T.astype(">f4").tobytes()
+    np.testing.assert_array_equal(parse("a.roi", bytes(data)).points, at - 0.5)
+
+
+def test_more_points_than_16_bits_can_count() -> None:
+    points = np.arange(2 * 70_000).reshape(2, -1) % 30_000
+    header = bytearray(roi([(0, 0)], whole=True)[:64])
+    header[16:22] = struct.pack(">Hi", 0, points.shape[1])
+    read = parse("a.roi", bytes(header) + points.astype(">i2").tobytes())
+    np.testing.assert_array_equal(read.points, points.T)
+
+
+def test_points_of_one_selection_on_several_planes_are_named() -> None:
+    data = bytearray(roi(POINTS))
+    data[60:64] = struct.pack(">i", len(data))
+    data += bytes(48) + struct.pack(">i", len(data) + 64) + bytes(12)
+    planes = [1 << 8 | 3, 1 << 8, 1 << 8]
+    assert len(parse("a.roi", bytes(data) + struct.pack(">3i", *planes))) == 3
+    with pytest.raises(LandmarkError, match="points of 'a' lie on several planes of a stack"):
+        parse("a.roi", bytes(data) + struct.pack(">3i", *planes[:2], 2 << 8))
+
+
+def test_selections_of_one_name_are_all_read_and_what_a_mac_adds_is_not() -> None:
+    buffer = io.BytesIO()
+    with zipfile.ZipFile(buffer, "w") as made, warnings.catch_warnings():
+        warnings.simplefilter("ignore", UserWarning)
+        for x, y in POINTS:
+            made.writestr("tip.roi", roi([(x + 0.5, y + 0.5)]))
+        made.writestr("__MACOSX/._tip.roi", b"\0\5\x16\7")
+    notes = Notes()
+    assert_points(parse("a.zip", buffer.getvalue(), notes=notes))
+    assert notes.lines() == ["selections of ImageJ are read in their order, because some have one name: tip"]
+
+
+@pytest.mark.parametrize("kind", [zipfile.ZIP_LZMA, zipfile.ZIP_BZIP2])
+def test_ways_of_packing_that_may_need_gigabytes_are_refused(kind: int) -> None:
+    buffer = io.BytesIO()
+    with zipfile.ZipFile(buffer, "w", kind) as made:
+        made.writestr("a.roi", roi(POINTS))
+    with pytest.raises(LandmarkError, match="packed in a way that is not read"):
+        parse("a.zip", buffer.getvalue())
+
+
+def test_a_name_that_is_no_text_is_a_damage() -> None:
+    data = archive({"é.roi": roi(POINTS)}).replace("é".encode(), b"\xff\xff")
+    with pytest.raises(LandmarkError, match=r"a\.zip: it is no sound \.zip"):
+        parse("a.zip", data)
+
+
+def entries(name: bytes, n: int, packed: bytes = b"", size: int = 0) -> bytes:
+    """An archive whose list has n entries that all name one part, of so many bytes unpacked."""
+    checksum = zlib.crc32(bytes(size))
+    facts = struct.pack("<2HIII2H", 0, 0, checksum, len(packed), size, len(name), 0)
+    part = b"PK\3\4" + struct.pack("<3H", 20, 0, 8) + facts + name + packed
+    listed = (b"PK\1\2" + struct.pack("<4H", 20, 20, 0, 8) + facts + bytes(14) + name) * n
+    end = b"PK\5\6" + struct.pack("<4H2IH", 0, 0, n % 65536, n % 65536, len(listed), len(part), 0)
+    return part + listed + end
+
+
+@pytest.mark.parametrize("name", ["a.zip", "t.xlsx"])
+def test_archives_of_millions_of_parts_are_refused_before_their_list_is_read(
+    name: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(unpacking, "ZipFile", None)
+    with pytest.raises(LandmarkError, match=f"{name}: it holds 2,000,000 files, more than 30,000: save fewer in it"):
+        parse(name, entries(b"a.roi", 2_000_000))
+
+
+def test_entries_that_all_name_one_large_part_are_refused() -> None:
+    packer = zlib.compressobj(9, zlib.DEFLATED, -15)
+    packed = packer.compress(bytes(900_000)) + packer.flush()
+    with pytest.raises(LandmarkError, match="no selection of ImageJ"):
+        parse("a.zip", entries(b"a.roi", 1, packed, 900_000))
+    part = roi([(float(i), 0.0) for i in range(20_000)])
+    packer = zlib.compressobj(9, zlib.DEFLATED, -15)
+    packed = packer.compress(part) + packer.flush()
+    data = entries(b"a.roi", 1000, packed, len(part)).replace(
+        struct.pack("<I", zlib.crc32(bytes(len(part)))), struct.pack("<I", zlib.crc32(part))
+    )
+    with pytest.raises(LandmarkError, match="its files have more than 40,000,000 bytes together"):
+        parse("a.zip", data)
 
 
 @pytest.mark.parametrize(
@@ -512,13 +734,81 @@ def test_spreadsheets_that_cannot_be_read_are_named(data: bytes, words: str) -> 
     assert str(caught.value).startswith("t.xlsx: ")
 
 
+def with_part(name: str, text: str, sheet: str = "") -> bytes:
+    """Build a spreadsheet with another part, and perhaps another sheet."""
+    with zipfile.ZipFile(io.BytesIO(xlsx({"s": LONG}, ["image", "landmark", "x", "y", "a.png", *NAMES]))) as made:
+        parts = {part: made.read(part) for part in made.namelist()}
+    assert f"xl/{name}.xml" in parts
+    parts[f"xl/{name}.xml"] = text.encode()
+    if sheet:
+        parts["xl/worksheets/sheet1.xml"] = sheet.encode()
+    buffer = io.BytesIO()
+    with zipfile.ZipFile(buffer, "w") as stored:  # as it is, so that nothing but the content is too large
+        for part, data in parts.items():
+            stored.writestr(part, data)
+    return buffer.getvalue()
+
+
 def test_a_cell_far_out_is_refused() -> None:
-    sheet = SHEET.format('<row r="1"><c r="XFD1"><v>1</v></c></row>')
-    with zipfile.ZipFile(io.BytesIO(xlsx({"s": LONG}))) as made:
-        parts = {name: made.read(name) for name in made.namelist()}
-    parts["xl/worksheets/sheet1.xml"] = sheet.encode()
     with pytest.raises(LandmarkError, match="more than 5,000 columns"):
+        parse("t.xlsx", with_part("worksheets/sheet1", SHEET.format('<row r="1"><c r="XFD1"><v>1</v></c></row>')))
+
+
+@pytest.mark.parametrize(
+    "rows", ["<a/>" * 4_800_000, "<row/>" * 200_000, f"<row>{'<c/>' * 4000}</row>" * 1000, "<a>" * 1_800_000]
+)
+def test_spreadsheets_of_many_elements_are_refused_before_they_are_parsed(
+    rows: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    parsed = []
+    parse_xml = ElementTree.fromstring
+    monkeypatch.setattr(ElementTree, "fromstring", lambda data: parsed.append(len(data)) or parse_xml(data))
+    with pytest.raises(LandmarkError, match=r"t\.xlsx: it has more cells, or other parts, than are read"):
+        parse("t.xlsx", with_part("worksheets/sheet1", SHEET.format(rows)))
+    assert max(parsed) < 10_000
+
+
+def test_a_sheet_that_is_listed_often_is_not_read_each_time(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(spreadsheets, "_MOST_MARKS", 20_000)
+    book = '<workbook xmlns:r="o/relationships">{}</workbook>'.format('<sheet name="a" r:id="rId1"/>' * 1000)
+    parts = {"xl/workbook.xml": book.encode(), "xl/worksheets/sheet1.xml": SHEET.format("<c/>" * 5000).encode()}
+    parts["xl/_rels/workbook.xml.rels"] = b'<a><b Id="rId1" Target="worksheets/sheet1.xml"/></a>'
+    with pytest.raises(LandmarkError, match="more cells, or other parts, than are read"):
         parse("t.xlsx", archive(parts))
+
+
+def test_a_long_text_that_many_cells_refer_to_is_refused() -> None:
+    with pytest.raises(LandmarkError, match="has 32,768 letters, more than 32,767: shorten it"):
+        parse("t.xlsx", with_part("sharedStrings", f"<sst><si><t>{'a' * 32_768}</t></si></sst>"))
+    texts = f"<sst><si><t>{'a' * 32_767}</t></si></sst>"
+    sheet = SHEET.format('<row><c t="s"><v>0</v></c></row>' * 611)
+    with pytest.raises(LandmarkError, match="more than 1,000,000 cells, or 20,000,000 letters in them"):
+        parse("t.xlsx", with_part("sharedStrings", texts, sheet))
+
+
+def test_rows_that_one_cell_pads_to_many_are_counted() -> None:
+    sheet = SHEET.format('<row><c r="GAA1"><v>1</v></c></row>' + "<row><c><v>1</v></c></row>" * 210)
+    with pytest.raises(LandmarkError, match="more than 1,000,000 cells"):
+        parse("t.xlsx", with_part("worksheets/sheet1", sheet))
+
+
+def test_texts_in_formats_within_formats_are_not_followed() -> None:
+    deep = "<r>" * 50_000 + "</r>" * 50_000
+    texts = "".join(f"<si><r><t>{text}</t></r></si>" for text in ["image", "landmark", "x", "y", "a.png", *NAMES])
+    texts = texts.replace("</si>", f"{deep}</si>", 1)
+    assert_points(parse("t.xlsx", with_part("sharedStrings", f"<sst>{texts}</sst>")), NAMES, "a.png")
+
+
+def test_empty_cells_at_the_end_of_a_row_are_missing_landmarks() -> None:
+    rows = [["image", "landmark", "x", "y"], ["a.png", "a", None, None], ["a.png", "b", 3, 4]]
+    assert parse("t.xlsx", xlsx({"s": rows}))["a.png"].missing.tolist() == [True, False]
+    with pytest.raises(LandmarkError, match="line 2 has only one of x and y"):
+        parse("t.xlsx", xlsx({"s": [["x", "y"], [1, "#N/A"]]}))
+
+
+def test_a_spreadsheet_with_a_password_is_named() -> None:
+    with pytest.raises(LandmarkError, match=r"has a password, or is an older \.xls: save it as \.xlsx without one"):
+        parse("t.xlsx", b"\xd0\xcf\x11\xe0\xa1\xb1\x1a\xe1" + bytes(512))
 
 
 @pytest.mark.parametrize("name", ["a.roi", "a.zip", "t.xlsx"])

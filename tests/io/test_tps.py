@@ -75,6 +75,22 @@ def test_without_the_image_the_message_says_what_to_do(tmp_path: Path) -> None:
         read_collection(save(tmp_path, WINGS))
 
 
+def test_specimens_of_one_image_their_curves_and_missing_points_round_trip(tmp_path: Path) -> None:
+    add_image(tmp_path / "a.png", 100, 100)
+    points = np.array([[1, 2], [NAN, NAN], [5, 6], [7, 8], [9, 10], [11, 12], [NAN, NAN]], float)
+    lines = (Contour((2, 3)), Contour((4, 5, 6)))
+    second = Landmarks(points + 40, lines, image_name="a.png", label="left")
+    third = Landmarks(points[:2] + 60, image_name="a.png", label="right")
+    first = Landmarks(points, lines, image_name="a.png", scale=0.5, label="7", others=(second, third))
+    write_landmarks(tmp_path / "one.tps", first)
+    write_collection(tmp_path / "all.tps", {"a.png": first})
+    for name in ("one.tps", "all.tps"):
+        read = read_collection(tmp_path / name)["a.png"]
+        for written, found in zip((first, second, third), (read, *read.others), strict=True):
+            np.testing.assert_array_equal(found.points, written.points)
+            assert (found.contours, found.label, found.scale) == (written.contours, written.label, written.scale)
+
+
 # A second reader ------------------------------------------------------------------------------------
 
 

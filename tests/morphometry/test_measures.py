@@ -18,6 +18,7 @@ from liaam.morphometry.measures import (
     parse_scale,
     procrustes,
 )
+from liaam.scale import Length
 
 SOME = settings(max_examples=60, deadline=None)
 seeds = st.integers(0, 2**32 - 1)
@@ -86,8 +87,11 @@ def test_short_names() -> None:
     assert Measure.parse("angle:left-eye, nose, right-eye").landmarks == ("left-eye", "nose", "right-eye")
     assert Measure.parse("area:1-2-3-4").column == "area_1_2_3_4"
     assert Measure.parse("distance:left-eye,tip of nose").column == "distance_left_eye_tip_of_nose"
-    assert parse_scale("0.012") == 0.012
+    assert parse_scale("0.012") == Length(0.012)
+    assert parse_scale("0.0031mm") == Length(0.0031, "mm")
     assert parse_scale("11-12=5") == ScaleBar(("11", "12"), 5)
+    assert parse_scale("left-eye, right-eye = 5 ± 0.1 mm") == ScaleBar(("left-eye", "right-eye"), 5, "mm", 0.1)
+    assert parse_scale("mm") == "mm"
 
 
 @pytest.mark.parametrize("text", ["1-5", "distance", "distance:", "width:1-2", "distance:1-", ""])
@@ -110,7 +114,9 @@ def test_wrong_numbers_of_landmarks(text: str, words: str) -> None:
         Measure.parse(text)
 
 
-@pytest.mark.parametrize("text", ["", "-1", "0", "nan", "mm", "1-2", "1-2=", "1-2=0", "1-1=5", "1=5", "1-2-3=5", "=5"])
+@pytest.mark.parametrize(
+    "text", ["", "-1", "0", "nan", "5 apples", "1-2", "1-2=", "1-2=mm", "1-2=0", "1-1=5", "1=5", "1-2-3=5", "=5"]
+)
 def test_wrong_scales(text: str) -> None:
     with pytest.raises(LiaamError, match=f"scale '{text}': give the length of a pixel"):
         parse_scale(text)

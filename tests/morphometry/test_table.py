@@ -1,5 +1,7 @@
 """Tables of measurements: units, standard errors, what is left empty, and that pandas reads them."""
 
+from typing import Any
+
 import numpy as np
 import pandas as pd
 import pytest
@@ -70,7 +72,8 @@ def test_standard_errors_are_those_of_noisy_landmarks(rng, scale: str | None) ->
     told = measure([Specimen("a", points, covariances)], wanted, scale)
     seen = measure([Specimen("a", points), *(Specimen("b", points + shift) for shift in noise)], wanted, scale)
     columns = [name for name in told if name.endswith("_se")]
-    assert len(columns) == 3 + 1 + 2 * (6 if scale == "7-8=3" else 8)
+    has_bar = scale == "7-8=3"
+    assert len(columns) == 3 + 1 + has_bar + 2 * (6 if has_bar else 8)
     for name in columns:
         spread = np.std(seen[name.removesuffix("_se")][1:])
         # The standard deviation of 1,000 draws has an error of 2.2 %.
@@ -119,3 +122,66 @@ def test_pandas_reads_the_table(tmp_path) -> None:
     assert read["specimen"].tolist() == ["a,1", "b"]
     with pytest.raises(LiaamError, match=r"t\.txt: the table is written as CSV; give a name that ends in \.csv"):
         write_columns(tmp_path / "t.txt", table)
+
+
+# Units --------------------------------------------------------------------------------------------
+
+
+def square(name: str, **facts: Any) -> Specimen:
+    return Specimen(name, np.array([[0.0, 0], [10, 0], [10, 10], [0, 10]]), **facts)
+
+
+def test_columns_have_the_unit_that_is_known() -> None:
+    wanted = ["distance:1-2", "angle:1-2-3", "area:1-2-3-4"]
+    table = measure([square("a")], wanted, "0.0031mm")
+    assert list(table)[:6] == [
+        *("specimen", "scale_mm_per_px", "distance_1_2_mm", "angle_1_2_3", "area_1_2_3_4_mm2", "centroid_size_mm")
+    ]
+    assert (table["distance_1_2_mm"], table["area_1_2_3_4_mm2"]) == ([pytest.approx(0.031)], [pytest.approx(0.031**2)])
+    assert "distance_1_2" in measure([square("a")], wanted, 0.0031)  # no unit is known
+    bar = measure([square("a", covariances=np.tile(np.eye(2), (4, 1, 1)))], wanted[:1], "3-4=5 cm")
+    assert bar["distance_1_2_cm"] == [pytest.approx(5)]
+    assert bar["scale_cm_per_px_se"] == [pytest.approx(0.5 * np.sqrt(2) / 10)]
+
+
+def test_scales_of_several_units_are_brought_to_one() -> None:
+    specimens = [
+        square("a", scale=0.5, unit="mm"),
+        square("b", scale=500.0, unit="um"),
+        square("c", scale=1, unit="mm"),
+    ]
+    assert measure(specimens, "distance:1-2")["distance_1_2_mm"] == pytest.approx([5, 5, 10])
+    assert measure(specimens, "distance:1-2", "um")["distance_1_2_um"] == pytest.approx([5000, 5000, 10_000])
+
+
+def test_a_unit_is_not_guessed_for_scales_without_one() -> None:
+    specimens = [square("a", scale=0.5, unit="mm"), square("b", scale=0.5)]
+    with pytest.raises(LiaamError, match=r"the scale of b has no unit, but that of a is in mm: .*, such as --scale mm"):
+        measure(specimens, "distance:1-2")
+    assert measure(specimens, "distance:1-2", "mm")["distance_1_2_mm"] == [5, 5]
+
+
+def test_a_specimen_without_a_scale_has_no_size_in_a_known_unit() -> None:
+    table = measure([square("a", scale=0.5, unit="mm"), square("b")], ["distance:1-2", "angle:1-2-3"])
+    assert table["distance_1_2_mm"][0] == 5 and np.isnan(table["distance_1_2_mm"][1])
+    assert table["angle_1_2_3"] == [90, 90] and table["X1"][0] == pytest.approx(table["X1"][1])
+
+
+def test_the_error_of_a_scale_is_in_the_standard_errors() -> None:
+    spread = np.tile(0.01 * np.eye(2), (4, 1, 1))
+    [plain, unsure] = (
+        measure(
+            [square("a", covariances=spread, scale=0.5, unit="mm", scale_se=error)], ["distance:1-2", "area:1-2-3-4"]
+        )
+        for error in (0.0, 0.01)
+    )
+    of_points = plain["distance_1_2_mm_se"][0]
+    assert of_points == pytest.approx(0.5 * np.sqrt(0.02))
+    assert unsure["distance_1_2_mm_se"][0] == pytest.approx(np.hypot(of_points, 10 * 0.01))
+    by_scale = 2 * 100 * 0.5 * 0.01  # the area grows with the square of the scale
+    assert unsure["area_1_2_3_4_mm2_se"][0] == pytest.approx(np.hypot(plain["area_1_2_3_4_mm2_se"][0], by_scale))
+    assert unsure["scale_mm_per_px_se"] == [0.01] and "scale_mm_per_px_se" not in plain
+    given = measure([square("a", covariances=spread)], "distance:1-2", "0.5 ± 0.01 mm")
+    assert given["distance_1_2_mm_se"] == pytest.approx(unsure["distance_1_2_mm_se"])
+    noise = np.random.default_rng(3).normal(0, 1, 20_000)  # Monte Carlo: the delta method holds for 2 % of error
+    assert np.std((0.5 + 0.01 * noise) ** 2 * 100) == pytest.approx(by_scale, rel=0.02)

@@ -19,6 +19,7 @@ from liaam.model.appearance import COPIED_APPEARANCES, AppearanceModel
 from liaam.model.mesh import delaunay, signed_areas
 from liaam.morphometry import measure, read_specimens
 from liaam.photometry import CameraModel, invariant
+from liaam.scale import Length
 from liaam.training import TrainingOptions, images as images_of_training, train as train_as_users_do
 from liaam.training.entries import known_of, read_entries, with_all_landmarks
 from liaam.training.left_out import describe_objects, folds_of
@@ -713,3 +714,13 @@ def test_objects_many_times_as_long_as_wide_are_trained_and_fitted():
     result = Fitter(model, "li").fit(image, outline + np.array([3, 2]))
     assert result.status.ok
     assert np.abs(result.landmarks - outline).max() < 1
+
+
+def test_a_scale_that_all_training_images_have_is_kept_in_the_model(pairs, tmp_path):
+    scaled = [(image, Landmarks(points, scale=0.05, unit="mm")) for image, points in pairs]
+    options = {"diagonal": 40.0, "camera": LINEAR, "blurs": (0.0,), "leave_out": False}
+    model = train(scaled, **options)
+    assert model.scale == Length(0.05, "mm", source="the training images")
+    model.save(tmp_path / "a.liaam")
+    assert load_model(tmp_path / "a.liaam").scale == model.scale
+    assert train([*scaled[:-1], pairs[-1]], **options).scale is None

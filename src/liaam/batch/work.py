@@ -20,9 +20,11 @@ from liaam.fitting.many import refuse_one_start
 from liaam.fitting.methods import DEFAULT_METHOD
 from liaam.fitting.search.starts import check_start, read_start, start_file
 from liaam.formatting import finite_or_none
-from liaam.io import Landmarks, is_raw, read_image
+from liaam.io import is_raw, read_image
 from liaam.model import AAM, load_model
 from liaam.photometry import CameraModel
+from liaam.scale.choice import facts_of, length_for
+from liaam.scale.lengths import Length
 
 BESIDE = "beside"  # Start from the landmark file beside each image
 ERROR = "error"  # Status of an image that could not be fitted, in addition to those of FitStatus
@@ -177,12 +179,14 @@ class FitJob:
             start = read_start(start, picture, pixels.shape[1::-1])
         fitter = self.fitter(is_raw(picture))
         if not self.settings.every:
-            return [self._row_of(fitter.fit(pixels, start, picture.name), path, pixels, start)]
+            length = length_for(picture, start, fitter.model.scale)
+            return [self._row_of(fitter.fit(pixels, start, picture.name), path, pixels, length)]
+        length = length_for(picture, None, fitter.model.scale)
         fits = fitter.fit_all(pixels, picture.name)
-        return [self._row_of(fit, path, pixels, None) | {"object": i} for i, fit in enumerate(fits, 1)]
+        return [self._row_of(fit, path, pixels, length) | {"object": i} for i, fit in enumerate(fits, 1)]
 
     @staticmethod
-    def _row_of(result: FitResult, path: str, pixels: np.ndarray, start: Any) -> FitRow:
+    def _row_of(result: FitResult, path: str, pixels: np.ndarray, length: Length | None) -> FitRow:
         return {
             "path": _printable(path),
             "status": str(result.status),
@@ -197,7 +201,7 @@ class FitJob:
             "landmarks": _shorts(result.landmarks),
             "covariance": _shorts(result.landmark_covariances[:, (0, 0, 1), (0, 1, 1)]),
             "size": pixels.shape[1::-1],
-            "scale": start.scale if isinstance(start, Landmarks) else None,
+            **facts_of(length),
         }
 
     def _start(self, path: str) -> str | None:

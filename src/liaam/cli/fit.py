@@ -20,6 +20,7 @@ from liaam.io.atomic import is_disk_full
 from liaam.io.files import count_of
 from liaam.io.fit_files import FIT_SUFFIXES, corrected_file, read_fit, write_fit
 from liaam.morphometry.schemes import in_scheme
+from liaam.scale.choice import facts_of, length_for
 
 if TYPE_CHECKING:
     from liaam.fitting import FitResult, Fitter
@@ -133,6 +134,8 @@ def fit(
                     complain(f"stopped: {i - 1} of {len(images)} images are done; make room, and fit the others")
                     break
     report.show(output)
+    if model.scale is not None and report.table.row_count:
+        say(f"images that state no scale have that of the training images, {model.scale} per pixel")
     if report.failed:
         raise typer.Exit(1)
 
@@ -281,8 +284,9 @@ def fit_object(
 
     model = fitter.model
     result = fitter.fit(pixels, start, image.name)
-    scale = start.scale if isinstance(start, Landmarks) else None
-    facts = result.to_dict() | {"image": image.name, "scale": scale}
+    length = length_for(image, start, model.scale)
+    scale, unit = (None, "") if length is None else (length.value, length.unit)
+    facts = result.to_dict() | {"image": image.name} | facts_of(length)
     if outputs.scheme is None:
         landmarks = Landmarks(
             points=result.landmarks,
@@ -290,10 +294,11 @@ def fit_object(
             names=result.landmark_names,
             image_name=image.name,
             scale=scale,
+            unit=unit,
         )
     else:
         points = in_scheme(result.landmarks, result.landmark_names, outputs.scheme)
-        landmarks = Landmarks(points, image_name=image.name, scale=scale)
+        landmarks = Landmarks(points, image_name=image.name, scale=scale, unit=unit)
         facts = {key: value for key, value in facts.items() if key not in OF_LANDMARKS}
     height, width = pixels.shape[:2]
     with all_or_none([outputs.path_of(name, suffix) for suffix in outputs.suffixes]) as paths:

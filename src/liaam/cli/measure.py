@@ -1,9 +1,11 @@
 """The command ``liaam measure``."""
 
+from collections import defaultdict
 from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
+import numpy as np
 import typer
 
 from liaam.cli.inputs import CategoryOption, StrictOption
@@ -14,6 +16,9 @@ from liaam.io.atomic import check_output, write_text_atomically
 from liaam.io.files import count_of, real_path, some_names
 from liaam.io.landmarks.formats import KNOWN_FILES
 from liaam.io.landmarks.reading import Reading
+from liaam.morphometry.table import scales_in, sizes_in, unit_of_table
+from liaam.scale.choice import TRAINING
+from liaam.scale.lengths import UNITS, Length, unlike
 from liaam.tables import Columns
 
 if TYPE_CHECKING:
@@ -42,8 +47,9 @@ def measure(
     scale: Annotated[
         str | None,
         typer.Option(
-            help="Length of a pixel, such as 0.012; or the landmarks at the ends of a scale bar and its length, such "
-            "as 11-12=5. By default the SCALE of .tps, or else results are in pixels."
+            help="Length of a pixel, such as '0.0031 mm'; the landmarks at the ends of a scale bar and its length, "
+            "such as '11-12=5 mm'; a table of 'liaam scale'; or mm alone, the unit of the SCALE in .tps files. By "
+            "default the scale that files and the tags of TIFF images state, or else results are in pixels."
         ),
     ] = None,
     replicates: Annotated[
@@ -119,6 +125,9 @@ def measure(
     specimens, left_out = morphometry.alike(specimens)
     _refuse_or_complain(left_out, "have other landmarks than most", strict)
     specimens, reflected = morphometry.of_one_side(specimens, side, replicates)
+    if scale is not None and scale.lower().endswith(".csv"):
+        specimens = morphometry.with_lengths(specimens, morphometry.read_lengths(scale))
+        scale = None
     if estimate is not None:
         specimens, left = morphometry.with_estimated_landmarks(specimens, estimate, scale)
         _refuse_or_complain(left, "keep missing landmarks", strict)
@@ -131,8 +140,9 @@ def measure(
         found = morphometry.asymmetry(specimens, columns, symmetry, **options)
         _refuse_or_complain(found.left_out, "are not compared", strict)
     write_columns(output, columns)
-    unit = "" if "scale" in columns else " in pixels (give --scale for other units)"
-    say(f"{output}: {count_of(len(specimens), 'specimen')}{unit}")
+    say(f"{output}: {count_of(len(specimens), 'specimen')}{_unit_said(columns)}")
+    if scale is None or scale in UNITS:
+        _say_sources(specimens)
     if reflected:
         say(reflected)
     if found is not None:
@@ -260,16 +270,47 @@ def _complain_of_estimates(columns: Columns) -> None:
         complain(f"{count_of(len(named), 'specimen')} with estimated landmarks (see 'estimated'): {some_names(named)}")
 
 
+def _unit_said(columns: Columns) -> str:
+    """Say in which unit a table is."""
+    unit = unit_of_table(columns)
+    if unit:
+        return f" in {unit}"
+    if scales_in(columns) is None:
+        return " in pixels (give --scale for other units)"
+    return " (the scale has no unit: state it, as in --scale '0.012 mm', or --scale mm for that of the files)"
+
+
+def _say_sources(specimens: "Sequence[Specimen]") -> None:
+    """Say where scales are from that nobody gave for these specimens."""
+    sources: dict[str, list[Specimen]] = defaultdict(list)
+    for specimen in specimens:
+        if specimen.scale is not None and specimen.scale_source:
+            sources[specimen.scale_source].append(specimen)
+    for source, of_source in sources.items():
+        first = Length(of_source[0].scale or 1.0, of_source[0].unit)
+        doubt = "; give --scale if the images to measure were taken otherwise" if source == TRAINING else ""
+        say(f"the scale of {count_of(len(of_source), 'specimen')} is that of {source} ({first} per pixel){doubt}")
+
+
 def _complain_of_gaps(columns: Columns) -> None:
-    """Name specimens without a scale among others, and those without a shape."""
+    """Name specimens without a scale among others, those of an unlike one, and those without a shape."""
     names = columns["specimen"]
-    sizes = columns["centroid_size"]
-    unused = [name for name, size in zip(names, sizes, strict=True) if size != size]
-    scales = zip(names, columns.get("scale", sizes), sizes, strict=True)
-    pixels = [name for name, scale, size in scales if scale != scale and size == size]
+    sizes = sizes_in(columns)
+    scales = scales_in(columns)
+    unit = unit_of_table(columns)
+    whole = [index for index, x in enumerate(columns.get("X1", sizes)) if x == x]
+    unused = [name for index, name in enumerate(names) if index not in set(whole)]
+    bare = [names[index] for index in whole if scales is not None and scales[index] != scales[index]]
     have = f"of {len(names)} have no"
-    if pixels:
-        complain(f"{len(pixels)} {have} scale, so that they are in pixels: {some_names(pixels)}")
+    if bare:
+        what = "no sizes" if unit else "sizes in pixels"
+        complain(f"{len(bare)} {have} scale, so that they have {what}: {some_names(bare)}")
+    if scales is not None:
+        middle = float(np.nanmedian(scales))
+        odd = [f"{names[i]} ({scales[i]:.4g})" for i in np.flatnonzero(unlike(scales)).tolist()]
+        if odd:
+            usual = f"the usual {middle:.4g}{f' {unit}' if unit else ''} per pixel"
+            complain(f"{len(odd)} of {len(names)} have a scale unlike {usual}; check it: {some_names(odd)}")
     if unused:
         why = "because landmarks are missing or the fit is not to be used (see 'status')"
         complain(f"{len(unused)} {have} shape, {why}: {some_names(unused)}")

@@ -127,6 +127,8 @@ def describe(model: "AAM", path: Path) -> dict[str, str]:
         more["starts from"] = f"{model.points.n_theirs} points of another landmarker, too"
     if model.regressor is not None:
         more["regressor"] = describe_regressor(model)
+    if model.scale is not None:
+        more["scale"] = f"{model.scale} per pixel in all training images"
     if model.features is not None:
         more["features"] = f"{model.features.name}, a function"
     return {

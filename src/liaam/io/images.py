@@ -10,9 +10,9 @@ import io
 import mimetypes
 import os
 import re
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager, suppress
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -76,6 +76,7 @@ class _Opened:
     orientation: int = 1
     fault: str = ""  # why the pixels cannot be decoded, or empty
     pages: tuple[tiff.Page, ...] = ()  # of a TIFF: that of the picture, or those of its red, green and blue
+    tags: Mapping[int, Any] = field(default_factory=dict)  # of a TIFF: those of its picture
 
     @property
     def size(self) -> tuple[int, int]:
@@ -205,6 +206,20 @@ def size_and_orientation(path: AnyPath | bytes, name: str = "image") -> tuple[tu
         return opened.size, opened.orientation
 
 
+def tags_of(path: AnyPath | bytes, name: str = "image") -> Mapping[int, Any]:
+    """Return the tags of the picture in a TIFF file, with the description of its first page; none for other images.
+
+    Raises
+    ------
+    ImageError
+        As :func:`image_size` does.
+    """
+    if not isinstance(path, bytes) and is_raw(path):
+        return {}
+    with _opened(path, name) as opened:
+        return opened.tags
+
+
 def image_kind(file: Path | bytes) -> str | None:
     """Return the format, except RAW, of an image file, or of its first bytes; None for other files."""
     if isinstance(file, Path):
@@ -332,6 +347,7 @@ def _open_tiff(file: Any, name: object) -> _Opened:
     file.seek(tags.next)
     tags.load(file)
     used, fault = tiff.picture_in(pages, tags)
+    description = tags.get(tiff.DESCRIPTION, "")
     if used[0] > 0:
         tags = ImageFileDirectory_v2(start)
         file.seek(pages[used[0]].offset)
@@ -349,7 +365,8 @@ def _open_tiff(file: Any, name: object) -> _Opened:
     width = int(tags[tiff.WIDTH])
     height = int(tags[tiff.HEIGHT])
     of_picture = tuple(pages[i] for i in used if i < len(pages))
-    return _Opened(file, name, "TIFF", image, width, height, deep, _orientation(tags), fault, of_picture)
+    facts = {**tags, tiff.DESCRIPTION: description}
+    return _Opened(file, name, "TIFF", image, width, height, deep, _orientation(tags), fault, of_picture, facts)
 
 
 def _page_of_tiff(file: Any, index: int) -> Any:

@@ -22,6 +22,7 @@ from liaam.model.warp import PiecewiseAffineWarp
 from liaam.models import MODELS, model_file
 from liaam.photometry import CameraModel, Response
 from liaam.photometry.features import Features
+from liaam.scale.lengths import Length
 
 
 @dataclass(frozen=True, eq=False)
@@ -72,6 +73,8 @@ class AAM:
     n_missing : (n,) int64, optional
         Number of training images in which each landmark was missing, and was estimated from the others; None if none
         was. See :attr:`n_all_missing`.
+    scale : Length, optional
+        Length of a pixel of the training images, if all have the same.
     """
 
     views: Mapping[str, View]
@@ -93,6 +96,7 @@ class AAM:
     others: tuple["AAM", ...] = ()
     same_images: bool = False
     n_missing: np.ndarray | None = None
+    scale: Length | None = None
 
     def __getstate__(self) -> dict:
         """Leave out the fitters that :func:`liaam.fit` keeps with a model."""

@@ -38,6 +38,8 @@ from liaam.model.mesh import signed_areas
 from liaam.model.shape import diagonal_of
 from liaam.model.views import MESH, shape_model_of
 from liaam.photometry import camera_from, parse_response
+from liaam.scale.choice import TRAINING
+from liaam.scale.lengths import Length
 
 
 def read_fields(path: str | os.PathLike) -> tuple[dict[str, Any], list[dict[str, Any] | np.ndarray]]:
@@ -121,6 +123,7 @@ def _fields(header: dict, tensors: dict[str, np.ndarray]) -> dict[str, Any]:
         "landmark_names": _names(header.get("landmark_names", []), n),
         "name": text_of(header["name"]),
         "credit": text_of(header.get("credit", "")),
+        "scale": _scale(header["scale"]) if "scale" in header else None,
         "same_images": bool(header.get("same_images", False)),
         "n_missing": _n_missing(header, n, n_images),
         "n_textures": n_textures,
@@ -132,6 +135,13 @@ def _fields(header: dict, tensors: dict[str, np.ndarray]) -> dict[str, Any]:
         "search_filter": search_filter,
         "is_colour": bool(header.get("colour", has_invariant)),
     }
+
+
+def _scale(stored: Any) -> Length:
+    """Return the length of a pixel of the training images."""
+    if not isinstance(stored, dict):
+        raise ValueError(f"scale {shortened(stored)} is not an object")
+    return Length(finite(stored["value"]), text_of(stored["unit"]), source=TRAINING)
 
 
 def _mesh(tensors: dict[str, np.ndarray]) -> tuple[np.ndarray, np.ndarray]:

@@ -90,6 +90,8 @@ def _header(model: "AAM") -> dict[str, Any]:
     # The following are written only of models that have them; a reader takes their absence for none.
     if model.credit:
         header["credit"] = model.credit
+    if model.scale is not None:
+        header["scale"] = {"value": model.scale.value, "unit": model.scale.unit}
     if model.same_images:
         header["same_images"] = True
     if model.n_missing is not None:

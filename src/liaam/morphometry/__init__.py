@@ -6,6 +6,7 @@ from liaam.morphometry.measures import Measure, ScaleBar
 from liaam.morphometry.missing import with_estimated_landmarks
 from liaam.morphometry.reading import read_specimens
 from liaam.morphometry.replicates import exchanged_landmarks, measurement_error
+from liaam.morphometry.scale_tables import read_lengths, with_lengths
 from liaam.morphometry.sides import of_one_side
 from liaam.morphometry.specimens import Specimen
 from liaam.morphometry.symmetry import Asymmetry, matching_asymmetry, object_asymmetry
@@ -27,7 +28,9 @@ __all__ = [
     "measurement_error",
     "object_asymmetry",
     "of_one_side",
+    "read_lengths",
     "read_specimens",
     "with_estimated_landmarks",
     "with_even_curves",
+    "with_lengths",
 ]

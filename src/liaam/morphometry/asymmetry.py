@@ -20,6 +20,7 @@ from liaam.morphometry.pairs import checked_twins, parse_pairs
 from liaam.morphometry.sides import are_unreflected, object_name
 from liaam.morphometry.specimens import Specimen
 from liaam.morphometry.symmetry import ERROR, PERMUTATIONS, Asymmetry, matching_asymmetry, object_asymmetry
+from liaam.morphometry.table import sizes_in
 from liaam.progress import Progress
 from liaam.tables import Columns
 
@@ -242,7 +243,7 @@ def asymmetry(
         analysis = object_asymmetry(shapes[order[:, 0]], twins, of_object, **options)
         sides = ("original", "mirrored")
     else:
-        sizes = np.array(columns["centroid_size"])[order]
+        sizes = np.array(sizes_in(columns))[order]
         analysis = matching_asymmetry(shapes[order], covariances, sizes=sizes, **options)
     return AsymmetryResult(
         analysis,

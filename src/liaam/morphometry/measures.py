@@ -15,6 +15,7 @@ import numpy as np
 
 from liaam.errors import LiaamError
 from liaam.model.shape import align
+from liaam.scale.lengths import Length, parse_length, unit_of
 
 Measured = tuple[float, np.ndarray]
 """A value, and its gradient (k, 2) by the points."""
@@ -155,28 +156,35 @@ class ScaleBar:
         Landmarks by number, counted from 1, or by name.
     length : float
         Length, in the unit of the results.
+    unit : str
+        Unit of the length, one of `liaam.scale.UNITS`, or empty if unknown.
+    se : float
+        Standard error of the length.
     """
 
     ends: tuple[str, ...]
     length: float
+    unit: str = ""
+    se: float = 0.0
 
 
-def parse_scale(text: str) -> float | ScaleBar:
-    """Parse the length of a pixel, ``0.012``, or a scale bar, ``11-12=5``."""
-    bar, equals, length = text.rpartition("=")
+def parse_scale(text: str) -> Length | ScaleBar | str:
+    """Parse the length of a pixel, ``0.0031 mm``, a scale bar, ``11-12=5 mm``, or the unit of files' scales, ``mm``."""
+    bar, equals, written = text.rpartition("=")
+    if not equals and unit_of(text):
+        return unit_of(text)
     ends = _split(bar)
     try:
-        number = float(length)
-    except ValueError:
-        number = math.nan
-    is_length = 0 < number < math.inf
+        length = parse_length(written)
+    except LiaamError:
+        length = None
     are_ends = len(set(ends)) == 2 and all(ends)
-    if not is_length or (equals and not are_ends):
+    if length is None or (equals and not are_ends):
         raise LiaamError(
-            f"scale '{text}': give the length of a pixel, such as 0.012, or two landmarks and the length between them, "
-            "such as 11-12=5"
+            f"scale '{text}': give the length of a pixel, such as '0.0031 mm'; or two landmarks and the length between "
+            "them, such as '11-12=5 mm'; or the unit of the SCALE in the files, such as mm"
         )
-    return ScaleBar(ends, number) if equals else number
+    return ScaleBar(ends, length.value, length.unit, length.se) if equals else length
 
 
 def indices_of(what: str, landmarks: Sequence[str], names: Sequence[str], n: int) -> list[int]:

@@ -27,6 +27,8 @@ from liaam.io.landmarks.tables import is_of_imagej, parse_long
 from liaam.morphometry.records import Record, doubts_about, objects_of_records
 from liaam.morphometry.sides import folder_side, side_of_text
 from liaam.morphometry.specimens import MOST, Specimen
+from liaam.scale.choice import length_of, tagged_length
+from liaam.scale.lengths import Length, unit_of
 
 _LOOKED_AT = 20  # Images of a file that are looked at to judge the unit of its positions
 _SAME = 2.0  # Difference in pixels that rounding to whole pixels can make between distances, and a little more
@@ -164,10 +166,18 @@ def _specimen(path: Path, name: str, facts: dict[str, Any], covariances: Any) ->
             xx, xy, yy = _numbers(covariances).reshape(len(points), 3).T
             spread = np.stack([xx, xy, xy, yy], axis=1).reshape(-1, 2, 2)
         scale = facts.get("scale")
-        names = tuple(map(str, facts.get("landmark_names") or ()))
-        curves = Contour.all_of(facts.get("contours") or ())
-        length = scale and float(scale)
-        return Specimen(name, points, spread, names, length, str(facts["status"]), curves, file=path.name)
+        return Specimen(
+            name,
+            points,
+            covariances=spread,
+            names=tuple(map(str, facts.get("landmark_names") or ())),
+            scale=scale and float(scale),
+            status=str(facts["status"]),
+            curves=Contour.all_of(facts.get("contours") or ()),
+            file=path.name,
+            unit=unit_of(str(facts.get("scale_unit") or "")),
+            scale_source=str(facts.get("scale_from") or ""),
+        )
     except (TypeError, ValueError, OverflowError, LandmarkError) as fault:
         raise LandmarkError(f"{path}: the landmarks of {name} are damaged ({fault}): fit the image again") from fault
 
@@ -204,13 +214,14 @@ def _of_landmarks(path: Path, reading: Reading, complain: Callable[[str], object
         # Measures depend on neither the height of an image nor its orientation, but on its size if the file states one.
         placing = file.entries[entry].placing
         placed = file.placed(entry, None if placing.size or placing.fractions else (1, 1))
+        length = length_of(placed) or _tagged(file, entry, complain)
         image = names[""] if file.is_single else names[entry]
         raw = (file.entries[entry], *file.entries[entry].others)
         zeros = {
             id(each): file.zeros_of(as_in_file) for each, as_in_file in zip((placed, *placed.others), raw, strict=True)
         }
         return [
-            Record(image, _specimen_of(name, landmarks, path, entry), folder, zeros[id(landmarks)])
+            Record(image, _specimen_of(name, landmarks, path, entry, length), folder, zeros[id(landmarks)])
             for name, landmarks in placed.objects(image)
         ]
 
@@ -225,18 +236,33 @@ def _of_landmarks(path: Path, reading: Reading, complain: Callable[[str], object
         complain(f"{path.name}: {line.replace(f'{path}: ', '')}")
 
 
-def _specimen_of(name: str, landmarks: Landmarks, path: Path, entry: str) -> Specimen:
-    """Return the specimen of the landmarks of a name in a file, which has them for an image."""
+def _specimen_of(name: str, landmarks: Landmarks, path: Path, entry: str, of_image: Length | None) -> Specimen:
+    """Return the specimen of the landmarks of a name in a file, which has them for an image.
+
+    Its length of a pixel is that of the landmarks, or else that of the image.
+    """
+    length = length_of(landmarks) or of_image
     return Specimen(
         name,
         landmarks.points,
         names=landmarks.names,
-        scale=landmarks.scale,
+        scale=None if length is None else length.value,
         curves=landmarks.contours,
         file=path.name,
         individual=landmarks.individual,
         side=side_of_text(landmarks.side) or folder_side(entry),
+        unit="" if length is None else length.unit,
+        scale_source="" if length is None else length.source,
     )
+
+
+def _tagged(file: LandmarkFile, entry: str, complain: Callable[[str], object]) -> Length | None:
+    """Return the length of a pixel that the tags of an image beside a landmark file state, if they do."""
+    image = file.beside.image_of(entry, file.path)
+    length, fault = (None, "") if image is None else tagged_length(image)
+    if fault:
+        complain(f"{fault} Until then, its specimens have no scale.")
+    return length
 
 
 def _doubt_about_units(file: LandmarkFile) -> str:

@@ -14,7 +14,8 @@ from liaam.io.files import some_names
 from liaam.morphometry.curves import semilandmarks
 from liaam.morphometry.sides import object_name
 from liaam.morphometry.specimens import Specimen
-from liaam.morphometry.table import Columns
+from liaam.morphometry.table import scale_column, scales_in, sizes_in, unit_of_table
+from liaam.tables import Columns
 
 _FEWEST_PAIRS = 2  # objects that two files share, to compare the orders of their landmarks
 _CLEARLY = 4.0  # least factor by which another order must bring landmarks closer together
@@ -58,8 +59,8 @@ def measurement_error(specimens: Sequence[Specimen], columns: Columns, by: str, 
             "image that lie on each other are replicates, or the text before the number of a replicate in names, such "
             "as _ in wing1_2"
         )
-    sizes = np.array(columns["centroid_size"])
-    scales = np.array(columns.get("scale", [1.0] * len(sizes)))
+    sizes = np.array(sizes_in(columns))
+    scales = np.array(scales_in(columns) or [1.0] * len(sizes))
     pixels = sizes / np.where(scales > 0, scales, 1.0)
     numbers = [int(name[1:]) for name in columns if re.fullmatch(r"X\d+", name)]
     shapes = [np.array([columns[f"X{number}"], columns[f"Y{number}"]]).T for number in numbers]
@@ -68,7 +69,8 @@ def measurement_error(specimens: Sequence[Specimen], columns: Columns, by: str, 
     )
     flat = np.concatenate([np.empty((len(sizes), 0)), *shapes], axis=1)
     rows = [{"measure": "shape"} | anova(flat, groups, np.ones(1), 2 * len(shapes) - 4 - sliding)]
-    others = {"specimen", "side", "status", "estimated", "scale", *(f"{name}_se" for name in columns)}
+    others = {"specimen", "side", "status", "estimated", scale_column(unit_of_table(columns))}
+    others |= {f"{name}_se" for name in columns}
     for name in (name for name in columns if name not in others and not re.fullmatch(r"[XY]\d+", name)):
         values = np.array(columns[name])
         rows.append({"measure": name} | anova(values[:, None], groups, values))

@@ -9,6 +9,7 @@ import numpy as np
 from liaam.errors import LandmarkError
 from liaam.formatting import short_repr
 from liaam.io.landmarks import Contour
+from liaam.scale.lengths import UNITS
 from liaam.tables import Columns, landmark_columns
 
 MOST = 1e9
@@ -50,6 +51,12 @@ class Specimen:
         Whether x was reversed, to compare it with specimens of the other side.
     estimated : tuple of int
         Landmarks that were missing, and were estimated from other specimens, counted from 0.
+    unit : str
+        Unit of the scale, one of `liaam.scale.UNITS`, or empty if unknown.
+    scale_se : float
+        Standard error of the scale; 0 if it is taken as exact.
+    scale_source : str
+        Where the scale is from if nobody gave it, for messages, or empty.
 
     Raises
     ------
@@ -70,6 +77,9 @@ class Specimen:
     side: str = ""
     reflected: bool = False
     estimated: tuple[int, ...] = ()
+    unit: str = ""
+    scale_se: float = 0.0
+    scale_source: str = ""
 
     __repr__ = short_repr
 
@@ -81,6 +91,8 @@ class Specimen:
             raise LandmarkError(f"specimen {self.name}: give (n, 2) points and (n, 2, 2) covariances")
         if (np.abs(self.points) > MOST).any() or (self.scale is not None and not 0 < self.scale < MOST):
             raise LandmarkError(f"specimen {self.name}: a point or the scale is out of range: give points in pixels")
+        if not 0 <= self.scale_se < MOST or self.unit not in ("", *UNITS):
+            raise LandmarkError(f"specimen {self.name}: give the scale's unit as {', '.join(UNITS)}, and its error")
         if (
             not (np.abs(spread) <= MOST).all()
             or (np.linalg.eigvalsh(spread) < -_ROUNDING * np.abs(spread).max(initial=0)).any()

@@ -28,11 +28,14 @@ from liaam.morphometry.measures import (
 )
 from liaam.morphometry.sides import are_unreflected
 from liaam.morphometry.specimens import Specimen
+from liaam.scale.lengths import UNITS, Length
 from liaam.tables import Columns
 
 SpecimenRow = dict[str, str | float]
 
 _USABLE = {"", *USABLE}
+_SIZE = "centroid_size"
+_SCALE = "scale"
 
 
 class _Item(NamedTuple):
@@ -47,13 +50,13 @@ class _Item(NamedTuple):
 def measure(
     specimens: Iterable[Specimen],
     measures: str | Iterable[str | Measure] = (),
-    scale: str | float | ScaleBar | None = None,
+    scale: str | float | Length | ScaleBar | None = None,
     slide: str | None = None,
 ) -> Columns:
     """Measure specimens: distances, angles, areas, centroid size and Procrustes coordinates, with standard errors.
 
-    Standard errors are carried from the landmarks' covariances by the delta method; errors of different landmarks are
-    taken as independent.
+    Standard errors are carried from the landmarks' covariances, and from the errors of the scales, by the delta method;
+    errors of different landmarks, and of a landmark and the scale, are taken as independent.
 
     Parameters
     ----------
@@ -62,9 +65,10 @@ def measure(
     measures : str, or iterable of str or Measure
         Such as ``"distance:1-5"``, ``"angle:1-2-3"`` (at landmark 2) and ``"area:1-2-3-4"``, by numbers counted from
         1 or by names.
-    scale : str, float or ScaleBar, optional
-        Length of a pixel, or a scale bar such as ``"11-12=5"``, whose ends are then not part of the shape. Default:
-        each specimen's own. Specimens without any are in pixels, and their ``scale`` is NaN.
+    scale : str, float, Length or ScaleBar, optional
+        Length of a pixel, such as ``"0.0031 mm"``, or a scale bar such as ``"11-12=5 mm"``, whose ends are then not
+        part of the shape. A unit alone, such as ``"mm"``, is that of the specimens whose scale has none. Default: each
+        specimen's own scale. If the unit is known, specimens without a scale have no sizes; else they are in pixels.
     slide : {"bending", "procrustes"}, optional
         Slide the points of curves between their ends first, to the least bending energy or Procrustes distance.
 
@@ -74,13 +78,15 @@ def measure(
         Columns, one row per specimen; ``pandas.DataFrame`` takes them. ``specimen``, ``status`` (if known), ``scale``
         (length of a pixel, if known), the measures (angles in degrees), ``centroid_size``, ``side`` (if known),
         ``estimated`` (landmarks that were missing, if any), and the Procrustes coordinates ``X1``, ``Y1``, ``X2``, ...
-        with y upwards. Columns ``..._se`` hold the standard errors, if any covariance is known. Cells are NaN where a
-        landmark is missing or the status says that the landmarks should not be used.
+        with y upwards. Where the unit is known, names have it, as in ``scale_mm_per_px``, ``distance_1_5_mm``,
+        ``area_1_2_3_mm2`` and ``centroid_size_mm``. Columns ``..._se`` hold the standard errors, if any covariance is
+        known. Cells are NaN where a landmark is missing or the status says that the landmarks should not be used.
 
     Raises
     ------
     LiaamError
-        If there is no specimen with landmarks or curves to use, or a measure names a landmark that does not exist.
+        If there is no specimen with landmarks or curves to use, a measure names a landmark that does not exist, or some
+        scales have a unit and others have none.
     """
     specimens, left_out = alike(specimens)
     for line in left_out:
@@ -98,18 +104,72 @@ def measure(
     wanted = [Measure.parse(item) if isinstance(item, str) else item for item in given]
     names = next((specimen.names for specimen in usable if specimen.names), ())
     places = [indices_of(item.column, item.landmarks, names, n) for item in wanted]
-    rule = scale if scale is None or isinstance(scale, ScaleBar) else parse_scale(str(scale))
+    rule = parse_scale(str(scale)) if isinstance(scale, str | float | int) else scale
+    specimens, unit = _in_one_unit(specimens, rule)
     bar = indices_of("scale bar", rule.ends, names, n) if isinstance(rule, ScaleBar) else []
     inside = [index for index in range(n) if index not in bar]
-    items = [_Item(item.column, item, place, item.power) for item, place in zip(wanted, places, strict=True)]
-    items.append(_Item("centroid_size", centroid_size, inside, 1))
+    items = [
+        _Item(in_unit(item.column, unit, item.power), item, place, item.power)
+        for item, place in zip(wanted, places, strict=True)
+    ]
+    items.append(_Item(in_unit(_SIZE, unit, 1), centroid_size, inside, 1))
     whole = [
         i for i, specimen in enumerate(specimens) if specimen.status in _USABLE and _has_shape(specimen.points[inside])
     ]
     specimens = specimens if slide is None else _slid(specimens, whole, inside, slide)
     mean = procrustes_mean(np.array([specimens[i].points[inside] for i in whole])) if whole else None
     with np.errstate(divide="ignore", invalid="ignore"):  # by points that are missing or coincide
-        return _columns([_row(specimen, items, rule, bar, mean) for specimen in specimens])
+        return _columns([_row(specimen, items, rule, bar, mean, unit) for specimen in specimens], unit)
+
+
+def in_unit(column: str, unit: str, power: int = 1) -> str:
+    """Return the name of a column with its unit, as ``area_1_2_3_mm2``, if that is known."""
+    return f"{column}_{unit}{power if power > 1 else ''}" if unit and power else column
+
+
+def unit_of_table(columns: Columns) -> str:
+    """Return the unit of the sizes in a table of measurements; empty if unknown, or pixels."""
+    return next((unit for unit in UNITS if in_unit(_SIZE, unit) in columns), "")
+
+
+def sizes_in(columns: Columns) -> list[float]:
+    """Return the centroid sizes in a table of measurements."""
+    return columns[in_unit(_SIZE, unit_of_table(columns))]
+
+
+def scale_column(unit: str) -> str:
+    """Return the name of the column of the length of a pixel."""
+    return f"{_SCALE}_{unit}_per_px" if unit else _SCALE
+
+
+def scales_in(columns: Columns) -> list[float] | None:
+    """Return the lengths of a pixel in a table of measurements; None if it has none."""
+    return columns.get(scale_column(unit_of_table(columns)))
+
+
+def _in_one_unit(
+    specimens: Sequence[Specimen], rule: Length | ScaleBar | str | None
+) -> tuple[tuple[Specimen, ...], str]:
+    """Return specimens whose scales are in one unit, and this unit: that of the rule, or else the most frequent one."""
+    if isinstance(rule, Length | ScaleBar):
+        return tuple(specimens), rule.unit
+    scaled = [specimen for specimen in specimens if specimen.scale is not None]
+    units = Counter(specimen.unit for specimen in scaled if specimen.unit)
+    unit = rule or (units.most_common(1)[0][0] if units else "")
+    bare = next((specimen.name for specimen in scaled if not specimen.unit), None)
+    if unit and not rule and bare is not None:
+        known = next(specimen.name for specimen in scaled if specimen.unit)
+        fault = f"the scale of {bare} has no unit, but that of {known} is in {unit}"
+        raise LiaamError(f"{fault}: give the unit of those without, such as --scale {unit}")
+    return tuple(_within(specimen, unit) for specimen in specimens), unit
+
+
+def _within(specimen: Specimen, unit: str) -> Specimen:
+    """Return a specimen with its scale in a unit."""
+    if specimen.scale is None or not unit:
+        return specimen
+    length = Length(specimen.scale, specimen.unit, specimen.scale_se).within(unit)
+    return replace(specimen, scale=length.value, scale_se=length.se, unit=unit)
 
 
 def _slid(specimens: Sequence[Specimen], whole: Sequence[int], inside: Sequence[int], how: str) -> tuple[Specimen, ...]:
@@ -191,26 +251,30 @@ def _in_order(specimen: Specimen, names: tuple[str, ...]) -> Specimen:
 def _row(
     specimen: Specimen,
     items: Sequence[_Item],
-    rule: float | ScaleBar | None,
+    rule: Length | ScaleBar | str | None,
     bar: Sequence[int],
     mean: np.ndarray | None,
+    unit: str,
 ) -> SpecimenRow:
-    """Measure one specimen. The last item is the centroid size."""
+    """Measure one specimen. The last item is the centroid size. Sizes in pixels are none in a known unit."""
     row: SpecimenRow = {"specimen": specimen.name, "status": specimen.status}
     if specimen.status not in _USABLE:
         return row
-    length, slope = _pixel(specimen, rule, bar)
-    has_scale = length > 0 if isinstance(rule, ScaleBar) else rule is not None or specimen.scale is not None
-    row["scale"] = length if has_scale else math.nan
-    if not has_scale:
+    length, slope, length_se = _pixel(specimen, rule, bar)
+    scale = scale_column(unit)
+    row[scale] = length
+    if length == length:
+        row[f"{scale}_se"] = _joint(float(_standard_errors(specimen.covariances, slope[None])[0]), length_se)
+    elif not unit:
         length = 1.0
-        slope = np.zeros_like(specimen.points)
     for item in items:
         value, change = item.function(specimen.points[item.indices])
-        gradient = item.power * length ** (item.power - 1) * value * slope if item.power else np.zeros_like(slope)
+        by_length = item.power * length ** (item.power - 1) * value if item.power else 0.0
+        gradient = by_length * slope
         gradient[item.indices] += length**item.power * change
         row[item.column] = value * length**item.power
-        row[f"{item.column}_se"] = float(_standard_errors(specimen.covariances, gradient[None])[0])
+        of_points = float(_standard_errors(specimen.covariances, gradient[None])[0])
+        row[f"{item.column}_se"] = math.hypot(of_points, by_length * length_se)
     labels = specimen.names or [str(number) for number in range(1, len(specimen.points) + 1)]
     row |= {"side": specimen.side, "estimated": " ".join(labels[index] for index in specimen.estimated)}
     inside = items[-1].indices
@@ -219,16 +283,26 @@ def _row(
     return row
 
 
-def _pixel(specimen: Specimen, rule: float | ScaleBar | None, bar: Sequence[int]) -> Measured:
-    """Return the length of a pixel and its gradient by all points, (n, 2)."""
+def _pixel(
+    specimen: Specimen, rule: Length | ScaleBar | str | None, bar: Sequence[int]
+) -> tuple[float, np.ndarray, float]:
+    """Return the length of a pixel, NaN if unknown, its gradient by all points (n, 2), and its error besides."""
     gradient = np.zeros_like(specimen.points)
+    if isinstance(rule, Length):
+        return rule.value, gradient, rule.se
     if not isinstance(rule, ScaleBar):
-        return float(rule or specimen.scale or 1.0), gradient
+        return (math.nan if specimen.scale is None else specimen.scale), gradient, specimen.scale_se
     length, change = distance(specimen.points[bar])
     if not length > 0:
-        return math.nan, gradient
+        return math.nan, gradient, 0.0
     gradient[bar] = -rule.length / length**2 * change
-    return rule.length / length, gradient
+    return rule.length / length, gradient, rule.se / length
+
+
+def _joint(of_points: float, of_length: float) -> float:
+    """Return the standard error of a scale, by the points of its bar and by the bar's length; NaN if there is none."""
+    known = math.hypot(0.0 if of_points != of_points else of_points, of_length)
+    return known or math.nan
 
 
 def _standard_errors(covariances: np.ndarray | None, jacobian: np.ndarray) -> np.ndarray:
@@ -253,10 +327,11 @@ def _shape(specimen: Specimen, inside: Sequence[int], mean: np.ndarray) -> Speci
     return row
 
 
-def _columns(rows: Sequence[SpecimenRow]) -> Columns:
+def _columns(rows: Sequence[SpecimenRow], unit: str) -> Columns:
     """Transpose rows. Drop what is unknown of all, such as status, scale and standard errors."""
     names = list(max(rows, key=len))
     columns = {name: [row.get(name, math.nan) for row in rows] for name in names}
-    optional = {"status", "scale", "side", "estimated", *(name for name in names if name.endswith("_se"))}
+    errors = {name for name in names if name.endswith("_se")}
+    optional = {"status", scale_column(unit), "side", "estimated", *errors}
     unknown = {name for name in optional if all(cell == "" or cell != cell for cell in columns[name])}
     return {name: cells for name, cells in columns.items() if name not in unknown}

@@ -180,10 +180,17 @@ class LandmarkFiles:
         return path
 
     def scale_of(self, picture: File) -> float | None:
-        """Return the length of a pixel in millimetres: by the scale bar, or else by the landmark file."""
+        """Return the length of a pixel: in millimetres by the scale bar, or else as the landmark file has it."""
         state = self.scale_bar(picture)
         bar = state["bar"]
         return state["scale"] if bar is None else bar["length"] * UNITS[bar["unit"]] / math.dist(*bar["ends"])
+
+    def unit_of(self, picture: File) -> str:
+        """Return the unit of :meth:`scale_of`; empty if the landmark file states none."""
+        landmarks = self.of(picture).landmarks
+        if self.scale_bar(picture)["bar"] is not None:
+            return "mm"
+        return "" if landmarks is None else landmarks.unit
 
     def scale_bar(self, picture: File) -> dict[str, Any]:
         """Return the ``bar`` of a picture; its ``scale`` without one; and, of a shared bar, what was ``before``."""
@@ -222,6 +229,7 @@ class LandmarkFiles:
                 target.unlink(missing_ok=True)
         else:
             landmarks = landmarks_of(template, points, invisible, self.scale_of(picture) or scale)
+            landmarks = replace(landmarks, unit=self.unit_of(picture) if landmarks.scale else "")
             text = text_of(landmarks, target.suffix)
             self._remember_invisible(name, text.encode(), landmarks.invisible)
             write_text_atomically(target, text, LandmarkError)

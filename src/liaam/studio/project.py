@@ -27,6 +27,7 @@ from liaam.io.images import PICTURE_SUFFIXES
 from liaam.io.landmarks import Landmarks, collection_text, parse_landmark_data
 from liaam.io.table_writer import columns_text
 from liaam.morphometry import Specimen, measure
+from liaam.scale.lengths import unit_of
 from liaam.studio import contract
 from liaam.studio.folder import File, Folder, Listing, checked_folder, plain_name, revision_of, sets_in
 from liaam.studio.landmark_files import LandmarkFiles, parse_bar
@@ -370,9 +371,17 @@ class Project:
         for picture in self.placed("measure"):
             landmarks = picture.landmarks
             specimens.append(
-                Specimen(picture.file.stem, landmarks.points, names=landmarks.names, scale=landmarks.scale)
+                Specimen(
+                    picture.file.stem,
+                    landmarks.points,
+                    names=landmarks.names,
+                    scale=landmarks.scale,
+                    unit=unit_of(landmarks.unit),
+                )
             )
-        columns = measure(specimens, measures.split(), scale or None)
+        units = {specimen.unit for specimen in specimens if specimen.scale is not None}
+        of_files = "mm" if len(units) > 1 else None  # scales of files without a unit are in millimetres, as the bars
+        columns = measure(specimens, measures.split(), scale or of_files)
         return f"{plain_name(self.title)}-measurements.csv", columns_text(columns).encode()
 
     def placed(self, to: str = "export") -> list[Placed]:
@@ -386,7 +395,8 @@ class Project:
                 size = self._listing.size_of(file)
                 if template and marks.landmarks and marks.fits(template) and not isinstance(size, str):
                     scale = self._landmarks.scale_of(file)
-                    landmarks = replace(marks.landmarks, scale=scale, names=template.names)
+                    unit = self._landmarks.unit_of(file) if scale else ""
+                    landmarks = replace(marks.landmarks, scale=scale, unit=unit, names=template.names)
                     pictures.append(Placed(file, landmarks, [*self._states.origins_of(file, marks)], size))
         if not pictures:
             raise Refusal(422, f"no picture has landmarks yet: place the points of one, then {to}")

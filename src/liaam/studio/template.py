@@ -10,7 +10,7 @@ import json
 import secrets
 import threading
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from functools import lru_cache
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -364,6 +364,7 @@ class Templates:
             scale = self._landmarks.scale_of(file)
             hidden = [i for i, source in enumerate(mapping) if source in marks.landmarks.invisible]
             landmarks = landmarks_of(template, [None if i is None else points[i] for i in mapping], hidden, scale)
+            landmarks = replace(landmarks, unit=self._landmarks.unit_of(file) if scale else "")
             before = marks.revision if marks.file == name else None
             text = text_of(landmarks, target.suffix)
             files.append({"file": name, "before": before, "text": text, "invisible": hidden})

@@ -23,6 +23,8 @@ from liaam.model.mesh import FOLD_TOLERANCE, delaunay, folded_share, signed_area
 from liaam.model.missing import Missing
 from liaam.model.shape import align
 from liaam.progress import Progress, reported
+from liaam.scale.choice import length_of
+from liaam.scale.lengths import Length
 from liaam.training.filling import FEWEST_KNOWN, filled
 from liaam.training.incomplete import check_known
 
@@ -52,12 +54,15 @@ class Entry:
         Landmarks, pixels. Missing ones are NaN, or where the other images suggest.
     known : (n,) bool, optional
         Which landmarks are known; None if all are.
+    pixel : Length, optional
+        The length of a pixel, if the landmark file states it.
     """
 
     name: str
     read_image: Callable[[], np.ndarray]
     points: np.ndarray
     known: np.ndarray | None = None
+    pixel: Length | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -265,8 +270,9 @@ def _read_sample(item: Any, i: int, order: tuple[str, ...]) -> _Sample:
     _check_points(points, name)
     contours = tuple((tuple(c.indices), bool(c.closed)) for c in getattr(landmarks, "contours", ()))
     is_known = np.asarray(~np.isnan(points).any(axis=1))
-    entry = Entry(name, read, points, None if is_known.all() else is_known)
-    return _Sample(entry, contours, tuple(getattr(landmarks, "names", ())))
+    known = None if is_known.all() else is_known
+    pixel = length_of(landmarks) if isinstance(landmarks, Landmarks) else None
+    return _Sample(Entry(name, read, points, known, pixel), contours, tuple(getattr(landmarks, "names", ())))
 
 
 def _pair_of(item: Any, i: int) -> tuple[Any, Any]:

@@ -140,7 +140,7 @@ class Views:
 
     def of(self, images: np.ndarray) -> "Views":
         """Return some of the images."""
-        return Views([self.histograms[i] for i in images], self.shapes[images])
+        return Views([self.histograms[i] for i in images.tolist()], self.shapes[images])
 
 
 def learn_regressor(views: Views, shapes: ShapeModel, groups: Sequence[np.ndarray]) -> LandmarkRegressor:
@@ -195,7 +195,7 @@ def _samples(views: Views, mean: np.ndarray, n_starts: int, groups: Sequence[np.
             shapes.append(_in_box(mean, truth, rng) if k % 2 else _moved(mean, truth, rng))
     owners = np.repeat(np.arange(len(views.shapes)), n_starts)
     return _Samples(
-        histograms=[views.histograms[i] for i in owners],
+        histograms=[views.histograms[i] for i in owners.tolist()],
         truths=views.shapes[owners],
         shapes=np.array(shapes),
         blocks=[np.flatnonzero(np.isin(owners, group)) for group in groups],

@@ -20,6 +20,7 @@ from liaam.photometry import CameraModel
 from liaam.photometry.camera import check_camera
 from liaam.photometry.features import FeatureFunction
 from liaam.progress import Progress, reported
+from liaam.scale.choice import shared_length
 from liaam.training import faces
 from liaam.training.compacting import ALL, chosen, keep_only, wanted
 from liaam.training.entries import (
@@ -136,7 +137,8 @@ def train(
         part = samples if len(groups) == 1 else _part_of(samples, group, progress)
         points_of_part = points if len(groups) == 1 else points_of(points, group)
         models.append(_train_one(part, points_of_part, task))
-    return replace(models[0], others=tuple(models[1:])) if len(groups) > 1 else models[0]
+    scale = shared_length([entry.pixel for entry in samples.entries])
+    return replace(models[0], others=tuple(models[1:]), scale=scale)
 
 
 def _part_of(data: TrainingData, indices: np.ndarray, progress: Progress | bool | None) -> TrainingData:

@@ -279,6 +279,11 @@ class ImagesBeside:
         remedy = "put the image beside the file, or pass image_size=(width, height) in pixels"
         raise LandmarkError(f"the size of its image is needed{fault}: {remedy}.")
 
+    def image_of(self, name: str, file: Path) -> Path | None:
+        """Return the image of a name, or without one that of a landmark file, if it is in the folder."""
+        image = self._path_of(name) if name else self._names.of_file(file, formats.name_of(file))
+        return image if image is not None and image.is_file() else None
+
     def _path_of(self, name: str) -> Path:
         """Return the path of the image that a name means; if there is none, the path that it would have."""
         path = self._folder / name

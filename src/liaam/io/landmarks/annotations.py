@@ -196,8 +196,10 @@ def _related(results: Any) -> dict[str, str]:
         ends = str(each.get("from_id")), str(each.get("to_id"))
         if each.get("type") == "relation":
             for point, region in (ends, ends[::-1]):
-                if point in keypoints and region not in keypoints:
-                    related[point] = region
+                if point not in keypoints or region in keypoints:
+                    continue
+                if related.setdefault(point, region) != region:
+                    raise LandmarkError("a keypoint is related to two regions: relate it to one.")
     return related
 
 
@@ -229,7 +231,8 @@ def parse_fit(source: Source) -> list[Landmarks]:
     _check_indices(index for line in lines for index in line.indices)
     names = tuple(map(str, fit.get("landmark_names") or ()))
     scale = fit.get("scale")
-    return [Landmarks(points, lines, names, scale=None if scale is None else rd.parse_number(scale, "the scale"))]
+    length = None if scale is None else rd.parse_number(scale, "the scale")
+    return [Landmarks(points, lines, names, scale=length, unit=str(fit.get("scale_unit") or ""))]
 
 
 def parse_ljson(source: Source) -> list[Landmarks]:
@@ -237,8 +240,8 @@ def parse_ljson(source: Source) -> list[Landmarks]:
 
     Of several groups in version 3 the chosen one is read. The edges of the connectivity are joined into contours.
     Labels name sets of landmarks: if each landmark has its own label, the labels are the names. A further label
-    ``invisible`` holds the occluded landmarks. The length of a pixel, ``scale``, is an addition of liaam, which menpo
-    ignores.
+    ``invisible`` holds the occluded landmarks. The length of a pixel, ``scale``, and its unit, ``scale_unit``, are
+    additions of liaam, which menpo ignores.
     """
     group = _group(source.json, source.reading.category)
     edges = [(start, end) for start, end in group["landmarks"].get("connectivity") or ()]
@@ -249,7 +252,8 @@ def parse_ljson(source: Source) -> list[Landmarks]:
     masks, invisible = _without_invisible(masks, len(points))
     scale = None if group.get("scale") is None else rd.parse_number(group["scale"], "the scale")
     names = _names_of_masks(masks, len(points))
-    return [Landmarks(points, chain_edges(edges), names, None, tuple(invisible), scale)]
+    unit = str(group.get("scale_unit") or "")
+    return [Landmarks(points, chain_edges(edges), names, None, tuple(invisible), scale, unit=unit)]
 
 
 def _check_indices(given: Iterable[Any]) -> None:

@@ -80,6 +80,8 @@ class Landmarks:
         Individual that the object belongs to, such as the fly of a wing, if a table has a column for it, or empty.
     side : str
         Side of the individual, if a table has a column for it, or empty.
+    unit : str
+        Unit of the scale, such as mm, or empty if unknown. Only ``.ljson`` stores it.
 
     Raises
     ------
@@ -100,6 +102,7 @@ class Landmarks:
     format: str = ""
     individual: str = ""
     side: str = ""
+    unit: str = ""
 
     def __post_init__(self) -> None:
         points = _checked_points(self.points)

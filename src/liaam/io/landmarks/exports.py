@@ -4,6 +4,7 @@ Positions are pixels of the image, taken as centres counted from 0, x to the rig
 says otherwise.
 """
 
+import csv
 import re
 from collections import Counter, defaultdict
 from collections.abc import Iterable, Iterator, Mapping, Sequence
@@ -59,14 +60,17 @@ def parse_via_table(source: Source) -> list[Landmarks]:
     image_at = next((i for i, name in enumerate(source.header) if name.lstrip("#") == "filename"), None)
     if image_at is None:
         raise LandmarkError("it has no column 'filename': export the annotations again from VIA.")
+    size_at = source.header.index("file_size") if "file_size" in source.header else None
+    sizes: dict[str, str] = {}
     images = defaultdict[str, list[_Region]](list)
 
     def add(row: list[str]) -> bool:
-        shape, facts = (rd.json_of(row[at[name]]) for name in _VIA_CELLS)
-        images[row[image_at]].append(_region(shape, facts))
+        shape, facts = (rd.json_of(row[at[name]] or "{}") for name in _VIA_CELLS)
+        size = row[size_at] if size_at is not None else ""
+        images[_checked_name(row[image_at], size, sizes)].append(_region(shape, facts))
         return True
 
-    for _ in source.each(((f"line {number}", row) for number, row in source.rows[1:]), add):
+    for _ in source.each(((f"line {number}", row) for number, row in source.rows[1:] if any(row)), add):
         pass
     return _of_regions(source, images)
 
@@ -79,11 +83,12 @@ def parse_via(source: Source) -> list[Landmarks]:
     """
     records = source.json.get("_via_img_metadata", source.json)
     images = defaultdict[str, list[_Region]](list)
+    sizes: dict[str, str] = {}
 
     def add(record: dict[str, Any]) -> bool:
         regions = record["regions"]
         listed = regions.values() if isinstance(regions, dict) else regions
-        images[str(record["filename"])] += [
+        images[_checked_name(str(record["filename"]), str(record.get("size", "")), sizes)] += [
             _region(each["shape_attributes"], each.get("region_attributes") or {}) for each in listed
         ]
         return True
@@ -91,6 +96,16 @@ def parse_via(source: Source) -> list[Landmarks]:
     for _ in source.each(records.items(), add):
         pass
     return _of_regions(source, images)
+
+
+def _checked_name(name: str, size: str, sizes: dict[str, str]) -> str:
+    """Return the name of an image; raise if it has none, or that of another, whose file has another size."""
+    if not name.strip():
+        raise LandmarkError("a region has no file name of its image: export the annotations again from VIA.")
+    if sizes.setdefault(name, size) != size:
+        both = f"two images are named '{rd.short(name)}', of {sizes[name]} and {size} bytes"
+        raise LandmarkError(f"{both}: rename one, and export again.")
+    return name
 
 
 def _region(shape: Any, facts: Any) -> _Region:
@@ -157,14 +172,14 @@ def _of_line(image: str, regions: Sequence[_Region]) -> list[Landmarks]:
 def is_makesense(source: Source) -> bool:
     """Whether the first line is a point of makesense.ai: label, x, y, image, width, height."""
     _, cells = source.rows[0]
-    if len(cells) != 6 or not names_picture(cells[3]) or is_number(cells[0]):
+    if len(cells) != 6 or not names_picture(cells[3]):
         return False
     return all(is_number(cells[i]) for i in (1, 2, 4, 5))
 
 
 def parse_makesense(source: Source) -> list[Landmarks]:
     """Parse makesense.ai's points: lines of label, x, y, image, and the image's width and height."""
-    return tables.parse_long(replace(source, text=f"{_MAKESENSE}\n{source.text}"))
+    return tables.parse_long(replace(source, text=f"{_MAKESENSE}\n{source.text}"), first=0)
 
 
 def is_label_studio_table(source: Source) -> bool:
@@ -186,7 +201,7 @@ def parse_label_studio_table(source: Source) -> list[Landmarks]:
 
 def is_napari(source: Source) -> bool:
     """Whether the columns are those of napari's points."""
-    return {"axis_0", "axis_1"} <= {*source.header} and "vertex_index" not in source.header
+    return "axis_0" in source.header and "vertex_index" not in source.header
 
 
 def parse_napari(source: Source) -> list[Landmarks]:
@@ -194,11 +209,15 @@ def parse_napari(source: Source) -> list[Landmarks]:
 
     Axes before these are those of a stack; all points must lie on one plane of it.
     """
-    axes = sorted(i for i, name in enumerate(source.header) if re.fullmatch(r"axis_\d{1,2}", name))
+    columns = {name: i for i, name in enumerate(source.header) if re.fullmatch(r"axis_\d{1,2}", name)}
+    axes = [columns.get(f"axis_{number}", -1) for number in range(len(columns))]
+    if -1 in axes or len(axes) < 2 or sum(map(source.header.count, columns)) > len(columns):
+        raise LandmarkError("its axes are not axis-0, axis-1 and so on, each once: save the points again from napari.")
     (_, header), *others = source.rows
-    rows = [row for _, row in tables.whole(source, header, [line for line in others if any(line[1])])]
+    lines = tables.whole(source, header, [line for line in others if any(line[1])])
+    rows = [row for _, row in lines]
     for axis in axes[:-2]:
-        if len({row[axis] for row in rows}) > 1:
+        if len({rd.parse_number(row[axis], f"line {number}") for number, row in lines}) > 1:
             raise LandmarkError("its points lie on several planes of a stack: save those of one image.")
     naming = next((source.header.index(name) for name in ("label", "name") if name in source.header), None)
     y, x = axes[-2:]
@@ -222,8 +241,12 @@ def parse_sleap_table(source: Source) -> list[Landmarks]:
 
     def make(row: list[str]) -> Landmarks:
         points: Any = [rd.parse_point((row[axes["x"]], row[axes["y"]]), f"'{name}'") for name, axes in pairs.items()]
+        if not row[frame].strip():
+            raise LandmarkError("it has no number of its frame: export the analysis again from SLEAP.")
         return Landmarks(points, names=tuple(pairs), image_name=row[frame].strip(), label=row[track].strip())
 
+    if not pairs:
+        raise LandmarkError("it has no columns of body parts, as 'nose.x': export the analysis again from SLEAP.")
     made = source.each(((f"line {number}", row) for number, row in rows if any(row)), make)
     return [landmarks for landmarks in made if not landmarks.missing.all()]
 
@@ -267,7 +290,9 @@ def parse_geojson(source: Source) -> list[Landmarks]:
 def _names_of_features(properties: Sequence[dict[str, Any]]) -> list[str]:
     names = [str(facts.get("name") or "") for facts in properties]
     classes = [str((facts.get("classification") or {}).get("name") or "") for facts in properties]
-    return names if len(set(names)) >= len(set(classes)) and all(names) else classes
+    if all(names) and len(set(names)) >= len(set(classes)):
+        return names
+    return classes if any(classes) else names
 
 
 # 3D Slicer ----------------------------------------------------------------------------------------
@@ -279,11 +304,15 @@ def parse_fcsv(source: Source) -> list[Landmarks]:
     Positions are millimetres, taken as pixels of an image without spacing, as pictures are loaded. In the coordinate
     system RAS, x and y point the other way.
     """
-    facts = dict(re.findall(r"^#\s*(\w+)\s*=\s*(.+?)\s*$", source.text, re.MULTILINE))
+    comments = [line.lstrip("# \t").partition("=") for line in source.lines if line.startswith("#")]
+    facts = {name.strip(): value.strip() for name, _, value in comments}
     columns = [name.strip() for name in facts.get("columns", "").split(",")]
     if not {*_SLICER_COLUMNS} <= {*columns}:
         raise LandmarkError("it lacks the line '# columns = id,x,y,z,...' of 3D Slicer: save it again from Slicer.")
-    rows = [line.split(",") for line in source.lines if not line.startswith("#")]
+    try:
+        rows = list(csv.reader(line for line in source.lines if not line.startswith("#")))
+    except csv.Error as fault:
+        raise LandmarkError(f"a line of it is no table ({fault}): save it again from Slicer.") from fault
     at = {name: columns.index(name) for name in (*_SLICER_COLUMNS, "label") if name in columns}
     short = next((row for row in rows if len(row) <= max(at.values())), None)
     if short is not None or not rows:

@@ -25,7 +25,8 @@ _COUNT = re.compile(r"n_?points\s*(?:[:=]\s*)?(\S+)", re.IGNORECASE)  # \s*[:=]?
 _COMMENT = re.compile(r"(#|//|%).*")
 _ASF_COLUMNS = 7  # path, type, x, y, point, from, to; further columns are optional
 _SHAPES = re.compile(r"<landmarks\.pixel\b[^<>]*>")
-_SCALING = re.compile(r"<scaling\b[^<>]*>([^<]*)</scaling\s*>")
+_SCALING = re.compile(r"<scaling(?=[\s>])[^<>]*>([^<]*)</scaling\s*>")
+_UNITS = re.compile(r"<scaling\.units\b[^<>]*>([^<]*)</scaling\.units\s*>")
 _SECTION = re.compile(r"^[ \t]*\[(\w+)\][^\S\n]*$", re.MULTILINE)  # of Morphologika
 _IMAGE = re.compile(r"<image\.name\b[^<>]*>([^<]*)</image\.name\s*>")
 _NUMBER = r"(?:[-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?|nan|na)"
@@ -117,7 +118,7 @@ def parse_tem(source: Source) -> list[Landmarks]:
 def parse_shapes(source: Source) -> list[Landmarks]:
     """Parse StereoMorph's matrix ``landmarks.pixel`` of name, x and y: centres counted from 0.
 
-    ``scaling`` is the length of a pixel. Curves are not read.
+    ``scaling`` is the length of a pixel, in ``scaling.units``. Curves are not read.
     """
     start = _SHAPES.search(source.text)
     image = _IMAGE.search(source.text)
@@ -134,7 +135,9 @@ def parse_shapes(source: Source) -> list[Landmarks]:
     scale = float(length) if is_number(length) and float(length) > 0 else None
     if scaling and scale is None and length.upper() not in ("NA", ""):
         source.notes.repair("there is no scale, because scaling is not a positive number", source.path.name)
-    return [Landmarks(points, (), names, image[1].strip("\"' \n\t") if image else None, scale=scale)]
+    units = _UNITS.search(source.text)
+    unit = units[1].strip("\"' \n\t") if units and scale else ""
+    return [Landmarks(points, (), names, image[1].strip("\"' \n\t") if image else None, scale=scale, unit=unit)]
 
 
 def is_morphologika(source: Source) -> bool:
@@ -157,6 +160,8 @@ def parse_morphologika(source: Source) -> list[Landmarks]:
     n, n_points = (rd.parse_count(" ".join(parts[name]), name) for name in ("individuals", "landmarks"))
     if parts.get("dimensions", ["2"])[:1] != ["2"]:
         raise LandmarkError("it has points with x, y and z (Morphologika): export two dimensions.")
+    if n * n_points == 0:
+        raise LandmarkError(f"it says that it has {n} individuals of {n_points} landmarks: export it again.")
     lines = [line for line in parts["rawpoints"] if not line.startswith("'")]
     rd.check_count("file of Morphologika", n * n_points, lines)
     headings = [line.strip("' \t") for line in parts["rawpoints"] if line.startswith("'")]

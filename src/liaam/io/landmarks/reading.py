@@ -162,7 +162,9 @@ class Source:
             reader = csv.reader(io.StringIO(text, newline=""), delimiter=separator, skipinitialspace=blanks)
             rows = [(reader.line_num, row) for row in reader]
         except csv.Error as fault:
-            raise LandmarkError(f"this is not a CSV table ({fault}): export it again.") from fault
+            too_long = "field larger" in str(fault)
+            remedy = "end the quotes, or export JSON if cells are that long" if too_long else "export it again"
+            raise LandmarkError(f"this is not a CSV table ({fault}): {remedy}.") from fault
         rows = rows or [(1, [""])]
         if "Label" in rows[0][1]:
             rows = [(number, row) for number, row in rows if not _SUMMARY & {*row} or number == rows[0][0]]
@@ -255,10 +257,12 @@ def in_boxes(marks: Iterable[Mark], boxes: Sequence[Box]) -> list[list[Mark]]:
 
 
 def names_of(labels: Sequence[str]) -> tuple[str, ...]:
-    """Return the labels of an object's points as their names; nothing if all have one label."""
+    """Return the labels of an object's points as their names; nothing if all have one label, or none."""
     counts = Counter(labels)
-    if len(counts) == 1 < len(labels):
+    if len(counts) == 1 < len(labels) or not any(labels):
         return ()
+    if counts[""] > 1:
+        raise LandmarkError(f"{counts['']} of the points of an object have no name: name each of them, or none.")
     twice = [label for label, n in counts.items() if n > 1]
     if twice:
         raise LandmarkError(f"there are several points '{short(twice[0])}' in an object: group the points by object.")

@@ -86,14 +86,15 @@ def is_of_imagej(source: Source) -> bool:
     return {"X", "Y"} <= {*header} and (source.text[:2] in (" ,", " \t") or "Label" in header[:2])
 
 
-def parse_long(source: Source) -> list[Landmarks]:
-    """Parse landmarks of one image, or of many images if a column names the image.
+def parse_long(source: Source, first: int = 1) -> list[Landmarks]:
+    """Parse landmarks of one image, or of many images if a column names the image; `first` is the number of its header.
 
     Rows without names are in the order of the landmarks; numbered ones are sorted. Empty x and y mean a missing
     landmark. ImageJ's results count from the corner of the first pixel, so half a pixel is subtracted.
     """
     header = source.header
-    rows = [_check_width(header, row) for row in source.rows[1:] if any(row[1]) or len(row[1]) == len(header)]
+    numbered = [(number + first - 1, row) for number, row in source.rows[1:] if any(row) or len(row) == len(header)]
+    rows = [_check_width(header, row) for row in numbered]
     columns = columns_of(header, [row for _, row in rows])
     if columns.landmark is not None and header[columns.landmark] not in LANDMARKS | {*UNCLEAR}:
         source.notes.say("landmarks are named by the values of a column", header[columns.landmark])

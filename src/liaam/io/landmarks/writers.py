@@ -31,7 +31,9 @@ def ljson_text(landmarks: Landmarks) -> str:
         labels = [{"label": "all", "mask": list(range(len(landmarks)))}]
     if landmarks.invisible:
         labels.append({"label": "invisible", "mask": list(landmarks.invisible)})
-    scale = {} if landmarks.scale is None else {"scale": landmarks.scale}
+    scale: dict[str, Any] = {} if landmarks.scale is None else {"scale": landmarks.scale}
+    if scale and landmarks.unit:
+        scale["scale_unit"] = landmarks.unit
     return json.dumps({"labels": labels, "landmarks": body, **scale, "version": 2}, ensure_ascii=False, indent=1) + "\n"
 
 
@@ -55,16 +57,18 @@ def csv_of_many(collection: Mapping[str, Landmarks], _: Sizes) -> str:
 
 
 def upwards(landmarks: Landmarks, image_size: Size) -> Landmarks:
-    """Count y from the other side of an image of (width, height)."""
+    """Count y from the other side of an image of (width, height), also of its other objects."""
     x, y = landmarks.points.T
-    return replace(landmarks, points=np.stack([x, image_size[1] - 1 - y], axis=1))
+    others = tuple(upwards(other, image_size) for other in landmarks.others)
+    return replace(landmarks, points=np.stack([x, image_size[1] - 1 - y], axis=1), others=others)
 
 
 def tps_text(landmarks: Landmarks, decimals: int | None = None) -> str:
     """Return the text of a record of ``.tps``. y counts upwards; a missing landmark is NaN, which R and Python read.
 
     Open contours of the last landmarks in order are written as curves, as these are read; others are not. Points have
-    at most so many decimals, or all that they need.
+    at most so many decimals, or all that they need. Further objects of a named image have records of their own. The
+    label of an object is its ID, or else the name of the image is.
     """
     points = landmarks.points if decimals is None else np.round(landmarks.points, decimals)
     lines = ["NaN NaN" if x != x else f"{x!r} {y!r}" for x, y in points.tolist()]
@@ -79,9 +83,12 @@ def tps_text(landmarks: Landmarks, decimals: int | None = None) -> str:
         text += [f"POINTS={len(curve)}", *(lines[index] for index in curve)]
     if landmarks.image_name:
         name = " ".join(landmarks.image_name.splitlines())
-        text += [f"IMAGE={name}", f"ID={PurePosixPath(name).stem}"]
+        label = " ".join(landmarks.label.split())
+        text += [f"IMAGE={name}", f"ID={label or PurePosixPath(name).stem}"]
     text += [] if landmarks.scale is None else [f"SCALE={landmarks.scale!r}"]
-    return "\n".join([*text, ""])
+    others = landmarks.others if landmarks.image_name else ()  # else all records would be of one unnamed image
+    further = "".join(tps_text(replace(other, image_name=landmarks.image_name), decimals) for other in others)
+    return "\n".join([*text, ""]) + further
 
 
 def tps_of_many(collection: Mapping[str, Landmarks], _: Sizes) -> str:

@@ -18,10 +18,11 @@ LABELS = "labels"
 
 _BOX = 5  # numbers before the points: the class, and a box
 _FEWEST = 2  # points
-_FLAGS = ("0", "1", "2")  # a point is missing, hidden, or seen
+_FLAGS = (0.0, 1.0, 2.0)  # a point is missing, hidden, or seen
 _SETTINGS = ("data.yaml", "data.yml", "dataset.yaml")
 _PARENTS = 3  # folders above the labels in which the settings may lie
 _MOST_BYTES = 100_000  # of the settings
+_SHAPE = re.compile(r"[\s\[-]*(\d{1,6})[\s,-]+([23])\b")  # of kpt_shape, as [17, 3] or as a list below it
 _SLACK = 0.5  # share of the image's size that objects may extend beyond it
 
 
@@ -53,12 +54,13 @@ def is_yolo(source: Source) -> bool:
     """Whether lines have a class and a box as fractions of the image, and more numbers."""
     if len(source.text) > rd.MAX_LINES_OF_NUMBERS:
         return False
-    rows = [line.split() for line in source.lines]
-    return len({len(row) for row in rows}) == 1 and all(map(_is_label, rows))
+    return all(_is_label(line.split()) for line in source.lines)
 
 
 def _is_label(row: list[str]) -> bool:
-    if len(row) < _BOX or not (row[0].isascii() and row[0].isdigit()) or not all(map(is_number, row)):
+    if len(row) < _BOX or not (row[0].isascii() and row[0].isdigit()) or not all(map(is_number, row[:_BOX])):
+        return False
+    if not all(is_number(cell) or cell.lower() == "nan" for cell in row[_BOX:]):
         return False
     box = [float(cell) for cell in row[1:_BOX]]
     is_fraction = all(-_SLACK <= value <= 1 + _SLACK for value in box)
@@ -68,12 +70,19 @@ def _is_label(row: list[str]) -> bool:
 def parse_yolo(source: Source) -> list[Landmarks]:
     """Parse lines of a class, a box and points: x and y as fractions of the image's size, and perhaps a flag.
 
-    A flag of 0 says that a point is missing, and 1 that it is hidden. ``kpt_shape`` in ``data.yaml``, beside the file
-    or above, says how many points there are; ``kpt_names`` names them. The largest object comes first.
+    A flag of 0 says that a point is missing, and 1 that it is hidden; so do -1, -1 or NaN that it is missing.
+    ``kpt_shape`` in ``data.yaml``, beside the file or above, says how many points there are; ``kpt_names`` names them.
+    The largest object that has a point comes first.
     """
     rows = [line.split() for line in source.lines]
+    odd = next((i for i, row in enumerate(rows, 1) if len(row) != len(rows[0])), None)
+    if odd is not None:
+        differ = f"line {odd} has {len(rows[odd - 1])} numbers, but line 1 has {len(rows[0])}"
+        raise LandmarkError(f"{differ}: give each object its class, box and points.")
     settings = _settings_of(source.path)
-    n_points, n_values = _form_of(rows, settings)
+    n_points, n_values, is_known = _form_of(rows, settings)
+    if not is_known:
+        source.notes.say("points of YOLO are taken for x and y, since no data.yaml has kpt_shape", source.path.name)
     names = _names_in(settings, n_points)
     wanted = source.reading.category
     classes = _classes_in(settings)
@@ -86,35 +95,33 @@ def parse_yolo(source: Source) -> list[Landmarks]:
         raise LandmarkError(
             f"no objects of the class '{wanted}': it has {', '.join(sorted({row[0] for row in rows}))}."
         )
-    return objects
+    return [each for each in objects if not each.missing.all()] or objects
 
 
 def _object_of(cells: list[str], n_values: int, names: tuple[str, ...]) -> Landmarks:
     values = np.array([float(cell) for cell in cells]).reshape(-1, n_values)
     flags = values[:, 2] if n_values == 3 else np.full(len(values), 2.0)
-    points = np.where(flags[:, None] == 0, NOWHERE, values[:, :2])
+    points: Any = [rd.parse_point(pair, f"point {i}") for i, pair in enumerate(values[:, :2].tolist(), 1)]
+    points = np.where(flags[:, None] == 0, NOWHERE, points)
     hidden = tuple(np.flatnonzero(flags == 1).tolist())
     return Landmarks(points, (), names, None, hidden, placing=Placing(fractions=True))
 
 
-def _form_of(rows: list[list[str]], settings: str) -> tuple[int, int]:
-    """Return the number of points, and of values for each."""
+def _form_of(rows: list[list[str]], settings: str) -> tuple[int, int, bool]:
+    """Return the number of points, of values for each, and whether values could be divided in no other way."""
     n = len(rows[0]) - _BOX
-    shape = re.search(r"^\s*kpt_shape\s*:\s*\[\s*(\d{1,6})\s*,\s*([23])\s*\]", settings, re.MULTILINE)
-    if shape is None:
-        listed = re.search(r"^\s*kpt_shape\s*:\s*-\s*(\d{1,6})\s*-\s*([23])\s*$", settings, re.MULTILINE)
-        shape = listed
+    shape = _SHAPE.match(_list_in(settings, "kpt_shape"))
     if shape is not None:
         if int(shape[1]) * int(shape[2]) != n:
             have = f"data.yaml says {shape[1]} points of {shape[2]} numbers, but a line has {n} numbers behind its box"
             raise LandmarkError(f"YOLO's {have}: correct one of them.")
-        return int(shape[1]), int(shape[2])
-    has_flags = n % 3 == 0 and all(cell in _FLAGS for row in rows for cell in row[_BOX + 2 :: 3])
+        return int(shape[1]), int(shape[2]), True
+    has_flags = n % 3 == 0 and all(float(cell) in _FLAGS for row in rows for cell in row[_BOX + 2 :: 3])
     n_values = 3 if has_flags else 2
     if n % n_values or n < _FEWEST * n_values:
         what = "has boxes only" if n == 0 else f"has {n} numbers behind its boxes"
         raise LandmarkError(f"this file of YOLO {what}, not x and y of points: export pose labels, with data.yaml.")
-    return n // n_values, n_values
+    return n // n_values, n_values, has_flags or n % 3 != 0
 
 
 def _settings_of(path: Path) -> str:
@@ -134,7 +141,7 @@ def _settings_of(path: Path) -> str:
 
 def _list_in(settings: str, key: str) -> str:
     """Return what stands below a key of the settings, or behind it."""
-    found = re.search(rf"^{key}\s*:(.*(?:\n[ \t-].*)*)", settings, re.MULTILINE)
+    found = re.search(rf"^{key}[ \t]{{0,9}}:(.*(?:\n[ \t-].*)*)", settings, re.MULTILINE)
     return found[1] if found is not None else ""
 
 
@@ -149,6 +156,6 @@ def _classes_in(settings: str) -> dict[str, str]:
 
 def _names_in(settings: str, n_points: int) -> tuple[str, ...]:
     """Return the names of the points, if the settings have as many."""
-    text = re.sub(r"\d+\s*:\s*(?=\[|\n)", "", _list_in(settings, "kpt_names"))
+    text = re.sub(r"\b\d{1,6}[ \t]{0,9}:(?=[ \t]{0,9}[\[\n])", "", _list_in(settings, "kpt_names"))
     names = [name.strip() for name in re.findall(r"[^\s,'\"\[\]-][^,'\"\[\]\n]*", text)]
     return tuple(names) if len(names) == n_points == len({*names}) else ()

@@ -1,0 +1,127 @@
+"""The command ``liaam scale``."""
+
+import math
+from collections.abc import Callable
+from pathlib import Path
+from typing import Annotated, Any
+
+import numpy as np
+import typer
+
+from liaam.cli import inputs
+from liaam.cli.terminal import cell, complain, progress_bar, say, show_table, table_of
+from liaam.errors import LiaamError
+from liaam.io import make_folder, read_image, write_columns, write_image
+from liaam.io.atomic import check_output
+from liaam.io.files import count_of, some_names
+from liaam.scale.choice import tagged_length
+from liaam.scale.lengths import Length, parse_length, unlike
+
+Row = dict[str, Any]
+
+
+def scale(
+    images: Annotated[list[Path], typer.Argument(metavar="IMAGE...", readable=False, help="The images.")],
+    output: Annotated[
+        Path, typer.Option("--output", "-o", help="Table to write: .csv. Beside it, a folder of overlays to check.")
+    ] = Path("scales.csv"),
+    ruler: Annotated[
+        str | None,
+        typer.Option(
+            help="Find the ruler in each image: the length from one smallest tick to the next, such as '1 mm'."
+        ),
+    ] = None,
+    scale_bar: Annotated[
+        str | None,
+        typer.Option(
+            help="Find the scale bar in each image: its length, such as '5 mm'; numbers beside it are not read."
+        ),
+    ] = None,
+) -> None:
+    """Find the length of a pixel of images: from a ruler, a scale bar, or else the tags of TIFF images.
+
+    What is not clear is refused, not guessed. Give the table to 'liaam measure --scale'.
+    """
+    if ruler is not None and scale_bar is not None:
+        raise LiaamError("--ruler and --scale-bar: give one of them; crop the images to what they show")
+    check_output(output)
+    if output.suffix.lower() != ".csv":
+        raise LiaamError(f"{output}: the table is written as CSV; give a name that ends in .csv")
+    known = _known_length(ruler or scale_bar, "--ruler" if ruler else "--scale-bar")
+    find = None if known is None else _finder(is_ruler=ruler is not None)
+    folder = output.with_suffix("")
+    if find is not None:
+        make_folder(folder)
+    rows = []
+    with progress_bar() as progress:
+        for i, (image, stem) in enumerate(zip(images, inputs.unique_stems(images), strict=True)):
+            progress(i, len(images), image.name)
+            rows.append(_row(image, known, find, folder / f"{stem}_scale.png"))
+        progress(len(images), len(images), "")
+    write_columns(output, {name: [row[name] for row in rows] for name in rows[0]})
+    _report(rows, output, folder if find is not None else None)
+    if all(row["scale"] != row["scale"] for row in rows):
+        raise typer.Exit(1)
+
+
+def _known_length(text: str | None, option: str) -> Length | None:
+    """Parse the length that an option gives, which needs a unit."""
+    length = None if text is None else parse_length(text)
+    if length is not None and not length.unit:
+        raise LiaamError(f"{option} {text}: give the unit, too, such as '{text} mm'")
+    return length
+
+
+def _finder(is_ruler: bool) -> Callable[[np.ndarray], Any]:
+    """Return the function that finds a ruler or a scale bar."""
+    from liaam.scale.bars import find_bar
+    from liaam.scale.rulers import find_ruler
+
+    return find_ruler if is_ruler else find_bar
+
+
+def _row(image: Path, known: Length | None, find: Callable[[np.ndarray], Any] | None, overlay: Path) -> Row:
+    """Return the row of an image, and write its overlay. What is wrong is its message."""
+    row: Row = {"image": image.name, "scale": math.nan, "unit": "", "scale_se": math.nan, "how": "", "message": ""}
+    try:
+        if find is None or known is None:
+            length, fault = tagged_length(image)
+            row["message"] = fault or ("" if length else "no tag states the scale: give --ruler or --scale-bar")
+        else:
+            pixels = read_image(image)
+            found = find(pixels)
+            length = found.pixel(known)
+            _draw(pixels, found, length, overlay)
+    except LiaamError as fault:
+        return row | {"message": str(fault)}
+    if length is None:
+        return row
+    return row | {"scale": length.value, "unit": length.unit, "scale_se": length.se, "how": length.source}
+
+
+def _draw(pixels: np.ndarray, found: Any, length: Length, path: Path) -> None:
+    from liaam.plotting.scales import overlay_of_scale
+
+    write_image(path, overlay_of_scale(pixels, found, f"{length.value:.5g} {length.unit}/px"))
+
+
+def _report(rows: list[Row], output: Path, overlays: Path | None) -> None:
+    """Print the scales, what was refused and why, and which are unlike the others."""
+    table = table_of("image", "scale", "standard error", "from")
+    for row in rows:
+        if row["scale"] == row["scale"]:
+            error = f"{100 * row['scale_se'] / row['scale']:.2g} %"
+            table.add_row(cell(row["image"]), f"{row['scale']:.6g} {row['unit']}", error, cell(row["how"]))
+    if table.row_count:
+        show_table(table)
+    for row in rows:
+        if row["message"]:
+            complain(f"{row['image']}: {row['message']}")
+    units = {row["unit"] for row in rows if row["unit"]}
+    if len(units) == 1:
+        odd = [rows[i]["image"] for i in np.flatnonzero(unlike([row["scale"] for row in rows])).tolist()]
+        if odd:
+            complain(f"{len(odd)} of {len(rows)} have a scale unlike that of the others; check them: {some_names(odd)}")
+    found = sum(row["scale"] == row["scale"] for row in rows)
+    drawn = f"; overlays in {overlays}" if overlays else ""
+    say(f"{output}: the scale of {found} of {count_of(len(rows), 'image')}{drawn}")

@@ -1,0 +1,255 @@
+"""Find a printed scale bar: the one long, straight and even stroke of an image, with sharp ends."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+
+from liaam.errors import LiaamError
+from liaam.formatting import short_repr
+from liaam.scale.lengths import Length
+
+SHORTEST = 40.0
+"""Shortest bar in pixels. Strokes of letters, and bristles, are shorter."""
+
+SLENDER = 8.0
+"""Least ratio of a bar's length to its thickness."""
+
+_GROUND = 51  # side of the median filter that gives the ground of strokes; thicker ones are none of ours
+_LEAST_CONTRAST = 25.0  # levels of 255
+_CONTRASTS = (25.0, 50.0, 80.0, 120.0)  # above which strokes are looked for: of a rough ground, only above its own
+_SLICE = 4.0  # pixels along a bar that are taken together
+_EVEN = 0.35  # greatest relative difference of the thickness along a bar from its median
+_MOST_UNEVEN = 0.15  # share of the length where it may differ more, as by end marks
+_STRAIGHT = 0.15  # greatest root mean square distance from a straight line, of the thickness
+_LEAST_STRAIGHT = 0.35  # pixels that are allowed in any case
+_UNIFORM = 0.15  # greatest standard deviation of the levels inside, of the contrast
+_BEYOND = (6, 14)  # pixels beyond an end, whose mean is the level of the ground
+_SHARP = 8.0  # greatest width of the edge at an end, pixels, between 20 and 80 % of the contrast
+_STEP = 0.25  # pixels between samples along a bar
+_MARKED = 0.1  # least share by which an end mark is darker than the bar, which is blurred more
+_OF_MARK = 0.25  # standard error of the outer edge of an end mark, of its width: thin ones are widened by the blur
+_SHARED = 0.06  # standard error of the place of an edge by the shape of pixels and the ground, pixels
+_MOST_LEVEL = 1e9  # of an image
+_NOT_FOUND = (
+    "no even, straight stroke with sharp ends is found that could be a scale bar: give the scale with --scale, or crop "
+    "the image to its bar"
+)
+_SAME = 0.01  # greatest relative difference of the lengths of one bar that is printed twice
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Bar:
+    """A scale bar in an image.
+
+    Attributes
+    ----------
+    length : float
+        From one outer end to the other, pixels.
+    length_se : float
+        Its standard error.
+    ends : (2, 2) float64
+        x and y of the ends, in pixels.
+    """
+
+    length: float
+    length_se: float
+    ends: np.ndarray
+
+    __repr__ = short_repr
+
+    @property
+    def angle(self) -> float:
+        """Tilt against the horizontal, -90 to 90 degrees; downwards is positive."""
+        across, down = self.ends[1] - self.ends[0]
+        return (math.degrees(math.atan2(down, across)) + 90) % 180 - 90
+
+    def pixel(self, bar: Length) -> Length:
+        """Return the length of a pixel, given that of the bar."""
+        value = bar.value / self.length
+        error = value * math.hypot(self.length_se / self.length, bar.se / bar.value)
+        return Length(value, bar.unit, error, "a scale bar in the image")
+
+
+def find_bar(image: np.ndarray) -> Bar:
+    """Find a printed scale bar, dark or light, in an image.
+
+    Parameters
+    ----------
+    image : (h, w, 3) or (h, w)
+        uint8, uint16 or float32.
+
+    Returns
+    -------
+    Bar
+
+    Raises
+    ------
+    LiaamError
+        If there is no such bar, or several of different lengths; the message says what to do.
+    """
+    grey = _levels(image)
+    bars = [bar for sign in (1.0, -1.0) for bar in _bars_in(sign * grey)]
+    if not bars:
+        raise LiaamError(_NOT_FOUND)
+    bars.sort(key=lambda bar: -bar.length)
+    other = next((bar for bar in bars[1:] if abs(bar.length / bars[0].length - 1) > _SAME), None)
+    if other is not None:
+        both = f"{bars[0].length:.1f} and {other.length:.1f} pixels"
+        raise LiaamError(f"several strokes may be the scale bar, of {both}: crop the image to its bar")
+    return bars[0]
+
+
+def _levels(image: np.ndarray) -> np.ndarray:
+    """Return an image as (h, w) float32 from 0 to 255 between its extreme levels; what is not a usual number is 0."""
+    grey = np.asarray(image, np.float64)
+    grey = grey.mean(axis=2) if grey.ndim == 3 else grey
+    grey = np.where(np.abs(grey) < _MOST_LEVEL, grey, 0.0)
+    span = float(np.ptp(grey)) if grey.size else 0.0
+    if span == 0:
+        raise LiaamError(_NOT_FOUND)
+    return ((grey - grey.min()) * (255 / span)).astype(np.float32)
+
+
+def _bars_in(grey: np.ndarray) -> Iterator[Bar]:
+    """Yield the dark bars of an image; a negative image has the light ones."""
+    shifted = grey - float(grey.min())
+    ground = cv2.medianBlur(np.rint(shifted).astype(np.uint8), _GROUND).astype(np.float32)
+    depth = ground - shifted
+    found: list[Bar] = []
+    for contrast in _CONTRASTS:
+        for bar in _bars_above(shifted, depth, contrast):
+            if not any(_are_one(bar, other) for other in found):
+                found.append(bar)
+    yield from found
+
+
+def _are_one(bar: Bar, other: Bar) -> bool:
+    """Whether two bars are the same, found at two contrasts."""
+    return bool(np.abs(bar.ends - other.ends).max() < 3)
+
+
+def _bars_above(grey: np.ndarray, depth: np.ndarray, contrast: float) -> Iterator[Bar]:
+    """Yield the bars among the pixels that are darker than the ground by a contrast."""
+    _, labels, stats, _ = cv2.connectedComponentsWithStats((depth > contrast).astype(np.uint8), connectivity=8)
+    height, width = grey.shape
+    for label in range(1, len(stats)):
+        left, top, across, down, area = stats[label].tolist()
+        touches = left == 0 or top == 0 or left + across == width or top + down == height
+        if touches or math.hypot(across, down) < SHORTEST or area > SLENDER * _GROUND**2:
+            continue
+        part = labels[top : top + down, left : left + across] == label
+        bar = _bar_of(grey, depth, np.argwhere(part)[:, ::-1] + (left, top))
+        if bar is not None:
+            yield bar
+
+
+def _bar_of(grey: np.ndarray, depth: np.ndarray, pixels: np.ndarray) -> Bar | None:
+    """Return the bar that some dark pixels (n, 2) are, or None."""
+    contrast = float(np.median(depth[pixels[:, 1], pixels[:, 0]]))
+    strong = pixels[depth[pixels[:, 1], pixels[:, 0]] > 0.5 * contrast]
+    if len(strong) < SHORTEST:
+        return None
+    along, across, centre, axis = _axes(strong)
+    length = float(np.ptp(along)) + 1
+    begin = float(along.min()) - 0.5
+    n = int(length / _SLICE)
+    slices = np.minimum(((along - begin) / length * n).astype(int), n - 1)
+    n_pixels = np.bincount(slices, minlength=n)
+    counts = n_pixels * n / length
+    thickness = float(np.median(counts))
+    if length < SHORTEST or length < SLENDER * thickness or thickness <= 0:
+        return None
+    uneven = np.abs(counts - thickness) > max(_EVEN * thickness, 1.2)
+    middles = np.bincount(slices, across, n) / np.maximum(n_pixels, 1)
+    bend = float(np.sqrt(np.mean(np.square(middles[~uneven] - middles[~uneven].mean())))) if (~uneven).any() else np.inf
+    if uneven.mean() > _MOST_UNEVEN or bend > max(_STRAIGHT * thickness, _LEAST_STRAIGHT):
+        return None
+    middle = centre + float(middles[~uneven].mean()) * np.array([-axis[1], axis[0]])
+    return _with_ends(grey, middle, axis, (begin, begin + length), thickness)
+
+
+def _axes(pixels: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    """Return the places of pixels along and across their main axis, their centre, and the axis."""
+    centre = pixels.mean(axis=0)
+    away = pixels - centre
+    _, vectors = np.linalg.eigh(away.T @ away)
+    axis = vectors[:, 1]
+    axis = axis if axis[0] >= 0 else -axis
+    return away @ axis, away @ np.array([-axis[1], axis[0]]), centre, axis
+
+
+def _with_ends(
+    grey: np.ndarray, middle: np.ndarray, axis: np.ndarray, rough: tuple[float, float], thickness: float
+) -> Bar | None:
+    """Return a bar whose ends lie where its level is half that of the ground beyond; None if they are not sharp."""
+    margin = _BEYOND[1] + 2
+    along = np.arange(rough[0] - margin, rough[1] + margin, _STEP)
+    half = max(0.3 * thickness, 0.5)
+    offsets = np.linspace(-half, half, 2 * math.ceil(half) + 1)
+    places = middle + along[:, None, None] * axis + offsets[:, None] * np.array([-axis[1], axis[0]])
+    sampled = cv2.remap(
+        grey.astype(np.float32),
+        places[..., 0].astype(np.float32),
+        places[..., 1].astype(np.float32),
+        cv2.INTER_CUBIC,
+        borderMode=cv2.BORDER_REPLICATE,
+    )
+    profile = sampled.mean(axis=1)
+    inside = profile[(along > rough[0] + 4) & (along < rough[1] - 4)]
+    if len(inside) < SHORTEST:
+        return None
+    level = float(np.median(inside))
+    crossings = [_crossing(along * side, profile, level, rough, side) for side in (-1, 1)]
+    if None in crossings:
+        return None
+    (first, ground, error), (last, other_ground, other_error) = ((c or (0.0, 0.0, 0.0)) for c in crossings)
+    contrast = min(ground, other_ground) - level
+    if contrast < _LEAST_CONTRAST or float(inside.std()) > _UNIFORM * contrast:
+        return None
+    ends = np.array([middle - first * axis, middle + last * axis])
+    return Bar(first + last, math.hypot(error, other_error, math.sqrt(2) * _SHARED), ends)
+
+
+def _crossing(
+    outwards: np.ndarray, profile: np.ndarray, level: float, rough: tuple[float, float], side: int
+) -> tuple[float, float, float] | None:
+    """Return where a profile crosses half its height at an end, outwards from the middle; the ground; and the error."""
+    order = np.argsort(outwards)
+    outwards = outwards[order]
+    profile = profile[order]
+    end = rough[1] if side > 0 else -rough[0]
+    beyond = profile[(outwards > end + _BEYOND[0]) & (outwards < end + _BEYOND[1])]
+    if not len(beyond):
+        return None
+    ground = float(np.median(beyond))
+    near = np.flatnonzero((outwards > end - 6) & (outwards < end + 6))
+    if ground - level < _LEAST_CONTRAST or not len(near):
+        return None
+    darkest = float(profile[(outwards > end - 6) & (outwards < end)].min(initial=level))
+    is_mark = level - darkest > _MARKED * (ground - level)
+    level = darkest if is_mark else level
+    share = (profile[near] - level) / (ground - level)
+    at = [_first_above(outwards[near], share, limit) for limit in (0.2, 0.5, 0.8)]
+    if None in at:
+        return None
+    low, middle, high = (place or 0.0 for place in at)
+    if not 0 < high - low < _SHARP:
+        return None
+    slope = 0.6 * (ground - level) / (high - low)
+    noise = float(np.std(beyond)) / slope / math.sqrt(2)
+    width = 2 * (middle - float(outwards[near][share.argmin()])) if is_mark else 0.0
+    return middle, ground, math.hypot(noise, _OF_MARK * width)
+
+
+def _first_above(places: np.ndarray, share: np.ndarray, limit: float) -> float | None:
+    """Return where values first rise above a limit for good, between two places."""
+    below = np.flatnonzero(share < limit)
+    if not len(below) or below[-1] + 1 >= len(share):
+        return None
+    i = below[-1]
+    return float(places[i] + (limit - share[i]) / (share[i + 1] - share[i]) * (places[i + 1] - places[i]))

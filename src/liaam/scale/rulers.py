@@ -1,0 +1,451 @@
+"""Find the ticks of a ruler: by their period in the spectra of tiles, then one by one along the ruler.
+
+The spectrum of a tile with ticks has its power on a ray across the ticks, at the multiples of one frequency. Such tiles
+propose a direction and a period; around them the image is resampled along the ruler, its tilt and period are refined by
+the phase of the period, and each tick is measured. What does not look like a ruler in every step is refused.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from functools import lru_cache
+
+import cv2
+import numpy as np
+
+from liaam.errors import LiaamError
+from liaam.formatting import short_repr
+from liaam.scale.lengths import Length
+
+TILES = (96, 192, 384)
+"""Sides of tiles in pixels. The longest period that is found is a sixth of the largest, the shortest 4 pixels."""
+
+SHORTEST = 4.0
+"""Shortest period in pixels; ticks of less are not resolved."""
+
+FEWEST_TICKS = 10
+"""Least number of ticks in turn. Textures rarely repeat that often."""
+
+LARGEST = 2000
+"""Longer side in pixels to which larger images are reduced. The millimetres of a ruler of 20 cm are then 10 pixels."""
+
+_CYCLES = (6, 24)  # fewest and most periods in a tile
+_ANGLES = 180  # directions that are looked at, of 180 degrees
+_HARMONICS = 3  # of the period whose power is summed
+_CONTRAST = 2.2  # least mean logarithm of the power at harmonics over that between them
+_MOST_TILES = 12  # proposals that are refined
+_REACH = 40  # pixels across the ruler that are looked at, to both sides
+_COHERENT = 0.33  # least share of the variation that has the period, of 0.5 for a sine and less for thin ticks
+_LONG = 3.0  # least ratio of the length of a ruler to that of its ticks
+_PRESENT = 0.35  # least strength of a tick, of the stronger ones
+_MOST_LACKING = 0.1  # greatest share of ticks that are not there
+_MOST_TURNS = 8  # times that the direction is refined
+_LEVEL = 2e-3  # radians by which it then may still change
+_SHARED = 0.012
+"""Standard error in pixels of either end of a ruler that neighbouring ticks share, by the ground and the resampling.
+
+On generated rulers errors are larger than the scatter of the ticks alone suggests, by about this: with it, 95 % are
+within 1.96 standard errors."""
+_STRAY = 0.05  # greatest root mean square distance of ticks from their places, of the period
+_SAME = 0.02  # greatest relative difference of periods of one ruler
+_MOST_LEVEL = 1e9  # of an image
+_NOT_FOUND = (
+    f"no ruler with {FEWEST_TICKS} even ticks or more is found: "
+    "give the scale with --scale, or crop the image to its ruler"
+)
+_AT_ENDS = 2  # ticks at each end that are not fitted, as the ground that is subtracted changes there
+_DIVISORS = (10, 5, 4, 3, 2)  # of periods that only longer ticks have
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Ruler:
+    """Ticks of a ruler in an image.
+
+    Attributes
+    ----------
+    period : float
+        Distance of neighbouring ticks, pixels.
+    period_se : float
+        Its standard error.
+    ends : (2, 2) float64
+        x and y of the first and the last tick, in pixels.
+    n_ticks : int
+        Ticks from the first to the last.
+    """
+
+    period: float
+    period_se: float
+    ends: np.ndarray
+    n_ticks: int
+
+    __repr__ = short_repr
+
+    @property
+    def angle(self) -> float:
+        """Tilt against the horizontal, -90 to 90 degrees; downwards is positive."""
+        across, down = self.ends[1] - self.ends[0]
+        return (math.degrees(math.atan2(down, across)) + 90) % 180 - 90
+
+    def pixel(self, tick: Length) -> Length:
+        """Return the length of a pixel, given that from one tick to the next."""
+        value = tick.value / self.period
+        error = value * math.hypot(self.period_se / self.period, tick.se / tick.value)
+        return Length(value, tick.unit, error, "a ruler in the image")
+
+
+def find_ruler(image: np.ndarray) -> Ruler:
+    """Find the ticks of a ruler in an image.
+
+    Parameters
+    ----------
+    image : (h, w, 3) or (h, w)
+        Of any type of number.
+
+    Returns
+    -------
+    Ruler
+
+    Raises
+    ------
+    LiaamError
+        If there is no ruler, or two of different periods; the message says what to do.
+    """
+    grey, factor = _reduced(_grey(image))
+    found: list[Ruler] = []
+    for proposal in _proposals(grey):
+        if any(_is_on(proposal, ruler) for ruler in found):
+            continue
+        ruler = _refined(grey, proposal)
+        if ruler is not None and not any(_are_one(ruler, other) for other in found):
+            found.append(ruler)
+    if not found:
+        raise LiaamError(_NOT_FOUND)
+    best = max(found, key=lambda ruler: ruler.n_ticks * ruler.period)
+    other = next((each for each in found if abs(each.period / best.period - 1) > _SAME), None)
+    if other is not None:
+        both = f"{best.period / factor:.4g} and {other.period / factor:.4g} pixels"
+        raise LiaamError(f"two rulers, or two sides of one, have ticks every {both}: crop the image to one of them")
+    ends = (best.ends + 0.5) / factor - 0.5
+    return replace(best, period=best.period / factor, period_se=best.period_se / factor, ends=ends)
+
+
+def _reduced(grey: np.ndarray) -> tuple[np.ndarray, float]:
+    """Return an image whose longer side has at most `LARGEST` pixels, and by which factor it is reduced."""
+    factor = min(1.0, LARGEST / max(grey.shape))
+    if factor == 1.0:
+        return grey, factor
+    return cv2.resize(grey, None, fx=factor, fy=factor, interpolation=cv2.INTER_AREA), factor
+
+
+def _grey(image: np.ndarray) -> np.ndarray:
+    """Return an image as (h, w) float32, of mean 0 and standard deviation 1; what is not a usual number is 0."""
+    grey = np.asarray(image, np.float64)
+    grey = grey.mean(axis=2) if grey.ndim == 3 else grey
+    grey = np.where(np.abs(grey) < _MOST_LEVEL, grey, 0.0)
+    spread = float(grey.std()) if grey.size else 0.0
+    if spread == 0:
+        raise LiaamError(_NOT_FOUND)
+    return ((grey - grey.mean()) / spread).astype(np.float32)
+
+
+@dataclass(frozen=True)
+class _Proposal:
+    """Where ticks may be: the centre of a tile, the direction along the ruler (radians), and the period (pixels)."""
+
+    centre: np.ndarray
+    angle: float
+    period: float
+    score: float = 0.0
+
+
+def _proposals(grey: np.ndarray) -> list[_Proposal]:
+    """Return the proposals of the tiles whose spectra are most like those of ticks, the best first."""
+    proposals = []
+    for side in TILES:
+        for top, left in _places(grey.shape, side):
+            proposal = _of_tile(grey[top : top + side, left : left + side])
+            if proposal is not None:
+                proposals.append(replace(proposal, centre=proposal.centre + np.array([left, top])))
+    return sorted(proposals, key=lambda proposal: -proposal.score)[:_MOST_TILES]
+
+
+def _places(shape: tuple[int, ...], side: int) -> Iterator[tuple[int, int]]:
+    """Yield the corners of tiles that overlap by a third, and reach to the borders."""
+    step = 2 * side // 3
+    starts = [sorted({*range(0, max(length - side, 0) + 1, step), max(length - side, 0)}) for length in shape[:2]]
+    for top in starts[0]:
+        for left in starts[1]:
+            if min(shape[0], shape[1]) >= side:
+                yield top, left
+
+
+@lru_cache(4)
+def _polar(side: int) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    """Return a window (side, side), maps of polar coordinates (angles, radii) in a spectrum, and the angles."""
+    window = np.hanning(side)[:, None] * np.hanning(side)
+    radii = np.arange(0, side / 2 - 1, 0.5)
+    angles = np.arange(_ANGLES) * np.pi / _ANGLES
+    x = side // 2 + np.cos(angles)[:, None] * radii
+    y = side // 2 + np.sin(angles)[:, None] * radii
+    return window.astype(np.float32), x.astype(np.float32), y.astype(np.float32), angles
+
+
+def _of_tile(tile: np.ndarray) -> _Proposal | None:
+    """Return the direction and the period of the ticks in a tile, if its spectrum is that of ticks."""
+    side = len(tile)
+    window, x, y, angles = _polar(side)
+    values = (tile - tile.mean()) * window
+    power = np.abs(np.fft.fftshift(np.fft.fft2(values))) ** 2
+    if not power.any():
+        return None
+    rays = cv2.remap(power.astype(np.float32), x, y, cv2.INTER_LINEAR)
+    rays = np.log(rays + 1e-6 * rays.max() + 1e-12)
+    # Twice the radius is the index: radii are in halves of a cycle per tile.
+    least = 2 * _CYCLES[0]
+    most = 2 * _CYCLES[1]
+    frequencies = np.arange(least, min(most, rays.shape[1] // 2))
+    n_harmonics = np.minimum(_HARMONICS, (rays.shape[1] - 1) // frequencies)
+    score = np.full((len(angles), len(frequencies)), -np.inf)
+    for column, (frequency, n) in enumerate(zip(frequencies, n_harmonics, strict=True)):
+        at = frequency * np.arange(1, n + 1)
+        between = at - frequency // 2
+        score[:, column] = (rays[:, at] - rays[:, between]).mean(axis=1) + 0.1 * rays[:, at].mean(axis=1)
+        score[:, column] -= 0.1 * rays.max()
+    row, column = np.unravel_index(int(score.argmax()), score.shape)
+    best = float(score[row, column])
+    if best < _CONTRAST:
+        return None
+    strength = float(np.sqrt(power.sum()))
+    period = 2 * side / float(frequencies[column])
+    centre = np.full(2, (side - 1) / 2)
+    return _Proposal(centre, float(angles[row]), period, best + 0.2 * math.log(strength + 1e-9))
+
+
+def _band(grey: np.ndarray, centre: np.ndarray, angle: float, reach: float) -> np.ndarray:
+    """Resample an image along a direction: rows (2 reach + 1) across the ruler, columns (2 half + 1) along it."""
+    corners = np.array([(x, y) for x in (0, grey.shape[1]) for y in (0, grey.shape[0])]) - centre
+    half = math.ceil(np.abs(corners @ (math.cos(angle), math.sin(angle))).max())
+    along = np.arange(-half, half + 1)
+    across = np.arange(-reach, reach + 1)[:, None]
+    x = centre[0] + along * math.cos(angle) - across * math.sin(angle)
+    y = centre[1] + along * math.sin(angle) + across * math.cos(angle)
+    return cv2.remap(grey, x.astype(np.float32), y.astype(np.float32), cv2.INTER_CUBIC, borderMode=cv2.BORDER_REPLICATE)
+
+
+def _smooth(rows: np.ndarray, sigma: float) -> np.ndarray:
+    """Smooth rows (m, n) along themselves by a triangle of a standard deviation, which takes the same time for all."""
+    width = 2 * round(1.2247 * sigma) + 1  # the variance of two boxes is a sixth of the squared width
+    once = cv2.blur(np.ascontiguousarray(rows, np.float32), (width, 1))
+    return cv2.blur(once, (width, 1))
+
+
+def _demodulated(band: np.ndarray, period: float) -> tuple[np.ndarray, np.ndarray]:
+    """Return the complex strength of a period in each row of a band, within some periods, and its coherence, 0 to 1.
+
+    The coherence is the amplitude of the period over the root mean square of the variation.
+    """
+    flat = band - _smooth(band, 1.5 * period)
+    turned = flat * np.exp(-2j * np.pi * np.arange(band.shape[1]) / period)
+    real = _smooth(turned.real, 2 * period)
+    imaginary = _smooth(turned.imag, 2 * period)
+    energy = np.maximum(_smooth(flat**2, 2 * period), 0)
+    strength = real + 1j * imaginary
+    return strength, np.abs(strength) / np.sqrt(energy + 1e-8)
+
+
+def _refined(grey: np.ndarray, proposal: _Proposal) -> Ruler | None:
+    """Refine the direction and the period of a proposal, and measure the ticks; None if it is no ruler."""
+    for _ in range(_MOST_TURNS):
+        turned = _aligned(grey, proposal)
+        if turned is None:
+            return None
+        change = abs(turned.angle - proposal.angle)
+        proposal = turned
+        if change < _LEVEL:
+            break
+    else:
+        return None
+    band = _band(grey, proposal.centre, proposal.angle, _REACH)
+    for divisor in _DIVISORS:  # ticks between those of the proposal
+        finer = replace(proposal, period=proposal.period / divisor)
+        if finer.period >= SHORTEST and (ruler := _measured(band, finer)) is not None:
+            return ruler
+    return _measured(band, proposal)
+
+
+def _run(good: np.ndarray, middle: int, gap: int) -> tuple[int, int]:
+    """Return the begin and end of the run of true values around an index, across gaps of so many."""
+    places = np.flatnonzero(good)
+    if not len(places):
+        return middle, middle
+    parts = np.split(places, np.flatnonzero(np.diff(places) > gap + 1) + 1)
+    nearest = min(parts, key=lambda part: max(part[0] - middle, middle - part[-1], 0))
+    return int(nearest[0]), int(nearest[-1]) + 1
+
+
+def _aligned(grey: np.ndarray, proposal: _Proposal) -> _Proposal | None:
+    """Return a proposal with the direction, period and place that the phase of its period shows; None if there is none.
+
+    Along the ruler the phase of ticks of another period grows evenly, and across it that of tilted ones.
+    """
+    band = _band(grey, proposal.centre, proposal.angle, _REACH)
+    strength, coherence = _demodulated(band, proposal.period)
+    middle = band.shape[1] // 2
+    room = _room(coherence, proposal.period)
+    if room is None:
+        return None
+    top, bottom, left, right = room
+    weights = strength[top:bottom, left:right]
+    slope = _slope(weights) * proposal.period / (2 * np.pi)  # pixels along, per pixel across
+    summed = weights.sum(axis=0)
+    if len(summed) < 4 * proposal.period:
+        return None
+    turn = float(np.angle((summed[1:] * summed[:-1].conj()).sum())) / (2 * np.pi)  # cycles per pixel
+    frequency = 1 / proposal.period + turn
+    if not 0.5 < frequency * proposal.period < 2:
+        return None
+    along = (left + right - 1) / 2 - middle
+    across = (top + bottom - 1) / 2 - _REACH
+    direction = np.array([math.cos(proposal.angle), math.sin(proposal.angle)])
+    normal = np.array([-direction[1], direction[0]])
+    centre = proposal.centre + along * direction + across * normal
+    return replace(proposal, centre=centre, angle=proposal.angle + math.atan(slope), period=1 / frequency)
+
+
+def _room(coherence: np.ndarray, period: float) -> tuple[int, int, int, int] | None:
+    """Return the rows and the columns of a band, around its middle, where a period is coherent; None if nowhere."""
+    middle = coherence.shape[1] // 2
+    near = slice(max(middle - int(3 * period), 0), middle + int(3 * period) + 1)
+    rows = coherence[:, near].mean(axis=1)
+    best = int(rows.argmax())
+    if rows[best] < _COHERENT:
+        return None
+    top, bottom = _run(rows > 0.7 * rows[best], best, 1)
+    along = coherence[top:bottom].mean(axis=0) > 0.6 * _COHERENT
+    return (top, bottom, *_run(along, middle, int(2 * period)))
+
+
+def _slope(strength: np.ndarray) -> float:
+    """Return by how much the phase of rows (m, n) grows from one to the next, in radians."""
+    if len(strength) < 2:
+        return 0.0
+    step = float(np.angle((strength[1:] * strength[:-1].conj()).sum()))
+    rows = np.arange(len(strength)) - (len(strength) - 1) / 2
+    level = strength * np.exp(-1j * step * rows)[:, None]
+    relative = (level * level.sum(axis=0).conj()).sum(axis=1)
+    return step + float(np.polyfit(rows, np.angle(relative), 1, w=np.abs(relative) + 1e-12)[0])
+
+
+def _measured(band: np.ndarray, proposal: _Proposal) -> Ruler | None:
+    """Measure each tick of a proposal; None if they are too few, too far from their places, or no ruler's."""
+    _, coherence = _demodulated(band, proposal.period)
+    middle = band.shape[1] // 2
+    room = _room(coherence, proposal.period)
+    if room is None:
+        return None
+    top, bottom, left, right = room
+    is_cut = top == 0 or bottom == len(band)  # stripes go on beyond the reach, and ticks do not
+    if is_cut or right - left < _LONG * (bottom - top) or bottom - top < 3:
+        return None
+    profile = band[top:bottom].mean(axis=0)
+    ticks = _ticks(profile, proposal.period, left, right)
+    if ticks is None:
+        return None
+    numbers, places, error, span = ticks
+    period, start = np.polyfit(numbers, places, 1)
+    across = (top + bottom - 1) / 2 - _REACH
+    direction = np.array([math.cos(proposal.angle), math.sin(proposal.angle)])
+    normal = np.array([-direction[1], direction[0]])
+    ends = np.array([start + period * number - middle for number in span])
+    points = proposal.centre + ends[:, None] * direction + across * normal
+    return Ruler(float(period), error, points, span[1] - span[0] + 1)
+
+
+def _ticks(
+    profile: np.ndarray, period: float, left: int, right: int
+) -> tuple[np.ndarray, np.ndarray, float, tuple[int, int]] | None:
+    """Return numbers and places of ticks along a profile, the standard error of their period, and the end numbers."""
+    flat = profile - _smooth(profile[None], 1.5 * period)[0]
+    sign = -1.0 if np.mean(flat[left:right] ** 3) < 0 else 1.0  # ticks take less room than gaps
+    lit = np.maximum(sign * flat, 0.0)
+    start = _place_of_first(lit, period, left, right)
+    numbers = np.arange(math.ceil((left - start) / period), math.floor((right - 1 - start) / period) + 1)
+    measured = [_tick(lit, start + number * period, period) for number in numbers]
+    strengths = np.array([strength for _, strength in measured])
+    places = np.array([place for place, _ in measured])
+    if len(numbers) < FEWEST_TICKS:
+        return None
+    present = strengths > _PRESENT * np.percentile(strengths, 90)
+    first, last = _run(present, len(present) // 2, 1)
+    present = present[first:last]
+    numbers = numbers[first:last][present]
+    places = places[first:last][present]
+    if len(present) < FEWEST_TICKS or 1 - present.mean() > _MOST_LACKING:
+        return None
+    inner = slice(_AT_ENDS, -_AT_ENDS) if len(numbers) >= FEWEST_TICKS + 2 * _AT_ENDS else slice(None)
+    fitted = _fitted(numbers[inner], places[inner], period)
+    return None if fitted is None else (*fitted, (int(numbers[0]), int(numbers[-1])))
+
+
+def _place_of_first(lit: np.ndarray, period: float, left: int, right: int) -> float:
+    """Return the place of a tick, by the phase of the period in a profile."""
+    turns = np.exp(-2j * np.pi * np.arange(left, right) / period) * lit[left:right]
+    return -float(np.angle(turns.sum())) * period / (2 * np.pi)
+
+
+def _tick(lit: np.ndarray, expected: float, period: float) -> tuple[float, float]:
+    """Return the place of a tick, the centre of the light within half a period of where it is expected, and its sum."""
+    begin = max(math.ceil(expected - period / 2), 0)
+    values = lit[begin : math.floor(expected + period / 2) + 1]
+    total = float(values.sum())
+    if total <= 0:
+        return expected, 0.0
+    return begin + float(values @ np.arange(len(values))) / total, total
+
+
+def _fitted(numbers: np.ndarray, places: np.ndarray, period: float) -> tuple[np.ndarray, np.ndarray, float] | None:
+    """Return numbers and places of ticks near a straight line through them, and the standard error of its slope."""
+    for _ in range(3):
+        slope, start = np.polyfit(numbers, places, 1)
+        away = places - start - slope * numbers
+        usual = max(1.4826 * float(np.median(np.abs(away))), 1e-3 * period)
+        kept = np.abs(away) < 4 * usual
+        if kept.all():
+            break
+        numbers = numbers[kept]
+        places = places[kept]
+        if len(numbers) < FEWEST_TICKS:
+            return None
+    slope, start = np.polyfit(numbers, places, 1)
+    away = places - start - slope * numbers
+    stray = math.sqrt(float(away @ away) / (len(numbers) - 2))
+    if stray > _STRAY * period:
+        return None
+    spread = math.sqrt(float(np.square(numbers - numbers.mean()).sum()))
+    shared = math.sqrt(2) * _SHARED / float(np.ptp(numbers))
+    return numbers, places, math.hypot(stray / spread, shared)
+
+
+def _is_on(proposal: _Proposal, ruler: Ruler) -> bool:
+    """Whether a proposal is on a ruler that is found, with its direction and its period or a multiple of that."""
+    times = max(round(proposal.period / ruler.period), 1)
+    away = abs((math.degrees(proposal.angle) - ruler.angle + 90) % 180 - 90)
+    if away > 3 or abs(proposal.period / (times * ruler.period) - 1) > 2 * _SAME:
+        return False
+    return _is_beside(proposal.centre, ruler)
+
+
+def _is_beside(point: np.ndarray, ruler: Ruler) -> bool:
+    """Whether a point is near the line through the ticks of a ruler."""
+    along = ruler.ends[1] - ruler.ends[0]
+    away = point - ruler.ends.mean(axis=0)
+    return abs(away[0] * along[1] - away[1] * along[0]) < _REACH * np.hypot(*along)
+
+
+def _are_one(ruler: Ruler, other: Ruler) -> bool:
+    """Whether two rulers are the same: of one period and direction, and on one line."""
+    if abs(ruler.period / other.period - 1) > _SAME or abs((ruler.angle - other.angle + 90) % 180 - 90) > 3:
+        return False
+    return _is_beside(ruler.ends.mean(axis=0), other)

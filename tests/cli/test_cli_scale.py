@@ -1,0 +1,68 @@
+"""``liaam scale``, as it is typed, and its table in ``liaam measure``."""
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from liaam.io import read_image, write_image
+from scenes.ruler import draw
+
+
+@pytest.fixture
+def images(tmp_path, rng):
+    """Two images with a ruler of 10 pixels per millimetre, and one without."""
+    for name, kind in (("a", "plain"), ("b", "hierarchical"), ("c", "none")):
+        scene = draw(kind, rng, size=None if kind == "none" else 10.0, angle=4.0)
+        write_image(tmp_path / f"{name}.png", scene.image)
+        (tmp_path / f"{name}.csv").write_text("x,y\n1,2\n101,2\n50,90\n")
+    return tmp_path
+
+
+def test_rulers_from_the_photograph_to_the_table(run, images):
+    files = [images / f"{name}.png" for name in "abc"]
+    code, out, err = run("scale", *files, "--ruler", "1 mm", "-o", images / "s.csv")
+    assert code == 0 and "the scale of 2 of 3 images" in " ".join(out.split())
+    assert "c.png: no ruler with 10 even ticks" in " ".join(err.split())
+    table = pd.read_csv(images / "s.csv")
+    assert table["scale"][:2].tolist() == pytest.approx([0.1, 0.1], rel=1e-3) and np.isnan(table["scale"][2])
+    assert table["unit"][0] == "mm" and 0 < table["scale_se"][0] < 1e-4
+    assert sorted(path.name for path in (images / "s").iterdir()) == ["a_scale.png", "b_scale.png"]
+    drawn = read_image(images / "s/a_scale.png")
+    assert (drawn != read_image(images / "a.png")).any()
+    for name in "abc":
+        (images / f"{name}.png").rename(images / f"{name}.off")
+    (images / "m").mkdir()
+    for name in "abc":
+        (images / f"{name}.csv").rename(images / "m" / f"{name}.csv")
+    given = ("measure", images / "m", "distance:1-2", "--scale", images / "s.csv", "-o", images / "t.csv")
+    code, out, err = run(*given)
+    assert code == 0 and "3 specimens in mm" in out
+    measured = pd.read_csv(images / "t.csv")
+    assert measured["distance_1_2_mm"].tolist()[:2] == pytest.approx([10, 10], rel=1e-3)
+    assert np.isnan(measured["distance_1_2_mm"][2]) and measured["scale_mm_per_px_se"][0] > 0
+
+
+def test_bars_are_found_too(run, tmp_path, rng):
+    write_image(tmp_path / "a.png", draw("black", rng, size=200.0).image)
+    code, _, _ = run("scale", tmp_path / "a.png", "--scale-bar", "5mm", "-o", tmp_path / "s.csv")
+    assert code == 0
+    assert pd.read_csv(tmp_path / "s.csv")["scale"].tolist() == pytest.approx([0.025], rel=2e-3)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (["--ruler", "1"], "--ruler 1: give the unit, too, such as '1 mm'"),
+        (["--ruler", "x"], "length 'x': give a positive number and its unit"),
+        (["--ruler", "1 mm", "--scale-bar", "1 mm"], "give one of them"),
+        (["-o", "s.txt"], "give a name that ends in .csv"),
+        ([], "a.png: no tag states the scale: give --ruler or --scale-bar"),
+        (["--ruler", "1 mm"], "a.png: no ruler with 10 even ticks"),
+        (["--scale-bar", "1 mm"], "a.png: no even, straight stroke"),
+    ],
+)
+def test_what_cannot_be_done_is_one_line(run, tmp_path, monkeypatch, arguments, words):
+    monkeypatch.chdir(tmp_path)
+    write_image(tmp_path / "a.png", np.zeros((120, 120, 3), np.uint8))
+    code, _, err = run("scale", tmp_path / "a.png", *arguments)
+    assert code == 1 and words in " ".join(err.split())
