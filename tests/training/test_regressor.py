@@ -5,9 +5,11 @@ from dataclasses import replace
 import cv2
 import numpy as np
 import pytest
+from safetensors import safe_open
+from safetensors.numpy import save
 
 from liaam import Fitter, load_folder, load_model, train
-from liaam.errors import TrainingError
+from liaam.errors import ModelFileError, TrainingError
 from liaam.model.regressor import SIZE, OrientationHistograms
 from liaam.model.shape import align, diagonal_of, procrustes_mean, rotation
 from liaam.training.regressor import _ridge_regression
@@ -173,3 +175,30 @@ def test_a_mirrored_model_has_no_regressor(shield_model):
 
     order = np.array([2, 1, 0, 6, 5, 4, 3])
     assert mirrored_model(replace(shield_model, features=None), order).regressor is None
+
+
+FORGED = {
+    "a step less": ("spacings", lambda a: a[:-1], "regressor.weights"),
+    "a cell of no size": ("spacings", lambda a: 0.0 * a, "regressor.spacings are not 1 to 10 distances"),
+    "endless steps": ("spacings", lambda a: np.tile(a, 5), "regressor.spacings are not 1 to 10 distances"),
+    "weights of fewer features": ("weights", lambda a: a[:, :, 1:], "regressor.weights"),
+    "weights without bound": ("weights", lambda a: a * np.float32(np.nan), "regressor.weights"),
+    "offsets without bound": ("offsets", lambda a: a + 1e300, "regressor.offsets"),
+    "an indefinite covariance": ("variances", lambda a: -a, "regressor.variances"),
+    "a certain landmark": ("noise", lambda a: 0.0 * a, "regressor.errors or regressor.noise are out of range"),
+    "errors without bound": ("errors", lambda a: a + 1e30, "regressor.errors or regressor.noise are out of range"),
+}
+
+
+@pytest.mark.parametrize(("name", "change", "message"), FORGED.values(), ids=FORGED)
+def test_a_forged_regressor_is_refused_by_name(shield_model, tmp_path, name, change, message):
+    path = tmp_path / "forged.liaam"
+    shield_model.save(path)
+    with safe_open(path, framework="numpy") as file:
+        tensors = {key: file.get_tensor(key) for key in file.keys()}  # noqa: SIM118
+        header = file.metadata()
+    key = f"regressor.{name}"
+    tensors[key] = np.ascontiguousarray(change(tensors[key].astype(np.float64)).astype(tensors[key].dtype))
+    path.write_bytes(save(tensors, header))
+    with pytest.raises(ModelFileError, match=message):
+        load_model(path)

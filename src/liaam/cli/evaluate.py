@@ -128,6 +128,9 @@ def write(output: Path, evaluation: "Evaluation") -> None:
     write_columns(output / "errors.csv", evaluation.to_columns())
     write_columns(output / "images.csv", evaluation.by_image())
     write_columns(output / "landmarks.csv", evaluation.by_landmark())
+    if evaluation.agreement is not None:
+        write_columns(output / "shapes.csv", evaluation.agreement.by_component())
+        write_columns(output / "bias.csv", evaluation.agreement.by_landmark())
     save_figure(evaluation.plot().figure, output / "errors.png")  # type: ignore[arg-type]
     save_figure(evaluation.plot_worst(SHOWN), output / "worst.png")
 

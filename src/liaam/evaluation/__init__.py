@@ -11,12 +11,15 @@ from liaam.error_measures import (
     rms_error,
     within_ellipses,
 )
+from liaam.evaluation.agreement import ShapeAgreement, compare_shapes
 from liaam.evaluation.measure import cross_validate, evaluate
 from liaam.evaluation.result import Evaluation
 
 __all__ = [
     "Evaluation",
+    "ShapeAgreement",
     "angle_difference",
+    "compare_shapes",
     "cross_validate",
     "cumulative_errors",
     "error_statistics",

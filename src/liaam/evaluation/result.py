@@ -7,6 +7,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from liaam.error_measures import landmark_errors, within_ellipses
+from liaam.errors import LiaamError
+from liaam.evaluation.agreement import ShapeAgreement, compare_shapes
 from liaam.fitting import FitStatus
 from liaam.io.files import count_of, some_names
 from liaam.model.contours import Contours, along_and_across, contour_directions, outline_errors, within_intervals
@@ -231,6 +233,15 @@ class Evaluation:
         errors = 100 * np.abs(self.components[..., axis]) / self.sizes[:, None]
         return errors, self.inside_components[self.called_right][..., axis]
 
+    @cached_property
+    def agreement(self) -> ShapeAgreement | None:
+        """How the shapes of right fits agree with the labels; None if too few fits are right."""
+        is_right = self.errors <= self.limit
+        try:
+            return compare_shapes(self.landmarks[is_right], self.truths[is_right])
+        except LiaamError:
+            return None
+
     def report(self) -> str:
         """Summarise the errors, the outcomes and the coverage, as text."""
         k = len(self)
@@ -255,6 +266,8 @@ class Evaluation:
                 f"{_percentile(across.ravel(), 50):.2f}; inside their 95 % intervals along "
                 f"{100 * _mean(held_along):.1f} %, across {100 * _mean(held_across):.1f} %",
             ]
+        if self.agreement is not None:
+            lines.append(self.agreement.report())
         if self.left_out:
             lines.append(f"left out {len(self.left_out)}: {some_names(self.left_out, 3, '; ')}")
         return "\n".join(lines)

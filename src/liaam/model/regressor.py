@@ -102,7 +102,8 @@ def _planes_of(channels: np.ndarray) -> np.ndarray:
     share = angle - lower
     lower = lower.astype(int) % BINS
     planes = np.zeros((BINS, *length.shape), np.float32)
-    rows, columns = np.indices(length.shape, sparse=True)
+    rows = np.arange(length.shape[0])[:, None]
+    columns = np.arange(length.shape[1])
     planes[lower, rows, columns] = length * (1.0 - share)
     planes[(lower + 1) % BINS, rows, columns] += length * share
     return planes
