@@ -15,7 +15,8 @@ from liaam.io import Landmarks, read_landmarks, write_landmarks
 from liaam.io.landmarks import FORMATS, Reading
 from liaam.io.landmarks.formats import Format
 from liaam.morphometry import read_specimens
-from liaam.training.entries import read_entries
+from liaam.training.entries import read_entries, with_all_landmarks
+from liaam.training.left_out import folds_of
 
 FIRST = [[158.51, 78.95], [145.49, 115.31], [98.35, 123.51], [56.11, 111.48]]
 FIRST += [[41.39, 87.98], [65.54, 57.71], [98.61, 40.88], [137.25, 53.31]]
@@ -238,15 +239,15 @@ def test_specimens_are_read_without_images(cases: Path, name: str, count: int) -
     np.testing.assert_allclose(steps, np.linalg.norm(np.diff(FIRST[:4], axis=0), axis=1), atol=0.01)
 
 
-def test_an_image_with_a_missing_landmark_is_left_out_of_training(cases: Path) -> None:
-    with pytest.warns(UserWarning, match="1 image has missing landmarks and is left out: img"):
-        entries = read_entries(load_folder(cases / "59-train-missing")).entries
-    assert len(entries) == 9
+def test_an_image_with_a_missing_landmark_is_trained_on(cases: Path) -> None:
+    entries = read_entries(load_folder(cases / "59-train-missing")).entries
+    assert len(entries) == 10
+    assert sum(entry.known is not None for entry in entries) == 1
 
 
 def test_landmarks_missing_in_each_image_are_placed_by_the_others(cases: Path) -> None:
-    with pytest.warns(UserWarning, match="10 images have missing landmarks, which are placed where the other images"):
-        entries = read_entries(load_folder(cases / "G5-missing-in-each")).entries
+    data = read_entries(load_folder(cases / "G5-missing-in-each"))
+    entries = with_all_landmarks(data, folds_of(data.names)).entries
     assert len(entries) == 10
     truth = load_folder(cases / "07-tps-curves")[0].landmarks.points
     assert np.abs(entries[0].points[0] - truth[0]).max() < 8

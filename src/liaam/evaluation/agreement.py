@@ -16,6 +16,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from liaam.errors import LiaamError
+from liaam.formatting import short_repr
 from liaam.io.files import count_of
 from liaam.tables import Columns
 
@@ -67,6 +68,8 @@ class ShapeAgreement:
     components: list[dict[str, float]]
     bias: np.ndarray
     random_error: np.ndarray
+
+    __repr__ = short_repr
 
     def by_component(self) -> Columns:
         """Return one row per principal component of people's shapes."""

@@ -191,7 +191,7 @@ class LandmarkRegressor:
 
     @cached_property
     def frame_mean(self) -> np.ndarray:
-        """The mean shape with a diagonal of :data:`SIZE`, (n, 2)."""
+        """The mean shape with a diagonal of :data:`liaam.model.regressor.SIZE`, (n, 2)."""
         return self.shape_model.mean * (SIZE / self.shape_model.diagonal)
 
     def __call__(self, image: np.ndarray, response: Response, start: np.ndarray) -> np.ndarray:
