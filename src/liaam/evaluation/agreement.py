@@ -188,7 +188,7 @@ def _superimposed(shapes: np.ndarray) -> np.ndarray:
 
 def _product(first: np.ndarray, second: np.ndarray) -> float:
     """Return the sum of the scalar products of deviations (m, n)."""
-    return float((first * second.conj()).real.sum())
+    return float(np.real(first * np.conj(second)).sum())
 
 
 def _probability_of(differences: np.ndarray, permutations: int, seed: int) -> float:
@@ -202,7 +202,7 @@ def _probability_of(differences: np.ndarray, permutations: int, seed: int) -> fl
 
 def _components(ours: np.ndarray, first: np.ndarray, other: np.ndarray) -> list[dict[str, float]]:
     """Compare deviations (m, n) along the principal components of the first person's."""
-    ours, first, other = (np.concatenate([each.real, each.imag], axis=1) for each in (ours, first, other))
+    ours, first, other = (np.concatenate([np.real(each), np.imag(each)], axis=1) for each in (ours, first, other))
     _, singular, axes = np.linalg.svd(first, full_matrices=False)
     count = min(COMPONENTS, int((singular > 1e-9 * singular[0]).sum()))
     rows = []
