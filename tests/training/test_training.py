@@ -11,7 +11,7 @@ from threadpoolctl import threadpool_info
 
 from liaam.datasets import Sample
 from liaam.errors import ImageError, OptionError, TrainingError
-from liaam.fitting import METHODS, Fitter, SolverOptions
+from liaam.fitting import METHODS, FitStatus, Fitter, SolverOptions, fit
 from liaam.io import Contour, Landmarks, read_image, write_image, write_landmarks
 from liaam.io.fit_files import write_fit
 from liaam.model import SURROUNDINGS, cost, load_model
@@ -724,3 +724,23 @@ def test_a_scale_that_all_training_images_have_is_kept_in_the_model(pairs, tmp_p
     model.save(tmp_path / "a.liaam")
     assert load_model(tmp_path / "a.liaam").scale == model.scale
     assert train([*scaled[:-1], pairs[-1]], **options).scale is None
+
+
+def test_fits_are_doubtful_where_fits_to_left_out_images_fail(rng, tmp_path):
+    """Landmarks that have nothing to do with their images: a fit may converge, but nothing says that it is right."""
+    import cv2
+
+    points = np.array([[20.0, 20], [60, 18], [62, 60], [22, 64], [40, 40]])
+    images = [cv2.resize(rng.integers(0, 255, (9, 9, 3), np.uint8), (90, 90)) for _ in range(6)]
+    pairs = [(image, points + rng.normal(0, 6, points.shape)) for image in images]
+    model = train(pairs, diagonal=40, regressor=False, shapes=1)
+    assert model.failing_methods == ("soft-li",) and not model.calibrated
+    model.save(tmp_path / "m.liaam")
+    loaded = load_model(tmp_path / "m.liaam")
+    assert loaded.failing_methods == model.failing_methods
+    results = [fit(loaded, image, points) for image in images]
+    assert not any(result.status.ok for result in results)
+    doubtful = [result for result in results if result.status is FitStatus.DOUBTFUL]
+    assert doubtful and all("nothing says that it is right" in result.message for result in doubtful)
+    without = train(pairs, diagonal=40, leave_out=False, shapes=1)
+    assert without.failing_methods == ()  # nobody looked

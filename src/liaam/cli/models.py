@@ -140,7 +140,7 @@ def describe(model: "AAM", path: Path) -> dict[str, str]:
         "shape modes": f"{count_modes(model)}, and 4 of position, size and rotation; spread {spread:.1f} px",
         "appearance modes": ", ".join(f"{a.n_modes} {name}" for name, a in appearances.items()),
         "methods": ", ".join(methods_of(model)),
-        "quality, ellipses": "calibrated on left-out images" if model.calibrated else "not calibrated",
+        "quality, ellipses": describe_calibration(model),
         **more,
         "reference frame": f"{width}×{height} px, {model.n_pixels} inside the mesh",
         "levels": "blur " + ", ".join(f"{level.blur:g}" for level in model.levels) + " px, coarse to fine",
@@ -148,6 +148,15 @@ def describe(model: "AAM", path: Path) -> dict[str, str]:
         **({"credit": model.credit} if model.credit else {}),
         "core": f"compiled, {_core.INSTRUCTION_SET}" if _core.BUILT else "not compiled (NumPy)",
     }
+
+
+def describe_calibration(model: "AAM") -> str:
+    """Return whether quality and ellipses are calibrated."""
+    if model.calibrated:
+        return "calibrated on left-out images"
+    if model.failing_methods:
+        return "not calibrated, since too few fits to left-out images were right: all fits are doubtful"
+    return "not calibrated"
 
 
 def describe_regressor(model: "AAM") -> str:

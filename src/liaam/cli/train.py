@@ -239,6 +239,9 @@ def report(model: "AAM", output: Path, light: "LearntLamps | Literal['auto'] | N
     if not leave_out:
         say("the quality and the ellipses of fits are not calibrated (--no-leave-out)")
     elif not model.calibrated:
-        complain("fits have no calibrated quality: too few fits to left-out images were right; train on more images")
+        complain(
+            "fits have no calibrated quality, and all are called doubtful: too few fits to left-out images were right; "
+            "train on more images"
+        )
     if model.scale is not None:
         say(f"all images have a scale of {model.scale} per pixel, which fits keep for images that state none")

@@ -99,6 +99,12 @@ class OneShapeFitter:
                 return reliability
         return None
 
+    @property
+    def is_failing(self) -> bool:
+        """Whether too few fits of the method to left-out images were right to calibrate it."""
+        method = self.objectives[0].method
+        return any(METHODS.get(name) == method for name in self.model.failing_methods)
+
     def reliability_for(self, result: FitResult) -> Reliability | None:
         """Return the calibration if it says something about a fit: not if that was limited to few iterations."""
         if result.status.unusable or self.options.max_iterations <= SLOW:
@@ -276,8 +282,8 @@ class OneShapeFitter:
         else:
             quality = 0.0 if status.lost else reliability.quality(evidence)
             explains = evidence[0] > 0.0
-        # A fit that explains nothing is doubtful, also without calibration.
-        if status.ok and (quality < LEAST_QUALITY or not explains):
+        # Also without calibration, a fit is doubtful that explains nothing, or whose like were wrong in training.
+        if status.ok and (quality < LEAST_QUALITY or not explains or self.is_failing):
             status = FitStatus.DOUBTFUL
         return FitResult(
             landmarks=history[-1].landmarks,

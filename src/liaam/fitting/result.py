@@ -102,6 +102,12 @@ _NO_QUALITY = (
     "named in training, and a model trained by leaving images out; check the landmarks."
 )
 
+_NOTHING_SAYS_SO = (
+    "The fit converged, but nothing says that it is right: it explains no more of the image than chance does, or in "
+    "training too few fits to left-out images were right ('liaam show MODEL' says so). Check the landmarks, and train "
+    "on more images."
+)
+
 
 @dataclass(frozen=True, eq=False)
 class Iteration:
@@ -242,6 +248,8 @@ class FitResult:
         """What happened, and what to do."""
         if self.status.ok and not self.calibrated:
             return f"{self.status.message} {_NO_QUALITY}"
+        if self.status is FitStatus.DOUBTFUL and not self.calibrated:
+            return _NOTHING_SAYS_SO
         return self.status.message
 
     @property

@@ -70,6 +70,8 @@ class AAM:
         other attributes are those of the model of the most frequent shape; see :attr:`parts`.
     same_images : bool
         Whether the further shapes were learnt from copies of the images of the first, such as turned heads.
+    failing_methods : tuple of str
+        Methods of which too few fits to left-out images were right to calibrate them: their fits are doubtful.
     n_missing : (n,) int64, optional
         Number of training images in which each landmark was missing, and was estimated from the others; None if none
         was. See :attr:`n_all_missing`.
@@ -95,6 +97,7 @@ class AAM:
     credit: str = ""
     others: tuple["AAM", ...] = ()
     same_images: bool = False
+    failing_methods: tuple[str, ...] = ()
     n_missing: np.ndarray | None = None
     scale: Length | None = None
 

@@ -124,6 +124,7 @@ def _fields(header: dict, tensors: dict[str, np.ndarray]) -> dict[str, Any]:
         "name": text_of(header["name"]),
         "credit": text_of(header.get("credit", "")),
         "scale": _scale(header["scale"]) if "scale" in header else None,
+        "failing_methods": _failing_methods(header),
         "same_images": bool(header.get("same_images", False)),
         "n_missing": _n_missing(header, n, n_images),
         "n_textures": n_textures,
@@ -240,6 +241,17 @@ def _mirror_order(header: dict, n: int) -> np.ndarray:
     if not np.array_equal(order[order], np.arange(n)):
         raise ValueError(f"{MIRRORED} does not exchange pairs of landmarks")
     return order
+
+
+MOST_METHODS = 100  # Largest number of methods that a header names
+
+
+def _failing_methods(header: dict) -> tuple[str, ...]:
+    """Return the methods whose fits to left-out images were mostly wrong."""
+    methods = header.get("failing_methods", [])
+    if not isinstance(methods, list) or len(methods) > MOST_METHODS:
+        raise ValueError("failing_methods is not a list of methods")
+    return tuple(text_of(method) for method in methods)
 
 
 def _names(names: list, n: int) -> tuple[str, ...]:

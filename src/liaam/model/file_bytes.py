@@ -92,6 +92,8 @@ def _header(model: "AAM") -> dict[str, Any]:
         header["credit"] = model.credit
     if model.scale is not None:
         header["scale"] = {"value": model.scale.value, "unit": model.scale.unit}
+    if model.failing_methods:
+        header["failing_methods"] = list(model.failing_methods)
     if model.same_images:
         header["same_images"] = True
     if model.n_missing is not None:

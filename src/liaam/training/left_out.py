@@ -91,7 +91,8 @@ def calibrated(
     Returns
     -------
     AAM
-        The model, with the calibrations in its views, and with a regressor if fits to left-out images need one.
+        The model, with the calibrations in its views, the methods that could not be calibrated, and a regressor if fits
+        to left-out images need one.
     """
     halves = [np.zeros(0, int)] if copied.lamps is None else copied.lamps.halves()
 
@@ -129,7 +130,8 @@ def calibrated(
         model = model.with_view(
             view, reliabilities={name: reliabilities[name] for name in names if name in reliabilities}
         )
-    return model
+    failing = tuple(method.name for method in methods if method.name not in reliabilities)
+    return replace(model, failing_methods=failing)
 
 
 def can_be_calibrated(method: Method) -> bool:
