@@ -28,7 +28,7 @@ def status_of(
     shape = history[-1].landmarks
     solution = stage.solution
     sane = is_sane(shape, history[0].landmarks)
-    unseen = _status_of_unseen(linear, stage, sane) if np.isfinite(shape).all() else None
+    unseen = _status_of_unseen(linear, history[0].landmarks, stage, sane) if np.isfinite(shape).all() else None
     # Few usable pixels are a better reason than the size that a fit to them happens to reach.
     if unseen is not None:
         return unseen
@@ -41,10 +41,11 @@ def status_of(
     return FitStatus.LIGHT_UNOBSERVABLE if solution.angle_fixed else FitStatus.CONVERGED
 
 
-def _status_of_unseen(linear: LinearImage, stage: FittedLevel, sane: bool) -> FitStatus | None:
+def _status_of_unseen(linear: LinearImage, start: np.ndarray, stage: FittedLevel, sane: bool) -> FitStatus | None:
     """Return the status of a fit of which too few pixels are in the image or usable; None of other fits.
 
-    A fit that is not ``sane`` has not left the image: it has diverged.
+    A fit that is not ``sane`` has not left the image: it has diverged. From a start (n, 2) where the image is dark or
+    saturated, a fit may go anywhere: it has not left the image either.
     """
     usable = stage.solution.usable
     if usable.mean() >= INSIDE_LIMIT:  # then most pixels are in the image, and enough of these are usable
@@ -52,7 +53,7 @@ def _status_of_unseen(linear: LinearImage, stage: FittedLevel, sane: bool) -> Fi
     points = stage.pose(stage.objective.warp.points(stage.solution.p))
     inside = within(points, linear.image)
     if sane and inside.mean() < INSIDE_LIMIT:
-        return FitStatus.LEFT_IMAGE
+        return _why_unusable_at(linear, start) or FitStatus.LEFT_IMAGE
     # Pixels beyond the patch do not count: they are not usable, whatever their exposure.
     on_patch = stage.to_patch(points)
     height, width = stage.patch_size
@@ -60,6 +61,15 @@ def _status_of_unseen(linear: LinearImage, stage: FittedLevel, sane: bool) -> Fi
     if inside.any() and usable[inside].mean() < USABLE_LIMIT:
         return _why_unusable(linear, points[inside])
     return None
+
+
+def _why_unusable_at(linear: LinearImage, landmarks: np.ndarray) -> FitStatus | None:
+    """Return whether the image is dark or saturated at most landmarks (n, 2) that lie in it; None if it is neither."""
+    points = landmarks[within(landmarks, linear.image)]
+    if not len(points):
+        return None
+    dark, clipped = exposure_faults(_pixels_at(linear, points), linear.response)
+    return _why_unusable(linear, points) if dark + clipped > 1.0 - USABLE_LIMIT else None
 
 
 def _largest_mode(shape: np.ndarray, shape_model: ShapeModel) -> float:
@@ -72,8 +82,7 @@ def _largest_mode(shape: np.ndarray, shape_model: ShapeModel) -> float:
 
 def _why_unusable(linear: LinearImage, points: np.ndarray) -> FitStatus:
     """Return whether most unusable pixels are without values, dark or saturated."""
-    x, y = np.rint(points).astype(int).T
-    pixels = linear.image[y, x]
+    pixels = _pixels_at(linear, points)
     valid = np.isfinite(pixels).all(axis=1)
     if not valid.any():
         return FitStatus.NO_TEXTURE
@@ -82,3 +91,9 @@ def _why_unusable(linear: LinearImage, points: np.ndarray) -> FitStatus:
     if 1.0 - share_valid >= max(dark, clipped) * share_valid:
         return FitStatus.NO_TEXTURE
     return FitStatus.TOO_DARK if dark >= clipped else FitStatus.SATURATED
+
+
+def _pixels_at(linear: LinearImage, points: np.ndarray) -> np.ndarray:
+    """Return the pixels of an image nearest to points (n, 2) in it, (n, 3)."""
+    x, y = np.rint(points).astype(int).T
+    return linear.image[y, x]
