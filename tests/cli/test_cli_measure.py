@@ -318,6 +318,16 @@ def test_the_calibration_of_tiffs_is_used_and_said(run, tmp_path):
     assert code == 0 and "not square" in " ".join(err.split()) and "in pixels" in out
 
 
+def test_a_missing_end_of_a_scale_bar_is_no_missing_shape(run, tmp_path, rng):
+    bar = np.array([[0.0, 0.0], [50.0, 0.0]])
+    marks = {f"{i}.png": Landmarks(np.vstack([bar, POINTS + rng.normal(size=(4, 2))])) for i in range(3)}
+    bar[0] = np.nan
+    marks["1.png"] = Landmarks(np.vstack([bar, POINTS]))
+    write_collection(tmp_path / "all.csv", marks)
+    code, _, err = run("measure", tmp_path / "all.csv", "-o", tmp_path / "t.csv", "--scale", "1-2=5 mm")
+    assert code == 0 and " ".join(err.split()) == "1 of 3 have no scale, so that they have no sizes: 1"
+
+
 def test_a_table_of_scales_is_used(run, tmp_path):
     file = tps(tmp_path / "all.tps", [0, 0])
     (tmp_path / "s.csv").write_text("image,scale,unit,scale_se\nw0.png,0.1,mm,0.001\nw1.png,,,\n")

@@ -1,5 +1,6 @@
 """The command ``liaam measure``."""
 
+import re
 from collections import defaultdict
 from collections.abc import Sequence
 from pathlib import Path
@@ -298,7 +299,8 @@ def _complain_of_gaps(columns: Columns) -> None:
     sizes = sizes_in(columns)
     scales = scales_in(columns)
     unit = unit_of_table(columns)
-    whole = [index for index, x in enumerate(columns.get("X1", sizes)) if x == x]
+    first = next((name for name in columns if re.fullmatch(r"X\d+", name)), None)  # a scale bar is no part of the shape
+    whole = [index for index, x in enumerate(sizes if first is None else columns[first]) if x == x]
     unused = [name for index, name in enumerate(names) if index not in set(whole)]
     bare = [names[index] for index in whole if scales is not None and scales[index] != scales[index]]
     have = f"of {len(names)} have no"
