@@ -11,6 +11,7 @@ from PIL import Image, TiffImagePlugin
 from liaam.io import Landmarks, write_collection
 from liaam.io.files import real_path
 from liaam.io.fit_files import write_fit
+from liaam.plotting.specimens import figure_of_specimens
 from liaam.studio.folder import Folder
 from liaam.studio.store import Store
 from liaam.studio.template import Template
@@ -115,6 +116,12 @@ def test_shapes_are_drawn(run, tmp_path, rng, count, suffix):
     code, out, _ = run("measure", tmp_path / "all.csv", "-o", tmp_path / "t.csv", "--plot", figure)
     assert code == 0 and out.endswith(f"{figure}: shapes\n")
     assert figure.stat().st_size > 1000
+
+
+def test_landmarks_in_figures_have_the_numbers_of_the_table():
+    columns = {"specimen": ["a", "b"], "X3": [0.0, 0.1], "Y3": [0.0, 0.0], "X4": [1.0, 1.0], "Y4": [1.0, 0.9]}
+    shapes = figure_of_specimens(columns).axes[0]  # of landmarks 1 and 2, the ends of a scale bar, there is no shape
+    assert [text.get_text() for text in shapes.texts] == ["3", "4"]
 
 
 def test_figures_that_cannot_be_drawn_are_refused(run, tmp_path):
