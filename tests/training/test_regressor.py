@@ -147,6 +147,12 @@ def test_of_two_fits_with_a_regressor_a_lost_one_is_not_returned(shields, shield
     assert fitter.fit_target(Fitter(shield_model).target(image, truth)[0]) is fits[1 - lost]
 
 
+def test_a_regressor_that_cannot_be_learnt_is_said(shields):
+    with pytest.warns(UserWarning, match="has no regressor, .* 5 objects with all landmarks at least: give more"):
+        model = train(shields[:3], regressor=True, shapes=1, diagonal=40, leave_out=False)
+    assert model.regressor is None
+
+
 @pytest.mark.slow
 def test_shells_of_many_species_are_found_by_a_regressor(shared_data):
     """Without one, one in six shells is lost from the box of its landmarks."""
