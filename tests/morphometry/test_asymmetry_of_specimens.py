@@ -131,6 +131,12 @@ def test_sizes_have_the_unit_of_the_table(rng) -> None:
     np.testing.assert_allclose(found[0].analysis.size_ratios, found[1].analysis.size_ratios)
 
 
+def test_left_and_right_structures_are_no_replicates_of_an_object(rng) -> None:
+    found = analysed(wings(rng, 3, 1.0), "object", pairs="1-2,3-4")
+    assert found.individuals[:2] == ("fly0 left", "fly0 right") and len(found.individuals) == 6
+    assert (found.replicates, found.analysis.error) == (1, "")
+
+
 @pytest.mark.parametrize("unit", ["mm", ""])
 def test_individuals_without_a_scale_are_left_out_of_the_analysis_of_sizes(rng, unit) -> None:
     specimens, _ = of_one_side(wings(rng, 5, 1.0, scale=0.01, unit=unit))

@@ -17,6 +17,7 @@ from liaam.io.atomic import check_output, write_text_atomically
 from liaam.io.files import count_of, real_path, some_names
 from liaam.io.landmarks.formats import KNOWN_FILES
 from liaam.io.landmarks.reading import Reading
+from liaam.morphometry.asymmetry import MATCHING
 from liaam.morphometry.table import scales_in, sizes_in, unit_of_table
 from liaam.scale.choice import TRAINING
 from liaam.scale.lengths import UNITS, Length, unlike
@@ -225,7 +226,8 @@ def _show_anova(anova: Columns) -> None:
 def _about_error(found: "AsymmetryResult") -> str:
     """Say what fluctuating asymmetry is compared with."""
     if found.analysis.error == "replicates":
-        return f"error: from {found.replicates} replicates of each side"
+        what = "side" if found.analysis.kind == MATCHING else "individual"
+        return f"error: from {found.replicates} replicates of each {what}"
     if found.analysis.error == "covariances":
         return "error: expected from the covariances of the fitted landmarks, as there are no replicates"
     return (

@@ -17,7 +17,7 @@ from liaam.formatting import short_repr
 from liaam.io.files import natural_key, some_names
 from liaam.model.shape import align
 from liaam.morphometry.pairs import checked_twins, parse_pairs
-from liaam.morphometry.sides import are_unreflected, object_name
+from liaam.morphometry.sides import are_unreflected, object_name, structure_name
 from liaam.morphometry.specimens import Specimen
 from liaam.morphometry.symmetry import ERROR, FEWEST, PERMUTATIONS, Asymmetry, matching_asymmetry, object_asymmetry
 from liaam.morphometry.table import scales_in, sizes_in
@@ -280,11 +280,16 @@ Groups = dict[str, dict[str, list[int]]]
 
 
 def _groups(specimens: Sequence[Specimen], has_shape: Sequence[bool], by: str | None, sides: Sequence[str]) -> Groups:
-    """Group the specimens with a shape by individual and side."""
+    """Group the specimens with a shape by individual and side.
+
+    For object symmetry, which has one nameless side, left and right structures of an individual are different groups.
+    """
+    is_matching = len(sides) > 1
     groups: Groups = defaultdict(lambda: {side: [] for side in sides})
     for i, specimen in enumerate(specimens):
-        of_individual = groups[specimen.individual or object_name(specimen, by)]
-        side = specimen.side if len(sides) > 1 else ""
+        individual = specimen.individual or object_name(specimen, by)
+        of_individual = groups[individual if is_matching else structure_name(specimen, by)]
+        side = specimen.side if is_matching else ""
         if has_shape[i] and side in of_individual:
             of_individual[side].append(i)
     return dict(sorted(groups.items(), key=lambda item: natural_key(item[0])))
