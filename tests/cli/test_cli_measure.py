@@ -200,6 +200,22 @@ def test_matching_symmetry_is_printed_and_written(run, wings, tmp_path):
     assert (tmp_path / "t_anova.csv").read_bytes() == first
 
 
+@pytest.mark.parametrize(
+    ("name", "options"),
+    [
+        ("t_replicates.csv", ("--replicates", "_")),
+        ("t_anova.csv", ("--symmetry", "matching")),
+        ("t_asymmetry.json", ("--symmetry", "matching")),
+    ],
+)
+def test_tables_beside_the_output_do_not_replace_the_input(run, wings, tmp_path, name, options):
+    file = wings.rename(tmp_path / name)
+    before = file.read_bytes()
+    code, _, err = run("measure", file, "-o", tmp_path / "t.csv", *options)
+    assert code == 1 and "is the input, or a file in it; give the output a name elsewhere" in " ".join(err.split())
+    assert file.read_bytes() == before and not (tmp_path / "t.csv").exists()
+
+
 def faces(rng, n: int = 6) -> dict[str, Landmarks]:
     """Return faces that differ by a pixel or two, with names of landmarks."""
     return {f"face{i}.png": Landmarks(FACE + rng.normal(0, 1.5, (6, 2)), names=FACE_NAMES) for i in range(n)}

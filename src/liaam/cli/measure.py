@@ -28,6 +28,19 @@ if TYPE_CHECKING:
 
 FIGURES = (".png", ".pdf", ".svg")
 
+ERRORS = "replicates.csv"
+"""End of the name of the table of measurement error, which is beside the output."""
+
+ASYMMETRY = "asymmetry.json"
+"""End of the name of the file that holds all of the asymmetry."""
+
+ASYMMETRY_TABLES = {
+    "anova.csv": "analysis of variance",
+    "asymmetry.csv": "asymmetry of {}",
+    "components.csv": "symmetric, directional and fluctuating components of shape",
+}
+"""Ends of the names of its tables, and what these hold."""
+
 
 def measure(
     results: Annotated[
@@ -118,7 +131,7 @@ def measure(
     """Measure specimens: distances, angles, areas, centroid size and Procrustes coordinates, with standard errors."""
     from liaam import morphometry
 
-    _check_outputs(results, output, plot)
+    _check_outputs(results, _tables(output, replicates, symmetry), plot)
     if pairs is not None and symmetry != morphometry.OBJECT:
         raise LiaamError("--pairs are the landmarks of both sides of one structure: give --symmetry object, too")
     reading = Reading(strict, category)
@@ -152,7 +165,7 @@ def measure(
     if plot is not None:
         _draw(columns, found, specimens, plot)
     if error is not None:
-        beside = output.with_name(f"{output.stem}_replicates.csv")
+        beside = _beside(output, ERRORS)
         write_columns(beside, error)
         _show(error)
         say(f"{beside}: measurement error")
@@ -162,12 +175,27 @@ def measure(
     _complain_of_gaps(columns)
 
 
-def _check_outputs(results: Path, output: Path, plot: Path | None) -> None:
-    """Raise unless the table and the figure can be written, and are no inputs."""
-    for path in (output,) if plot is None else (output, plot):
+def _beside(output: Path, end: str) -> Path:
+    """Return the path of a further file beside the output, whose name begins alike."""
+    return output.with_name(f"{output.stem}_{end}")
+
+
+def _tables(output: Path, replicates: str | None, symmetry: str | None) -> list[Path]:
+    """Return the paths of all files that are written besides the figure."""
+    ends = []
+    if replicates is not None:
+        ends.append(ERRORS)
+    if symmetry is not None:
+        ends += [*ASYMMETRY_TABLES, ASYMMETRY]
+    return [output, *(_beside(output, end) for end in ends)]
+
+
+def _check_outputs(results: Path, tables: Sequence[Path], plot: Path | None) -> None:
+    """Raise unless the tables and the figure can be written, and are no inputs."""
+    for path in tables if plot is None else (*tables, plot):
         check_output(path)
         if real_path(path).is_relative_to(real_path(results)):
-            raise LiaamError(f"{path} is the input, or a file in it; give a name elsewhere")
+            raise LiaamError(f"{path} is the input, or a file in it; give the output a name elsewhere")
     if plot is not None and plot.suffix.lower() not in FIGURES:
         raise LiaamError(f"{plot}: figures are written as .png, .pdf or .svg; give a name that ends so")
 
@@ -197,17 +225,13 @@ def _write_asymmetry(found: "AsymmetryResult", output: Path) -> None:
     anova = found.anova()
     _show_anova(anova)
     say(_about_error(found))
-    tables = {"anova": anova, "asymmetry": found.indices(), "components": found.components()}
-    about = {
-        "anova": "analysis of variance",
-        "asymmetry": f"asymmetry of {count_of(len(found.individuals), 'individual')}",
-        "components": "symmetric, directional and fluctuating components of shape",
-    }
-    for name, table in tables.items():
-        beside = output.with_name(f"{output.stem}_{name}.csv")
+    tables = (anova, found.indices(), found.components())
+    individuals = count_of(len(found.individuals), "individual")
+    for (end, about), table in zip(ASYMMETRY_TABLES.items(), tables, strict=True):
+        beside = _beside(output, end)
         write_columns(beside, table)
-        say(f"{beside}: {about[name]}")
-    beside = output.with_name(f"{output.stem}_asymmetry.json")
+        say(f"{beside}: {about.format(individuals)}")
+    beside = _beside(output, ASYMMETRY)
     write_text_atomically(beside, found.to_json())
     say(f"{beside}: all of it")
 
