@@ -11,6 +11,7 @@ from PIL import Image, TiffImagePlugin
 from liaam.io import Landmarks, write_collection
 from liaam.io.files import real_path
 from liaam.io.fit_files import write_fit
+from liaam.plotting.specimens import figure_of_specimens
 from liaam.studio.folder import Folder
 from liaam.studio.store import Store
 from liaam.studio.template import Template
@@ -117,6 +118,12 @@ def test_shapes_are_drawn(run, tmp_path, rng, count, suffix):
     assert figure.stat().st_size > 1000
 
 
+def test_landmarks_in_figures_have_the_numbers_of_the_table():
+    columns = {"specimen": ["a", "b"], "X3": [0.0, 0.1], "Y3": [0.0, 0.0], "X4": [1.0, 1.0], "Y4": [1.0, 0.9]}
+    shapes = figure_of_specimens(columns).axes[0]  # of landmarks 1 and 2, the ends of a scale bar, there is no shape
+    assert [text.get_text() for text in shapes.texts] == ["3", "4"]
+
+
 def test_figures_that_cannot_be_drawn_are_refused(run, tmp_path):
     marks = {f"{i}.png": Landmarks([[1, 2], [np.nan, np.nan], [5, 6]]) for i in range(3)}
     write_collection(tmp_path / "all.csv", marks)
@@ -191,6 +198,22 @@ def test_matching_symmetry_is_printed_and_written(run, wings, tmp_path):
     first = (tmp_path / "t_anova.csv").read_bytes()
     run(*given, "--permutations", 99, "--seed", 5)
     assert (tmp_path / "t_anova.csv").read_bytes() == first
+
+
+@pytest.mark.parametrize(
+    ("name", "options"),
+    [
+        ("t_replicates.csv", ("--replicates", "_")),
+        ("t_anova.csv", ("--symmetry", "matching")),
+        ("t_asymmetry.json", ("--symmetry", "matching")),
+    ],
+)
+def test_tables_beside_the_output_do_not_replace_the_input(run, wings, tmp_path, name, options):
+    file = wings.rename(tmp_path / name)
+    before = file.read_bytes()
+    code, _, err = run("measure", file, "-o", tmp_path / "t.csv", *options)
+    assert code == 1 and "is the input, or a file in it; give the output a name elsewhere" in " ".join(err.split())
+    assert file.read_bytes() == before and not (tmp_path / "t.csv").exists()
 
 
 def faces(rng, n: int = 6) -> dict[str, Landmarks]:
@@ -316,6 +339,16 @@ def test_the_calibration_of_tiffs_is_used_and_said(run, tmp_path):
     Image.fromarray(np.zeros((40, 30, 3), np.uint8)).save(tmp_path / "a.tif", tiffinfo=tags)
     code, out, err = run("measure", tmp_path / "a.csv", "distance:1-2", "-o", tmp_path / "t.csv")
     assert code == 0 and "not square" in " ".join(err.split()) and "in pixels" in out
+
+
+def test_a_missing_end_of_a_scale_bar_is_no_missing_shape(run, tmp_path, rng):
+    bar = np.array([[0.0, 0.0], [50.0, 0.0]])
+    marks = {f"{i}.png": Landmarks(np.vstack([bar, POINTS + rng.normal(size=(4, 2))])) for i in range(3)}
+    bar[0] = np.nan
+    marks["1.png"] = Landmarks(np.vstack([bar, POINTS]))
+    write_collection(tmp_path / "all.csv", marks)
+    code, _, err = run("measure", tmp_path / "all.csv", "-o", tmp_path / "t.csv", "--scale", "1-2=5 mm")
+    assert code == 0 and " ".join(err.split()) == "1 of 3 have no scale, so that they have no sizes: 1"
 
 
 def test_a_table_of_scales_is_used(run, tmp_path):

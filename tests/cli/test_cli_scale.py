@@ -3,9 +3,12 @@
 import numpy as np
 import pandas as pd
 import pytest
+from PIL import Image, TiffImagePlugin
 
-from liaam.io import read_image, write_image
+from liaam.io import Landmarks, read_image, write_collection, write_image
 from scenes.ruler import draw
+
+MARKS = np.array([[1.0, 2.0], [11.0, 2.0], [5.0, 9.0]])
 
 
 @pytest.fixture
@@ -40,6 +43,27 @@ def test_rulers_from_the_photograph_to_the_table(run, images):
     measured = pd.read_csv(images / "t.csv")
     assert measured["distance_1_2_mm"].tolist()[:2] == pytest.approx([10, 10], rel=1e-3)
     assert np.isnan(measured["distance_1_2_mm"][2]) and measured["scale_mm_per_px_se"][0] > 0
+
+
+def test_wings_in_folders_of_sides_have_scales_of_their_own(run, tmp_path):
+    tags = TiffImagePlugin.ImageFileDirectory_v2()
+    tags[270] = "ImageJ=1.53t\nunit=mm\n"
+    files = []
+    for side, per_unit in (("left", 20.0), ("right", 10.0)):
+        (tmp_path / side).mkdir()
+        tags[282] = tags[283] = per_unit
+        for name in "ab":
+            files.append(tmp_path / side / f"{name}.tif")
+            Image.fromarray(np.zeros((40, 30, 3), np.uint8)).save(files[-1], tiffinfo=tags)
+    code, _, _ = run("scale", *files, "-o", tmp_path / "s.csv")
+    assert code == 0
+    marks = {f"{side}/{name}.tif": Landmarks(MARKS) for side in ("left", "right") for name in "ab"}
+    (tmp_path / "m").mkdir()
+    write_collection(tmp_path / "m" / "all.csv", marks)
+    given = ("measure", tmp_path / "m" / "all.csv", "distance:1-2", "--scale", tmp_path / "s.csv")
+    code, _, err = run(*given, "-o", tmp_path / "t.csv")
+    assert (code, err) == (0, "")
+    assert pd.read_csv(tmp_path / "t.csv")["distance_1_2_mm"].tolist() == pytest.approx([0.5, 0.5, 1.0, 1.0])
 
 
 def test_bars_are_found_too(run, tmp_path, rng):

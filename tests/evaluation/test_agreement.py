@@ -77,5 +77,10 @@ def test_wrong_input_is_refused_by_name(rng):
         compare_shapes(truth[:4] + 0.1, truth[:4])
     with pytest.raises(LiaamError, match="the labels are copies of the automatic landmarks"):
         compare_shapes(truth, truth)
+    alike = np.tile(truth[0], (8, 1, 1))
+    with pytest.raises(LiaamError, match="the labels of all specimens have one shape"):
+        compare_shapes(truth, alike + rng.normal(size=(8, 1, 2)))
+    with pytest.raises(LiaamError, match="3 specimens with all landmarks"):
+        compare_shapes(truth, np.where(np.arange(8)[:, None, None] < 5, 7.0, truth + 0.1))  # all in one place
     with pytest.raises(LiaamError, match="not of the same specimens"):
         compare_shapes(truth, truth[:, :3])

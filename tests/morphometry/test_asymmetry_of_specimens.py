@@ -131,6 +131,33 @@ def test_sizes_have_the_unit_of_the_table(rng) -> None:
     np.testing.assert_allclose(found[0].analysis.size_ratios, found[1].analysis.size_ratios)
 
 
+def test_left_and_right_structures_are_no_replicates_of_an_object(rng) -> None:
+    found = analysed(wings(rng, 3, 1.0), "object", pairs="1-2,3-4")
+    assert found.individuals[:2] == ("fly0 left", "fly0 right") and len(found.individuals) == 6
+    assert (found.replicates, found.analysis.error) == (1, "")
+
+
+@pytest.mark.parametrize("unit", ["mm", ""])
+def test_individuals_without_a_scale_are_left_out_of_the_analysis_of_sizes(rng, unit) -> None:
+    specimens, _ = of_one_side(wings(rng, 5, 1.0, scale=0.01, unit=unit))
+    bare = [replace(each, scale=None, unit="") if each.name == "fly2_left" else each for each in specimens]
+    found = asymmetry(bare, measure(bare), "matching", permutations=9)
+    assert found.individuals == ("fly0", "fly1", "fly2", "fly3", "fly4")
+    others = [each for each in specimens if not each.name.startswith("fly2")]
+    expected = asymmetry(others, measure(others), "matching", permutations=9)
+    for name in ("df", "SS", "F", "P"):
+        np.testing.assert_allclose(found.analysis.size_anova[name], expected.analysis.size_anova[name])
+    assert np.flatnonzero(np.isnan(found.analysis.size_ratios)).tolist() == [2]
+    assert json.loads(found.to_json())["indices"][2]["log_size_ratio"] is None
+
+
+def test_without_sizes_to_compare_there_is_an_analysis_of_shape_alone(rng) -> None:
+    specimens, _ = of_one_side(wings(rng, 3, 1.0, scale=0.01, unit="mm"))
+    bare = [replace(each, scale=None) if each.side == "left" else each for each in specimens]
+    found = asymmetry(bare, measure(bare), "matching", permutations=9)
+    assert found.analysis.size_anova == {} and set(found.anova()["trait"]) == {"shape"}
+
+
 def test_tables_and_json_hold_everything(rng) -> None:
     found = analysed(wings(rng, 4, 1.0), "matching", permutations=19, seed=3)
     anova = pd.DataFrame(found.anova())

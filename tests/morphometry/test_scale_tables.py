@@ -29,6 +29,24 @@ def test_specimens_get_the_lengths_of_their_images(tmp_path: Path) -> None:
     ]
 
 
+def test_an_image_whose_scale_was_refused_has_not_that_of_another(tmp_path: Path) -> None:
+    lengths = read_lengths(save(tmp_path, HEADER + "fly.png,0.01,mm,0,ruler\nfly_2.png,,,,\n"))
+    specimens = [Specimen(name, np.zeros((2, 2))) for name in ("fly", "fly_2", "fly_3")]
+    assert [each.scale for each in with_lengths(specimens, lengths)] == [0.01, None, 0.01]
+    with pytest.raises(LiaamError, match="no specimen is of an image with a scale in the table of scales"):
+        with_lengths(specimens[1:2], lengths)
+
+
+def test_images_of_one_name_are_told_apart_by_folder(tmp_path: Path) -> None:
+    rows = "wings/left/a.jpg,0.01,mm,0,ruler\nwings/right/a.jpg,0.02,mm,0,ruler\n"
+    lengths = read_lengths(save(tmp_path, HEADER + rows))
+    names = ["left/a", "right/a#2", "photos/wings/left/a", "below_a/a"]
+    found = with_lengths([Specimen(name, np.zeros((2, 2))) for name in names], lengths)
+    assert [each.scale for each in found] == [0.01, 0.02, 0.01, None]
+    with pytest.raises(LiaamError, match=r"specimen a may be of the images wings/left/a\.jpg, wings/right/a\.jpg"):
+        with_lengths([Specimen("a", np.zeros((2, 2)))], lengths)
+
+
 @pytest.mark.parametrize(
     ("text", "words"),
     [

@@ -167,6 +167,13 @@ def test_a_specimen_without_a_scale_has_no_size_in_a_known_unit() -> None:
     assert table["angle_1_2_3"] == [90, 90] and table["X1"][0] == pytest.approx(table["X1"][1])
 
 
+def test_the_error_of_a_scale_is_in_the_table_if_only_specimens_without_a_shape_have_one() -> None:
+    broken = square("a", scale=0.1, unit="mm", scale_se=0.01)
+    broken.points[0] = np.nan
+    columns = measure([broken, square("b")])
+    assert columns["scale_mm_per_px_se"] == pytest.approx([0.01, np.nan], nan_ok=True)
+
+
 def test_the_error_of_a_scale_is_in_the_standard_errors() -> None:
     spread = np.tile(0.01 * np.eye(2), (4, 1, 1))
     [plain, unsure] = (

@@ -8,8 +8,9 @@ import pytest
 from safetensors import safe_open
 from safetensors.numpy import save
 
-from liaam import Fitter, load_folder, load_model, train
+from liaam import FitStatus, Fitter, load_folder, load_model, train
 from liaam.errors import ModelFileError, TrainingError
+from liaam.fitting.one_shape_fitter import OneShapeFitter
 from liaam.model.regressor import SIZE, OrientationHistograms
 from liaam.model.shape import align, diagonal_of, procrustes_mean, rotation
 from liaam.training.regressor import _ridge_regression
@@ -132,6 +133,24 @@ def test_fits_of_varied_objects_are_nearer_with_a_regressor(shields, shield_mode
     errors = errors_of(shield_model)
     assert max(errors) < 0.05
     assert np.mean(errors) < 0.5 * np.mean(errors_of(replace(shield_model, regressor=None)))
+
+
+@pytest.mark.parametrize("lost", [0, 1])
+def test_of_two_fits_with_a_regressor_a_lost_one_is_not_returned(shields, shield_model, monkeypatch, lost):
+    image, truth = shields[17]
+    right = Fitter(shield_model).fit(image, start_of(shield_model, truth))
+    fits = [right, replace(right, evidence=right.evidence - 0.1)]
+    fits[lost] = replace(right, status=FitStatus.DIVERGED, evidence=right.evidence + 1.0)
+    monkeypatch.setattr(OneShapeFitter, "_fit_regressed", lambda *_: fits[0])
+    monkeypatch.setattr(OneShapeFitter, "_fit_blurred_and_regressed", lambda *_: fits[1])
+    fitter = OneShapeFitter(shield_model)  # without a quality, both are tried
+    assert fitter.fit_target(Fitter(shield_model).target(image, truth)[0]) is fits[1 - lost]
+
+
+def test_a_regressor_that_cannot_be_learnt_is_said(shields):
+    with pytest.warns(UserWarning, match="has no regressor, .* 5 objects with all landmarks at least: give more"):
+        model = train(shields[:3], regressor=True, shapes=1, diagonal=40, leave_out=False)
+    assert model.regressor is None
 
 
 @pytest.mark.slow

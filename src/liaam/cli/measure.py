@@ -1,5 +1,6 @@
 """The command ``liaam measure``."""
 
+import re
 from collections import defaultdict
 from collections.abc import Sequence
 from pathlib import Path
@@ -16,6 +17,7 @@ from liaam.io.atomic import check_output, write_text_atomically
 from liaam.io.files import count_of, real_path, some_names
 from liaam.io.landmarks.formats import KNOWN_FILES
 from liaam.io.landmarks.reading import Reading
+from liaam.morphometry.asymmetry import MATCHING
 from liaam.morphometry.table import scales_in, sizes_in, unit_of_table
 from liaam.scale.choice import TRAINING
 from liaam.scale.lengths import UNITS, Length, unlike
@@ -25,6 +27,19 @@ if TYPE_CHECKING:
     from liaam.morphometry import AsymmetryResult, Specimen
 
 FIGURES = (".png", ".pdf", ".svg")
+
+ERRORS = "replicates.csv"
+"""End of the name of the table of measurement error, which is beside the output."""
+
+ASYMMETRY = "asymmetry.json"
+"""End of the name of the file that holds all of the asymmetry."""
+
+ASYMMETRY_TABLES = {
+    "anova.csv": "analysis of variance",
+    "asymmetry.csv": "asymmetry of {}",
+    "components.csv": "symmetric, directional and fluctuating components of shape",
+}
+"""Ends of the names of its tables, and what these hold."""
 
 
 def measure(
@@ -116,7 +131,7 @@ def measure(
     """Measure specimens: distances, angles, areas, centroid size and Procrustes coordinates, with standard errors."""
     from liaam import morphometry
 
-    _check_outputs(results, output, plot)
+    _check_outputs(results, _tables(output, replicates, symmetry), plot)
     if pairs is not None and symmetry != morphometry.OBJECT:
         raise LiaamError("--pairs are the landmarks of both sides of one structure: give --symmetry object, too")
     reading = Reading(strict, category)
@@ -150,7 +165,7 @@ def measure(
     if plot is not None:
         _draw(columns, found, specimens, plot)
     if error is not None:
-        beside = output.with_name(f"{output.stem}_replicates.csv")
+        beside = _beside(output, ERRORS)
         write_columns(beside, error)
         _show(error)
         say(f"{beside}: measurement error")
@@ -160,12 +175,27 @@ def measure(
     _complain_of_gaps(columns)
 
 
-def _check_outputs(results: Path, output: Path, plot: Path | None) -> None:
-    """Raise unless the table and the figure can be written, and are no inputs."""
-    for path in (output,) if plot is None else (output, plot):
+def _beside(output: Path, end: str) -> Path:
+    """Return the path of a further file beside the output, whose name begins alike."""
+    return output.with_name(f"{output.stem}_{end}")
+
+
+def _tables(output: Path, replicates: str | None, symmetry: str | None) -> list[Path]:
+    """Return the paths of all files that are written besides the figure."""
+    ends = []
+    if replicates is not None:
+        ends.append(ERRORS)
+    if symmetry is not None:
+        ends += [*ASYMMETRY_TABLES, ASYMMETRY]
+    return [output, *(_beside(output, end) for end in ends)]
+
+
+def _check_outputs(results: Path, tables: Sequence[Path], plot: Path | None) -> None:
+    """Raise unless the tables and the figure can be written, and are no inputs."""
+    for path in tables if plot is None else (*tables, plot):
         check_output(path)
         if real_path(path).is_relative_to(real_path(results)):
-            raise LiaamError(f"{path} is the input, or a file in it; give a name elsewhere")
+            raise LiaamError(f"{path} is the input, or a file in it; give the output a name elsewhere")
     if plot is not None and plot.suffix.lower() not in FIGURES:
         raise LiaamError(f"{plot}: figures are written as .png, .pdf or .svg; give a name that ends so")
 
@@ -195,17 +225,13 @@ def _write_asymmetry(found: "AsymmetryResult", output: Path) -> None:
     anova = found.anova()
     _show_anova(anova)
     say(_about_error(found))
-    tables = {"anova": anova, "asymmetry": found.indices(), "components": found.components()}
-    about = {
-        "anova": "analysis of variance",
-        "asymmetry": f"asymmetry of {count_of(len(found.individuals), 'individual')}",
-        "components": "symmetric, directional and fluctuating components of shape",
-    }
-    for name, table in tables.items():
-        beside = output.with_name(f"{output.stem}_{name}.csv")
+    tables = (anova, found.indices(), found.components())
+    individuals = count_of(len(found.individuals), "individual")
+    for (end, about), table in zip(ASYMMETRY_TABLES.items(), tables, strict=True):
+        beside = _beside(output, end)
         write_columns(beside, table)
-        say(f"{beside}: {about[name]}")
-    beside = output.with_name(f"{output.stem}_asymmetry.json")
+        say(f"{beside}: {about.format(individuals)}")
+    beside = _beside(output, ASYMMETRY)
     write_text_atomically(beside, found.to_json())
     say(f"{beside}: all of it")
 
@@ -224,7 +250,8 @@ def _show_anova(anova: Columns) -> None:
 def _about_error(found: "AsymmetryResult") -> str:
     """Say what fluctuating asymmetry is compared with."""
     if found.analysis.error == "replicates":
-        return f"error: from {found.replicates} replicates of each side"
+        what = "side" if found.analysis.kind == MATCHING else "individual"
+        return f"error: from {found.replicates} replicates of each {what}"
     if found.analysis.error == "covariances":
         return "error: expected from the covariances of the fitted landmarks, as there are no replicates"
     return (
@@ -298,7 +325,8 @@ def _complain_of_gaps(columns: Columns) -> None:
     sizes = sizes_in(columns)
     scales = scales_in(columns)
     unit = unit_of_table(columns)
-    whole = [index for index, x in enumerate(columns.get("X1", sizes)) if x == x]
+    first = next((name for name in columns if re.fullmatch(r"X\d+", name)), None)  # a scale bar is no part of the shape
+    whole = [index for index, x in enumerate(sizes if first is None else columns[first]) if x == x]
     unused = [name for index, name in enumerate(names) if index not in set(whole)]
     bare = [names[index] for index in whole if scales is not None and scales[index] != scales[index]]
     have = f"of {len(names)} have no"

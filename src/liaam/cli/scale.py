@@ -14,6 +14,7 @@ from liaam.errors import LiaamError
 from liaam.io import make_folder, read_image, write_columns, write_image
 from liaam.io.atomic import check_output
 from liaam.io.files import count_of, some_names
+from liaam.io.landmarks.matching import unique_names
 from liaam.scale.choice import tagged_length
 from liaam.scale.lengths import Length, parse_length, unlike
 
@@ -54,9 +55,10 @@ def scale(
         make_folder(folder)
     rows = []
     with progress_bar() as progress:
-        for i, (image, stem) in enumerate(zip(images, inputs.unique_stems(images), strict=True)):
-            progress(i, len(images), image.name)
-            rows.append(_row(image, known, find, folder / f"{stem}_scale.png"))
+        names = zip(images, _names_of(images), inputs.unique_stems(images), strict=True)
+        for i, (image, name, stem) in enumerate(names):
+            progress(i, len(images), name)
+            rows.append({"image": name} | _row(image, known, find, folder / f"{stem}_scale.png"))
         progress(len(images), len(images), "")
     write_columns(output, {name: [row[name] for row in rows] for name in rows[0]})
     _report(rows, output, folder if find is not None else None)
@@ -80,9 +82,18 @@ def _finder(is_ruler: bool) -> Callable[[np.ndarray], Any]:
     return find_ruler if is_ruler else find_bar
 
 
+def _names_of(images: list[Path]) -> list[str]:
+    """Return the names of images, with folders where some have one name, such as those of left and right wings."""
+    names = [image.name for image in images]
+    if len(set(names)) == len(names):
+        return names
+    unique = unique_names(map(str, images))
+    return [unique[str(image)] for image in images]
+
+
 def _row(image: Path, known: Length | None, find: Callable[[np.ndarray], Any] | None, overlay: Path) -> Row:
-    """Return the row of an image, and write its overlay. What is wrong is its message."""
-    row: Row = {"image": image.name, "scale": math.nan, "unit": "", "scale_se": math.nan, "how": "", "message": ""}
+    """Return the row of an image without its name, and write its overlay. What is wrong is its message."""
+    row: Row = {"scale": math.nan, "unit": "", "scale_se": math.nan, "how": "", "message": ""}
     try:
         if find is None or known is None:
             length, fault = tagged_length(image)

@@ -24,6 +24,7 @@ FEWEST = 5  # Specimens from which variances are compared
 PERMUTATIONS = 999  # Random changes of sign for the test of the means
 COMPONENTS = 6  # Principal components that are reported
 COPIED = 1e-6  # Largest distance between landmarks that are copies, as a fraction of the centroid size
+LEAST_VARIED = 1e-9  # Root mean squared deviation from the mean shape below which shapes are all the same
 
 
 @dataclass(frozen=True, eq=False)
@@ -113,7 +114,7 @@ def compare_shapes(
     Parameters
     ----------
     automatic, labels : (m, n, 2) float64
-        Landmarks of the same specimens. Specimens that lack landmarks (NaN) are left out.
+        Landmarks of the same specimens. Specimens that lack landmarks (NaN), or have all in one place, are left out.
     second : (m, n, 2) float64, optional
         Landmarks that another person has placed, or the same person again.
     permutations : int
@@ -125,12 +126,12 @@ def compare_shapes(
     ------
     LiaamError
         If fewer than 5 specimens have all landmarks, the arrays differ in shape, or the labels are copies of the
-        automatic landmarks.
+        automatic landmarks, or of each other.
     """
     groups = [np.asarray(group, np.float64) for group in (automatic, labels, *(() if second is None else (second,)))]
     if any(group.shape != groups[0].shape for group in groups) or groups[0].ndim != 3:
         raise LiaamError("the landmarks are not of the same specimens: give arrays (m, n, 2) of equal shape")
-    complete = np.all([np.isfinite(group).all(axis=(1, 2)) for group in groups], axis=0)
+    complete = np.all([_have_a_shape(group) for group in groups], axis=0)
     n = int(complete.sum())
     if n < FEWEST:
         raise LiaamError(
@@ -145,6 +146,8 @@ def compare_shapes(
     ours = deviations[0]
     first = deviations[1]
     other = deviations[-1]
+    if _product(first, first) < n * LEAST_VARIED**2:
+        raise LiaamError("the labels of all specimens have one shape, with whose variance none can be compared")
     common = _product(first, other)
     differences = superimposed[0] - superimposed[1]
     bias = differences.mean(axis=0)
@@ -162,6 +165,11 @@ def compare_shapes(
         bias=np.stack([bias.real, bias.imag], axis=1),
         random_error=np.sqrt(np.square(np.abs(random)).mean(axis=0)),
     )
+
+
+def _have_a_shape(points: np.ndarray) -> np.ndarray:
+    """Return which shapes (m, n, 2) have all landmarks, and not all in one place, (m,) bool."""
+    return np.isfinite(points).all(axis=(1, 2)) & np.ptp(points, axis=1).any(axis=1)
 
 
 def _as_complex(points: np.ndarray) -> np.ndarray:

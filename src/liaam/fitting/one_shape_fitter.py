@@ -19,7 +19,7 @@ from liaam.fitting.quality.uncertainty import (
     landmark_covariances,
     quality_features,
 )
-from liaam.fitting.result import LEAST_QUALITY, FitResult, FitStatus, trace
+from liaam.fitting.result import LEAST_QUALITY, FitResult, FitStatus, explained_fraction, trace
 from liaam.model import AAM, Reliability, View
 from liaam.model.regressor import LandmarkRegressor
 from liaam.model.sampling import within
@@ -130,14 +130,14 @@ class OneShapeFitter:
         options = self.options if options is None else options
         points = self.model.points
         if target.pull is not None and points is not None:
-            return self._fit_from_points(target, points.deviation, options)
+            return self.result_of(target, self._levels_from_points(target, points.deviation, options))
         if self.regressor is None:
             return self.result_of(target, self.coarse_to_fine.fit(target, options))
         first = self._fit_regressed(target, options)
         if first is not None and self.reliability is not None and not self.falls_short(first):
             return first
         second = self._fit_blurred_and_regressed(target, options)
-        if first is None or second.evidence[0] > first.evidence[0]:
+        if first is None or explained_fraction(second) > explained_fraction(first):
             return second
         return first
 
@@ -150,10 +150,6 @@ class OneShapeFitter:
             if regressed is not None:
                 return regressed
         return self.result_of(target, self.coarse_to_fine.fit(target, options))
-
-    def _fit_from_points(self, target: Target, deviation: float, options: SolverOptions) -> FitResult:
-        """Fit the levels that are sharp enough for points with a root mean square error, pixels of the frame."""
-        return self.result_of(target, self._levels_from_points(target, deviation, options))
 
     def _levels_from_points(self, target: Target, deviation: float, options: SolverOptions) -> list[FittedLevel]:
         """Fit the levels that are sharp enough for points with a root mean square error, pixels of the frame."""

@@ -395,8 +395,12 @@ def likeliness(result: FitResult) -> tuple[float, float]:
 
     That fraction alone is larger in coarser frames, and with more modes.
     """
-    fraction = -inf if result.status.lost or isnan(result.evidence[0]) else float(result.evidence[0])
-    return 0.0 if isnan(result.quality) else result.quality, fraction
+    return 0.0 if isnan(result.quality) else result.quality, explained_fraction(result)
+
+
+def explained_fraction(result: FitResult) -> float:
+    """Return the fraction that a fit explains, by which fits of one shape are compared; -inf if it is lost."""
+    return -inf if result.status.lost or isnan(result.evidence[0]) else float(result.evidence[0])
 
 
 def odds_of(probability: float) -> float:

@@ -17,19 +17,16 @@ from liaam.formatting import short_repr
 from liaam.io.files import natural_key, some_names
 from liaam.model.shape import align
 from liaam.morphometry.pairs import checked_twins, parse_pairs
-from liaam.morphometry.sides import are_unreflected, object_name
+from liaam.morphometry.sides import are_unreflected, object_name, structure_name
 from liaam.morphometry.specimens import Specimen
-from liaam.morphometry.symmetry import ERROR, PERMUTATIONS, Asymmetry, matching_asymmetry, object_asymmetry
-from liaam.morphometry.table import sizes_in
+from liaam.morphometry.symmetry import ERROR, FEWEST, PERMUTATIONS, Asymmetry, matching_asymmetry, object_asymmetry
+from liaam.morphometry.table import scales_in, sizes_in
 from liaam.progress import Progress
 from liaam.tables import Columns
 
 OBJECT = "object"
 MATCHING = "matching"
 KINDS = (OBJECT, MATCHING)
-
-FEWEST = 2
-"""Least number of individuals."""
 
 _SHOWN = 3  # individuals that a message describes
 
@@ -212,7 +209,8 @@ def asymmetry(
     -------
     AsymmetryResult
         Individuals that lack a side or a shape, or have another number of replicates than most, are left out. The error
-        term comes from replicates, or without any from the covariances of the landmarks, if all have them.
+        term comes from replicates, or without any from the covariances of the landmarks, if all have them. Individuals
+        without a scale, where others have one, are left out of the analysis of centroid sizes alone.
 
     Raises
     ------
@@ -243,7 +241,7 @@ def asymmetry(
         analysis = object_asymmetry(shapes[order[:, 0]], twins, of_object, **options)
         sides = ("original", "mirrored")
     else:
-        sizes = np.array(sizes_in(columns))[order]
+        sizes = _sizes_to_compare(columns)[order]
         analysis = matching_asymmetry(shapes[order], covariances, sizes=sizes, **options)
     return AsymmetryResult(
         analysis,
@@ -282,11 +280,16 @@ Groups = dict[str, dict[str, list[int]]]
 
 
 def _groups(specimens: Sequence[Specimen], has_shape: Sequence[bool], by: str | None, sides: Sequence[str]) -> Groups:
-    """Group the specimens with a shape by individual and side."""
+    """Group the specimens with a shape by individual and side.
+
+    For object symmetry, which has one nameless side, left and right structures of an individual are different groups.
+    """
+    is_matching = len(sides) > 1
     groups: Groups = defaultdict(lambda: {side: [] for side in sides})
     for i, specimen in enumerate(specimens):
-        of_individual = groups[specimen.individual or object_name(specimen, by)]
-        side = specimen.side if len(sides) > 1 else ""
+        individual = specimen.individual or object_name(specimen, by)
+        of_individual = groups[individual if is_matching else structure_name(specimen, by)]
+        side = specimen.side if is_matching else ""
         if has_shape[i] and side in of_individual:
             of_individual[side].append(i)
     return dict(sorted(groups.items(), key=lambda item: natural_key(item[0])))
@@ -344,6 +347,13 @@ def _twins(
         if twin != i and i not in place:
             raise LiaamError(f"the pair {i + 1}-{twin + 1} has an end of the scale bar, which is no part of the shape")
     return tuple(place[twins[number - 1]] for number in numbers)
+
+
+def _sizes_to_compare(columns: Columns) -> np.ndarray:
+    """Return the centroid sizes; NaN without a scale where others have one, as pixels do not compare with units."""
+    sizes = np.array(sizes_in(columns))
+    scales = scales_in(columns)
+    return sizes if scales is None else np.where(np.isfinite(scales), sizes, np.nan)
 
 
 def _covariances(

@@ -12,7 +12,7 @@ from liaam.errors import LiaamError
 from liaam.fitting.result import USABLE
 from liaam.io.files import some_names
 from liaam.morphometry.curves import semilandmarks
-from liaam.morphometry.sides import object_name
+from liaam.morphometry.sides import object_name, structure_name
 from liaam.morphometry.specimens import Specimen
 from liaam.morphometry.table import scale_column, scales_in, sizes_in, unit_of_table
 from liaam.tables import Columns
@@ -91,10 +91,7 @@ def _groups(specimens: Sequence[Specimen], by: str) -> list[str]:
     """Return what the replicates of each specimen have in common; see :func:`measurement_error`."""
     if by == "image":
         return [object_name(specimen, by) for specimen in specimens]
-    return [
-        " ".join(filter(None, (specimen.individual or object_name(specimen, by), specimen.side)))
-        for specimen in specimens
-    ]
+    return [structure_name(specimen, by) for specimen in specimens]
 
 
 def exchanged_landmarks(specimens: Sequence[Specimen], by: str) -> list[str]:

@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import csv
+from collections import defaultdict
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from pathlib import PureWindowsPath
 
 from liaam.errors import LiaamError
-from liaam.io.files import AnyPath, existing_file, name_key
+from liaam.io.files import AnyPath, existing_file, name_key, some_names
 from liaam.io.landmarks.matching import stem_of
 from liaam.io.landmarks.reading import read_text
 from liaam.morphometry.specimens import Specimen
@@ -20,10 +22,10 @@ FOUND = "a ruler in the image"
 """Source of these lengths."""
 
 
-def read_lengths(path: AnyPath) -> dict[str, Length]:
+def read_lengths(path: AnyPath) -> dict[str, Length | None]:
     """Read the table of ``liaam scale``: the length of a pixel by the name of the image.
 
-    Images whose scale was refused, and so is empty, have none.
+    That of images whose scale was refused, and so is empty, is None.
 
     Raises
     ------
@@ -34,34 +36,41 @@ def read_lengths(path: AnyPath) -> dict[str, Length]:
     rows = list(csv.DictReader(read_text(path).splitlines()))
     if not rows or not {*COLUMNS[:3]} <= rows[0].keys():
         raise LiaamError(f"{path} has no columns {', '.join(COLUMNS[:3])}: give a table of 'liaam scale'")
-    lengths: dict[str, Length] = {}
+    lengths: dict[str, Length | None] = {}
     for number, row in enumerate(rows, 2):
-        if not (row["scale"] or "").strip():
-            continue
+        if row["image"] in lengths:
+            raise LiaamError(f"{path}: line {number} has '{row['image'][:60]}' again: keep one line for each image")
         try:
-            length = Length(float(row["scale"]), (row["unit"] or "").strip(), float(row.get("scale_se") or 0), FOUND)
+            lengths[row["image"]] = _length_in(row)
         except ValueError as fault:
             raise LiaamError(f"{path}: line {number} has no length of a pixel ({fault}): correct it") from fault
-        if lengths.setdefault(row["image"], length) is not length:
-            raise LiaamError(f"{path}: line {number} has '{row['image'][:60]}' again: keep one line for each image")
     return lengths
 
 
-def with_lengths(specimens: Sequence[Specimen], lengths: Mapping[str, Length]) -> tuple[Specimen, ...]:
+def _length_in(row: Mapping[str, str]) -> Length | None:
+    """Return the length of a pixel in a row; None if it is empty."""
+    if not (row["scale"] or "").strip():
+        return None
+    return Length(float(row["scale"]), (row["unit"] or "").strip(), float(row.get("scale_se") or 0), FOUND)
+
+
+def with_lengths(specimens: Sequence[Specimen], lengths: Mapping[str, Length | None]) -> tuple[Specimen, ...]:
     """Return specimens with the lengths of a pixel of their images, by name with or without folder and ending.
 
     All objects of an image (``tray#1``, ``tray_2`` of ``liaam fit --all``) have its length. A specimen of an image that
-    is not in the table has none.
+    is not in the table, or whose scale was refused, has none.
 
     Raises
     ------
     LiaamError
-        If no specimen is of an image in the table.
+        If no specimen is of an image in the table with a length, or one may be of several images.
     """
-    by_name = {name_key(stem_of(image)): length for image, length in lengths.items()}
-    chosen = [_length_of(specimen, by_name) for specimen in specimens]
-    if not any(chosen):
-        raise LiaamError(f"no specimen is of an image in the table of scales, such as {next(iter(lengths), 'none')}")
+    images = _images_of(specimens, list(lengths))
+    if not any(image is not None and lengths[image] for image in images):
+        which = "with a scale " if any(images) else ""
+        first = next(iter(lengths), "none")
+        raise LiaamError(f"no specimen is of an image {which}in the table of scales, such as {first}")
+    found = [None if image is None else lengths[image] for image in images]
     return tuple(
         replace(
             specimen,
@@ -70,13 +79,48 @@ def with_lengths(specimens: Sequence[Specimen], lengths: Mapping[str, Length]) -
             scale_se=0.0 if length is None else length.se,
             scale_source="" if length is None else length.source,
         )
-        for specimen, length in zip(specimens, chosen, strict=True)
+        for specimen, length in zip(specimens, found, strict=True)
     )
 
 
-def _length_of(specimen: Specimen, by_name: Mapping[str, Length]) -> Length | None:
-    name = name_key(stem_of(specimen.name + ".png"))
-    for key in (name, name.rpartition("#")[0], name.rpartition("_")[0]):
-        if key in by_name:
-            return by_name[key]
-    return None
+Key = tuple[str, ...]
+"""Folders and name of an image, without its ending, to be compared."""
+
+
+def _images_of(specimens: Sequence[Specimen], images: Sequence[str]) -> list[str | None]:
+    """Return the image of each specimen, None if it is none of these.
+
+    The path of one is the end of the other's, as ``left/wing1`` is of ``wings/left/wing1.jpg``, but not of
+    ``right/wing1.jpg``.
+    """
+    by_key: dict[Key, list[str]] = defaultdict(list)
+    by_end: dict[Key, list[str]] = defaultdict(list)
+    for image in images:
+        key = _key_of(image)
+        by_key[key].append(image)
+        for end in _ends_of(key):
+            by_end[end].append(image)
+
+    def image_of(specimen: Specimen) -> str | None:
+        *folders, name = _key_of(f"{specimen.name}.png")
+        for own in (name, name.rpartition("#")[0], name.rpartition("_")[0]):
+            key = (*folders, own)
+            found = by_end.get(key) or next((by_key[end] for end in _ends_of(key) if end in by_key), [])
+            if len(found) > 1:
+                remedy = "measure the folder that holds all of them, or keep its line alone"
+                raise LiaamError(f"specimen {specimen.name} may be of the images {some_names(found)}: {remedy}")
+            if found:
+                return found[0]
+        return None
+
+    return [image_of(specimen) for specimen in specimens]
+
+
+def _key_of(image: str) -> Key:
+    path = PureWindowsPath(image)
+    return tuple(name_key(part) for part in (*path.parent.parts, stem_of(path.name)))
+
+
+def _ends_of(key: Key) -> list[Key]:
+    """Return the path, and what remains of it without its first folders."""
+    return [key[i:] for i in range(len(key))]

@@ -165,6 +165,11 @@ def object_name(specimen: Specimen, by: str | None) -> str:
     return (by and specimen.name.rpartition(by)[0]) or specimen.name
 
 
+def structure_name(specimen: Specimen, by: str | None) -> str:
+    """Return the name of the individual that a specimen is of, and its side if known: its replicates have both."""
+    return " ".join(filter(None, (specimen.individual or object_name(specimen, by), specimen.side)))
+
+
 def folder_side(path: str) -> str:
     """Return the side of the folders of a path, such as ``left/wing1.jpg``, or ""."""
     folders = re.split(r"[\\/]", path)[:-1]

@@ -31,6 +31,9 @@ PERMUTATIONS = 999
 
 EFFECTS = ("individual", "side", "individual x side", "error", "total")
 
+FEWEST = 2
+"""Least number of individuals."""
+
 _INDIVIDUAL = 0  # places among the effects
 _SIDE = 1
 _INTERACTION = 2
@@ -69,7 +72,7 @@ class Asymmetry:
     unsigned_index : (n,) float64
         geomorph's ``unsigned.AI``: centroid size of `asymmetric`, about 1 + distance² / 2.
     size_ratios : (n,) float64
-        Logarithm of the first side's centroid size over the second's; NaN for object symmetry.
+        Logarithm of the first side's centroid size over the second's; NaN for object symmetry, or if unknown.
     error : {"replicates", "covariances", ""}
         Where the error term comes from; empty if it is unknown.
     shape_anova : dict of str to list
@@ -77,7 +80,8 @@ class Asymmetry:
         ``Z`` and ``P`` by permutation; ``F_error``, the mean square over that of the error; ``Z_geomorph`` and
         ``P_geomorph``, as geomorph has them.
     size_anova : dict of str to list
-        The same for the centroid size; empty for object symmetry.
+        The same for the centroid size, of the individuals whose sizes are known; empty for object symmetry, or if there
+        are fewer than two of these.
     """
 
     kind: str
@@ -117,7 +121,8 @@ def matching_asymmetry(
     covariances : (n, 2, r, k, 2, 2) float, optional
         Covariances of the landmarks. Used where r is 1.
     sizes : (n, 2, r) float, optional
-        Centroid sizes, if the shapes were scaled before; by default those of the shapes.
+        Centroid sizes, if the shapes were scaled before; by default those of the shapes. NaN where
+        unknown.
     permutations : int
         Number of random orders, or of random errors where the error comes from covariances; 0 for none.
     seed : int
@@ -144,7 +149,8 @@ def matching_asymmetry(
     with reported("permutations", progress) as tell:
         rows = aligned.reshape(n, sides, replicates, -1)
         shape_anova = _anova(rows, permutations, seed, tell, mean_square, draw)
-        size_anova = _anova(sizes, permutations, seed, tell)
+        has_sizes = np.isfinite(sizes).all(axis=(1, 2, 3))
+        size_anova = _anova(sizes[has_sizes], permutations, seed, tell) if has_sizes.sum() >= FEWEST else {}
     ratios = np.log(sizes.mean(axis=2)).reshape(n, sides)
     return _components("matching", aligned, fit, ratios[:, 0] - ratios[:, 1], errors, shape_anova, size_anova)
 

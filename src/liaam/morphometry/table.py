@@ -263,9 +263,8 @@ def _row(
     length, slope, length_se = _pixel(specimen, rule, bar)
     scale = scale_column(unit)
     row[scale] = length
-    if length == length:
-        row[f"{scale}_se"] = _joint(float(_standard_errors(specimen.covariances, slope[None])[0]), length_se)
-    elif not unit:
+    row[f"{scale}_se"] = _joint(float(_standard_errors(specimen.covariances, slope[None])[0]), length_se)
+    if length != length and not unit:
         length = 1.0
     for item in items:
         value, change = item.function(specimen.points[item.indices])

@@ -34,8 +34,8 @@ def figure_of_specimens(columns: Mapping[str, list]) -> "Figure":
     axis = axes[0, 0]
     axis.plot(table[:, ::2].ravel(), table[:, 1::2].ravel(), ".", color="0.6", ms=3)
     axis.plot(mean[::2], mean[1::2], "o", color=LANDMARK, ms=5)
-    for i, (x, y) in enumerate(mean.reshape(-1, 2)):
-        axis.annotate(str(i + 1), (x, y), (3, 3), textcoords="offset points", fontsize=8)
+    for name, point in zip(places[::2], mean.reshape(-1, 2), strict=True):
+        axis.annotate(name[1:], point, (3, 3), textcoords="offset points", fontsize=8)
     axis.set(title=f"{len(table)} superimposed shapes, and the mean", aspect="equal")
     axis.set_axis_off()
     _, values, modes = np.linalg.svd(table - mean, full_matrices=False)

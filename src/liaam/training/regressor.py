@@ -246,7 +246,9 @@ def _learn_step(
     predicted = np.zeros_like(wanted)
     for j in range(n):
         fitted = _ridge_regression(features[:, j], wanted[:, j], ridge, samples.blocks)
-        weights[j], offsets[j], predicted[:, j] = fitted.weights, fitted.offset, fitted.left_out
+        weights[j] = fitted.weights
+        offsets[j] = fitted.offset
+        predicted[:, j] = fitted.left_out
     away = wanted - predicted
     errors = np.einsum("ija,ijb->jab", away, away) / len(away)
     step = RegressionStep(spacing, weights, offsets, errors)
@@ -261,7 +263,7 @@ def _learn_step(
 
 
 @dataclass(frozen=True, eq=False)
-class _Regression:
+class _LinearFit:
     """A linear function of features, and what those that are learnt without a sample predict for it."""
 
     weights: np.ndarray  # (f, 2) float32
@@ -271,7 +273,7 @@ class _Regression:
 
 def _ridge_regression(
     features: np.ndarray, wanted: np.ndarray, ridge: float, blocks: Sequence[np.ndarray]
-) -> _Regression:
+) -> _LinearFit:
     """Regress (N, 2) numbers on features (N, f), and predict each block of samples from the others.
 
     Without the samples of block b, residuals r become (I - H_bb)^-1 r_b, with H = X (X'X + ridge I)^-1 X'.
@@ -292,7 +294,7 @@ def _ridge_regression(
         leverage = of_block @ inverse @ of_block.T
         residual = np.linalg.solve(np.eye(len(block)) - leverage, y[block] - fitted[block])
         left_out[block] = y[block] - residual
-    return _Regression(weights, mean_wanted - middle @ weights, mean_wanted + left_out)
+    return _LinearFit(weights, mean_wanted - middle @ weights, mean_wanted + left_out)
 
 
 def _left_out_errors(samples: _Samples, shapes: ShapeModel) -> PointErrors:

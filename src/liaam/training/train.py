@@ -39,7 +39,7 @@ from liaam.training.lamps import Copies, LearntLamps, learn_lamps
 from liaam.training.left_out import ViewSettings, calibrated, can_be_calibrated, fitted_of, folds_of, groups_of
 from liaam.training.options import AUTO, TrainingOptions
 from liaam.training.points import Points, map_of_points, points_of
-from liaam.training.regressor import Regression, RegressorData
+from liaam.training.regressor import LEAST_OBJECTS, Regression, RegressorData
 from liaam.training.search_filter import FilterLearner
 from liaam.training.shapes import shape_groups
 from liaam.training.symmetry import describe_offset, sideways_offset
@@ -263,6 +263,12 @@ def _train_one(data: TrainingData, points: Points | None, task: _Task) -> AAM:
         elif regression is not None and regression.forced:
             model = replace(model, regressor=regression.data().learn(shape_model_of(model.views)))
         steps.next("trained", 0)
+    if options.regressor is True and model.regressor is None:
+        warnings.warn(
+            f"the model has no regressor, which is learnt from {LEAST_OBJECTS + 1} objects with all landmarks at "
+            "least: give more of them",
+            stacklevel=4,
+        )
     if options.keeps_all:  # a model of exactly the training images is not rounded
         return model
     return keep_only(model, chosen(options.methods))
