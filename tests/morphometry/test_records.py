@@ -176,3 +176,7 @@ def test_objects_without_points_do_not_matter() -> None:
     specimens = objects_of_records(records)
     assert [specimen.replicate_of for specimen in specimens[:3]] == ["a#0", "a#1", "a#2"]
     assert [specimens[3].replicate_of, specimens[5].replicate_of] == ["a#0", "a#2"]
+
+
+def test_names_that_are_only_a_drive_are_kept():
+    assert unique_names(["x/c:", "y/c:"]) == {"x/c:": "x/c:", "y/c:": "y/c:"}

@@ -53,7 +53,7 @@ def _numbers_of(known: np.ndarray) -> str:
 
 def _called(landmarks: np.ndarray, names: Sequence[str]) -> str:
     """Return the numbers of landmarks from 1, and their names if they have any, with the verb to be."""
-    labels = [f"{i + 1} ({names[i]})" if names else f"{i + 1}" for i in landmarks.tolist()]
+    labels = [f"{i + 1} ({names[i]})" if names and names[i] != str(i + 1) else f"{i + 1}" for i in landmarks.tolist()]
     if len(landmarks) == 1:
         return f"landmark {labels[0]} is"
     return f"landmarks {some_names(labels, MOST_NAMED)} are"

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from people import annotate, shoot, violations, wait_for, wait_for_state
+from people import annotate, shoot, violations, wait_for, wait_for_state, wait_until
 from test_layout import CLIPPED
 
 from liaam import datasets
@@ -191,10 +191,13 @@ def test_new_pictures_are_accepted_on_the_wall(serve, page, folder, portrait_mod
     page.keyboard.press("g")  # and is where it was, although that picture may have moved in it
     wait_for(page, "top => Math.abs(document.querySelector('[data-testid=strip]').scrollTop - top) < 2", top)
     page.keyboard.press("Shift+Enter")  # accept what is in view
-    page.locator(".toast", has_text="accepted").last.wait_for()
+
+    def proposed() -> list[str]:
+        return [picture["name"] for picture in pictures_of(page) if picture["state"] == "proposed"]
+
+    wait_until(page, lambda: len(proposed()) < 12)
     assert violations(page) == {}
-    left = [picture["name"] for picture in pictures_of(page) if picture["state"] == "proposed"]
-    assert len(left) < 12 and qualities[1][1] in left  # which is further up
+    assert qualities[1][1] in proposed()  # which is further up
     page.keyboard.press("Home")
     page.evaluate("() => { document.querySelector('[data-testid=strip]').scrollTop = 0; }")
     page.locator(f"[data-testid=strip] [data-name='{qualities[1][1]}']").click()

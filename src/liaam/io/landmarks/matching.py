@@ -122,7 +122,7 @@ def unique_names(entries: Iterable[str]) -> dict[str, str]:
     below = {entry: PurePosixPath(*path.parts[shared:]) for entry, path in paths.items()}
     tried = (
         {entry: stem_of(entry) for entry in entries},
-        {entry: str(path.with_name(stem_of(path.name))) for entry, path in below.items() if path.name},
+        {entry: str(path.with_name(stem_of(path.name) or path.name)) for entry, path in below.items() if path.name},
         {entry: str(path) for entry, path in below.items()},
     )
     return next(
