@@ -155,3 +155,22 @@ def test_nothing_is_written_if_there_are_no_replicates(run, tmp_path) -> None:
     code, _, err = run("measure", tmp_path / "a.csv", "-o", tmp_path / "t.csv", "--replicates", "_")
     assert code == 1 and "no specimen has replicates" in err
     assert not (tmp_path / "t.csv").exists() and not (tmp_path / "t_replicates.csv").exists()
+
+
+def test_estimated_landmarks_are_no_observations() -> None:
+    rng = np.random.default_rng(4)
+    square = np.array([[0.0, 0], [40, 0], [40, 30], [0, 30]])
+    specimens = []
+    for i in range(8):
+        shape = square + rng.normal(0, 2, square.shape)
+        for record in (1, 2):
+            specimens.append(Specimen(f"w{i}_{record}", shape + rng.normal(0, 0.2, square.shape)))
+    whole = specimens[:14]
+    away = np.array([[9.0, 9], [0, 0], [0, 0], [0, 0]])
+    guessed = [Specimen(each.name, each.points + away, estimated=(0,)) for each in specimens[14:]]
+    found = measurement_error([*whole, *guessed], measure([*whole, *guessed], ["distance:1-3"]), "_")
+    at = found["measure"].index("landmark 1")
+    assert (found["specimens"][at], found["replicates"][at]) == (7, 14)
+    assert found["sd"][at] < 0.4
+    at = found["measure"].index("distance_1_3")
+    assert found["replicates"][at] == 14

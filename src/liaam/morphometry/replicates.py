@@ -31,7 +31,8 @@ def measurement_error(specimens: Sequence[Specimen], columns: Columns, by: str, 
     specimens : sequence of Specimen
         All replicates, as :func:`liaam.morphometry.alike` gives them. Specimens may differ in their number.
     columns : dict of str to list
-        What :func:`liaam.measure` made of them.
+        What :func:`liaam.measure` made of them. Specimens with estimated landmarks do not count: an estimate is no
+        observation.
     by : str
         ``"image"``: records of one object of an image are replicates, as :func:`liaam.read_specimens` found
         (`Specimen.replicate_of`); where that is unknown, those of one name before a ``#`` (``wing1``, ``wing1#2``).
@@ -67,13 +68,19 @@ def measurement_error(specimens: Sequence[Specimen], columns: Columns, by: str, 
     sliding = (
         len(semilandmarks(next((specimen.curves for specimen in specimens if specimen.curves), ()))[1]) if slid else 0
     )
-    flat = np.concatenate([np.empty((len(sizes), 0)), *shapes], axis=1)
+    estimated = np.array([bool(specimen.estimated) for specimen in specimens])
+
+    def observed(values: np.ndarray) -> np.ndarray:
+        """Return values (m, k) without those of specimens with estimated landmarks."""
+        return np.where(estimated[:, None], math.nan, values)
+
+    flat = observed(np.concatenate([np.empty((len(sizes), 0)), *shapes], axis=1))
     rows = [{"measure": "shape"} | anova(flat, groups, np.ones(1), 2 * len(shapes) - 4 - sliding)]
     others = {"specimen", "side", "status", "estimated", scale_column(unit_of_table(columns))}
     others |= {f"{name}_se" for name in columns}
     for name in (name for name in columns if name not in others and not re.fullmatch(r"[XY]\d+", name)):
         values = np.array(columns[name])
-        rows.append({"measure": name} | anova(values[:, None], groups, values))
+        rows.append({"measure": name} | anova(observed(values[:, None]), groups, values))
     names = next((specimen.names for specimen in specimens if specimen.names), ())
     usable = {"", *USABLE}
     for number, shape in zip(numbers, shapes, strict=True):
@@ -82,7 +89,9 @@ def measurement_error(specimens: Sequence[Specimen], columns: Columns, by: str, 
             points = np.array(
                 [specimen.points[number - 1] if specimen.status in usable else [math.nan] * 2 for specimen in specimens]
             )
-        row = {"measure": f"landmark {names[number - 1] if names else number}"} | anova(points, groups, pixels)
+        row = {"measure": f"landmark {names[number - 1] if names else number}"} | anova(
+            observed(points), groups, pixels
+        )
         rows.append(row | dict.fromkeys(_SQUARES, math.nan))  # positions in different images do not compare
     return {name: [row[name] for row in rows] for name in rows[0]}
 
