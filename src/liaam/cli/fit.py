@@ -285,7 +285,8 @@ def fit_object(
     model = fitter.model
     result = fitter.fit(pixels, start, image.name)
     length = length_for(image, start, model.scale)
-    scale, unit = (None, "") if length is None else (length.value, length.unit)
+    scale = None if length is None else length.value
+    unit = "" if length is None else length.unit
     facts = result.to_dict() | {"image": image.name} | facts_of(length)
     if outputs.scheme is None:
         landmarks = Landmarks(

@@ -9,11 +9,11 @@ import numpy as np
 
 from liaam.errors import ImageError, StartError, check_options
 from liaam.fitting.detection import DOUBTFUL, Detection
-from liaam.fitting.loop.encoded_image import MARGIN, NEAR
+from liaam.fitting.loop.encoded_image import MARGIN
 from liaam.fitting.loop.levels import LinearImage, Target
 from liaam.fitting.loop.options import SolverOptions
 from liaam.fitting.methods import DEFAULT_METHOD, Method
-from liaam.fitting.one_shape_fitter import MAPPED_DEVIATIONS, OneShapeFitter
+from liaam.fitting.one_shape_fitter import OneShapeFitter
 from liaam.fitting.result import LEAST_QUALITY, FitResult, likeliness, with_prior
 from liaam.fitting.search.finder import Finder
 from liaam.fitting.search.other_places import PlacedFit, likeliest
@@ -282,8 +282,7 @@ class Fitter(OneShapeFitter):
         target = Target(linear, start, noise=camera.noise, theta=camera.theta, margin=self.margin)
         point_map = self.model.points
         if mapped is not None and point_map is not None:
-            margin = NEAR + MAPPED_DEVIATIONS * point_map.deviation / self.model.diagonal
-            target = target._replace(mapped=mapped, pull=self._pull, margin=min(self.margin, margin))
+            target = self.weighing_in(target, mapped, self._pull, point_map.deviation)
         return target, detection
 
     def _refuse_grey(self, image: np.ndarray, name: str) -> None:

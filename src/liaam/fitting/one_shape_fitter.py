@@ -93,17 +93,16 @@ class OneShapeFitter:
     @property
     def reliability(self) -> Reliability | None:
         """Calibration of quality and covariances; None if training has not calibrated the method."""
-        method = self.objectives[0].method
-        for name, reliability in self.view.reliabilities.items():
-            if METHODS.get(name) == method:
-                return reliability
-        return None
+        return next((self.view.reliabilities[name] for name in self.view.reliabilities if self._fits_with(name)), None)
 
     @property
     def is_failing(self) -> bool:
         """Whether too few fits of the method to left-out images were right to calibrate it."""
-        method = self.objectives[0].method
-        return any(METHODS.get(name) == method for name in self.model.failing_methods)
+        return any(self._fits_with(name) for name in self.model.failing_methods)
+
+    def _fits_with(self, name: str) -> bool:
+        """Return whether a name is that of the method."""
+        return METHODS.get(name) == self.objectives[0].method
 
     def reliability_for(self, result: FitResult) -> Reliability | None:
         """Return the calibration if it says something about a fit: not if that was limited to few iterations."""
@@ -143,13 +142,22 @@ class OneShapeFitter:
 
     def _fit_blurred_and_regressed(self, target: Target, options: SolverOptions) -> FitResult:
         """Fit all levels but the sharpest, and then from where the regressor leads."""
-        blurred = self.coarse_to_fine.fit(target, spare(options), last=max(1, len(self.objectives) - 1))
-        shape = blurred[-1].reached
+        shape = self._blurred_levels(target, options)[-1].reached
         if is_sane(shape, target.start):
             regressed = self._fit_regressed(target._replace(start=shape), options)
             if regressed is not None:
                 return regressed
         return self.result_of(target, self.coarse_to_fine.fit(target, options))
+
+    def weighing_in(
+        self, target: Target, landmarks: np.ndarray, precision: np.ndarray | None, deviation: float
+    ) -> Target:
+        """Return a target that weighs in landmarks (n, 2) of another landmarker, by their precision in p.
+
+        The margin around the start allows for their root mean square error, pixels of the frame.
+        """
+        margin = NEAR + MAPPED_DEVIATIONS * deviation / self.model.diagonal
+        return target._replace(mapped=landmarks, pull=precision, margin=min(target.margin, margin))
 
     def _levels_from_points(self, target: Target, deviation: float, options: SolverOptions) -> list[FittedLevel]:
         """Fit the levels that are sharp enough for points with a root mean square error, pixels of the frame."""
@@ -187,10 +195,8 @@ class OneShapeFitter:
         """Fit from the regressor's landmarks (n, 2), and weigh them in; return the target with them, and the levels."""
         assert self.regressor is not None
         deviation = self.regressor.left_out.deviation
-        margin = NEAR + MAPPED_DEVIATIONS * deviation / self.model.diagonal
-        regressed = target._replace(
-            start=landmarks, mapped=landmarks, pull=self._regressor_precision, margin=min(target.margin, margin)
-        )
+        from_there = target._replace(start=landmarks)
+        regressed = self.weighing_in(from_there, landmarks, self._regressor_precision, deviation)
         return regressed, self._levels_from_points(regressed, deviation, options)
 
     def _doubt_about(self, target: Target, shape: np.ndarray) -> tuple[float, np.ndarray | None]:
@@ -228,9 +234,13 @@ class OneShapeFitter:
                 return i
         return len(self.objectives) - 1
 
+    def _blurred_levels(self, target: Target, options: SolverOptions) -> list[FittedLevel]:
+        """Fit all levels but the sharpest, or the only one."""
+        return self.coarse_to_fine.fit(target, spare(options), last=max(1, len(self.objectives) - 1))
+
     def fit_blurred(self, target: Target, options: SolverOptions) -> Blurred:
         """Fit all levels but the sharpest."""
-        stages = self.coarse_to_fine.fit(target, spare(options), last=max(1, len(self.objectives) - 1))
+        stages = self._blurred_levels(target, options)
         shape = stages[-1].reached
         reliability = self.reliability
         if reliability is None or not is_sane(shape, target.start):

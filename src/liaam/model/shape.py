@@ -91,6 +91,12 @@ def _as_complex(shape: np.ndarray) -> np.ndarray:
     return np.ascontiguousarray(shape, dtype=np.float64).reshape(-1).view(np.complex128)
 
 
+def in_box(shape: np.ndarray, centre: np.ndarray, diagonal: float) -> np.ndarray:
+    """Return a shape (n, 2) with its bounding box at a centre (x, y), and of a diagonal."""
+    low, high = corners_of(shape)
+    return (shape - 0.5 * (low + high)) * (diagonal / diagonal_of(shape)) + centre
+
+
 def shifted_into(shape: np.ndarray, size: tuple[int, int]) -> np.ndarray:
     """Shift a shape (n, 2) into an image of size (width, height), if it fits."""
     return shape - np.minimum(shape.min(axis=0), 0.0) - np.maximum(shape.max(axis=0) - (np.array(size) - 1.0), 0.0)

@@ -15,7 +15,7 @@ from liaam.fitting.result import USABLE
 from liaam.io.files import count_of, some_names
 from liaam.model.shape import align, procrustes_mean
 from liaam.morphometry.pairs import WORD
-from liaam.morphometry.specimens import Specimen
+from liaam.morphometry.specimens import Specimen, has_shape
 
 AUTO = "auto"
 REFLECTED = "reflected"
@@ -120,7 +120,7 @@ def _are_alike_as_they_are(specimens: Sequence[Specimen], sides: Sequence[str]) 
     So are specimens that were reflected before, and photographs of symmetric objects from both sides.
     """
     usable = {"", *USABLE}
-    whole = [each for each in specimens if each.status in usable and _has_shape(each.points)]
+    whole = [each for each in specimens if each.status in usable and has_shape(each.points)]
     whole = [each for each in whole if len(each.points) == len(whole[0].points)]
     first = [each.points for each in whole if each.side == sides[0]]
     second = [each.points for each in whole if each.side == sides[1]]
@@ -129,11 +129,6 @@ def _are_alike_as_they_are(specimens: Sequence[Specimen], sides: Sequence[str]) 
     one = procrustes_mean(np.array(first))
     other = procrustes_mean(np.array(second))
     return _CLEARLY * _distance(one, other) < _distance(one * [-1.0, 1.0], other)
-
-
-def _has_shape(points: np.ndarray) -> bool:
-    """Return whether no point is missing and not all are in one place."""
-    return len(points) > 0 and bool(np.isfinite(points).all()) and bool(np.ptp(points, axis=0).any())
 
 
 def _distance(shape: np.ndarray, target: np.ndarray) -> float:

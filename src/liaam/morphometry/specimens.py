@@ -106,3 +106,8 @@ class Specimen:
         labels = {"specimen": name or self.name}
         more = {"names": self.names, "status": self.status}
         return landmark_columns(labels, self.points, self.covariances, **more)
+
+
+def has_shape(points: np.ndarray) -> bool:
+    """Return whether there are points (n, 2), none is missing and not all are in one place."""
+    return len(points) > 0 and bool(np.isfinite(points).all()) and bool(np.ptp(points, axis=0).any())

@@ -27,7 +27,7 @@ from liaam.morphometry.measures import (
     procrustes,
 )
 from liaam.morphometry.sides import are_unreflected
-from liaam.morphometry.specimens import Specimen
+from liaam.morphometry.specimens import Specimen, has_shape
 from liaam.scale.lengths import UNITS, Length
 from liaam.tables import Columns
 
@@ -114,7 +114,7 @@ def measure(
     ]
     items.append(_Item(in_unit(_SIZE, unit, 1), centroid_size, inside, 1))
     whole = [
-        i for i, specimen in enumerate(specimens) if specimen.status in _USABLE and _has_shape(specimen.points[inside])
+        i for i, specimen in enumerate(specimens) if specimen.status in _USABLE and has_shape(specimen.points[inside])
     ]
     specimens = specimens if slide is None else _slid(specimens, whole, inside, slide)
     mean = procrustes_mean(np.array([specimens[i].points[inside] for i in whole])) if whole else None
@@ -186,11 +186,6 @@ def _slid(specimens: Sequence[Specimen], whole: Sequence[int], inside: Sequence[
         points[inside] = shape
         moved[i] = replace(specimens[i], points=points, covariances=None)
     return tuple(moved)
-
-
-def _has_shape(points: np.ndarray) -> bool:
-    """Whether no point is missing and not all are the same."""
-    return bool(np.isfinite(points).all() and np.ptp(points, axis=0).any())
 
 
 def alike(specimens: Iterable[Specimen]) -> tuple[tuple[Specimen, ...], tuple[str, ...]]:
@@ -277,7 +272,7 @@ def _row(
     labels = specimen.names or [str(number) for number in range(1, len(specimen.points) + 1)]
     row |= {"side": specimen.side, "estimated": " ".join(labels[index] for index in specimen.estimated)}
     inside = items[-1].indices
-    if mean is not None and _has_shape(specimen.points[inside]):
+    if mean is not None and has_shape(specimen.points[inside]):
         row |= _shape(specimen, inside, mean)
     return row
 

@@ -159,6 +159,12 @@ class _Proposal:
     period: float
     score: float = 0.0
 
+    def place(self, along: float, across: float) -> np.ndarray:
+        """Return the place (2,) at distances from the centre along the ruler and across it, pixels."""
+        direction = np.array([math.cos(self.angle), math.sin(self.angle)])
+        normal = np.array([-direction[1], direction[0]])
+        return self.centre + along * direction + across * normal
+
 
 def _proposals(grey: np.ndarray) -> list[_Proposal]:
     """Return the proposals of the tiles whose spectra are most like those of ticks, the best first."""
@@ -308,9 +314,7 @@ def _aligned(grey: np.ndarray, proposal: _Proposal) -> _Proposal | None:
         return None
     along = (left + right - 1) / 2 - middle
     across = (top + bottom - 1) / 2 - _REACH
-    direction = np.array([math.cos(proposal.angle), math.sin(proposal.angle)])
-    normal = np.array([-direction[1], direction[0]])
-    centre = proposal.centre + along * direction + across * normal
+    centre = proposal.place(along, across)
     return replace(proposal, centre=centre, angle=proposal.angle + math.atan(slope), period=1 / frequency)
 
 
@@ -356,10 +360,7 @@ def _measured(band: np.ndarray, proposal: _Proposal) -> Ruler | None:
     numbers, places, error, span = ticks
     period, start = np.polyfit(numbers, places, 1)
     across = (top + bottom - 1) / 2 - _REACH
-    direction = np.array([math.cos(proposal.angle), math.sin(proposal.angle)])
-    normal = np.array([-direction[1], direction[0]])
-    ends = np.array([start + period * number - middle for number in span])
-    points = proposal.centre + ends[:, None] * direction + across * normal
+    points = np.array([proposal.place(start + period * number - middle, across) for number in span])
     return Ruler(float(period), error, points, span[1] - span[0] + 1)
 
 

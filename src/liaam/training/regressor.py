@@ -7,7 +7,7 @@ import numpy as np
 
 from liaam.fitting.methods import DEFAULT_METHOD
 from liaam.model import AAM
-from liaam.model.point_map import LEAST_NOISE, PointErrors
+from liaam.model.point_map import LEAST_NOISE, SHRINK, PointErrors
 from liaam.model.regressor import (
     N_FEATURES,
     SIZE,
@@ -18,7 +18,7 @@ from liaam.model.regressor import (
     frame_covariance,
     gain_of,
 )
-from liaam.model.shape import ShapeModel, align, corners_of, diagonal_of, rotation
+from liaam.model.shape import ShapeModel, align, corners_of, diagonal_of, in_box, rotation
 from liaam.photometry.encoding import as_colour
 from liaam.training.entries import Entry
 from liaam.training.reliability import LeftOutFits
@@ -44,7 +44,6 @@ RIDGE = 0.3
 # Mean distance of the landmarks of a left-out image, as a fraction of the diagonal, beyond which it counts as lost, and
 # its errors do not count among those of the regressor: fits do not start from there.
 LOST = 0.06
-SHRINK = 5.0  # Weight, in images, of uncorrelated errors of equal variance in the estimate of the errors' covariance
 MOST_ROWS = 24  # Largest number of directions of the errors that are kept apart
 
 
@@ -209,9 +208,7 @@ def _in_box(mean: np.ndarray, truth: np.ndarray, rng: np.random.Generator) -> np
     shift = rng.normal(0.0, 0.5 * SHIFT, 2)
     low = low + diagonal * (shift + rng.normal(0.0, 0.25 * SHIFT, 2))
     high = high + diagonal * (shift + rng.normal(0.0, 0.25 * SHIFT, 2))
-    lowest, highest = corners_of(mean)
-    scale = np.hypot(*(high - low)) / np.hypot(*(highest - lowest))
-    return 0.5 * (low + high) + scale * (mean - 0.5 * (lowest + highest))
+    return in_box(mean, 0.5 * (low + high), float(np.hypot(*(high - low))))
 
 
 def _moved(mean: np.ndarray, truth: np.ndarray, rng: np.random.Generator) -> np.ndarray:

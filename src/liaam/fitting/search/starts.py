@@ -13,7 +13,7 @@ from liaam.io.files import existing_file, read_bytes
 from liaam.io.images import read_image
 from liaam.io.landmarks import LANDMARK_SUFFIXES, Landmarks, read_landmarks
 from liaam.model import AAM
-from liaam.model.shape import align, corners_of
+from liaam.model.shape import align, corners_of, in_box
 
 _SHOWN = 100  # characters of a start in a message, at most
 BOX_SUFFIX = ".box"  # of a text file that holds a detector's box, x0,y0,x1,y1 or x,y,size
@@ -210,5 +210,4 @@ def _shape(model: AAM, given: np.ndarray, name: str) -> np.ndarray:
             f"{name}: a start of shape {given.shape} is neither landmarks ({model.n_points}, 2), nor a box "
             "(x0, y0, x1, y1), nor a point and a size (x, y, diagonal)"
         )
-    low, high = corners_of(mean)  # the mean shape with its bounding box there
-    return (mean - 0.5 * (low + high)) * (diagonal / model.diagonal) + centre
+    return in_box(mean, centre, diagonal)
