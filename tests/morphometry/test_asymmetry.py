@@ -14,16 +14,8 @@ EFFECTS = {"ind": 0, "side": 1, "ind:side": 2, "ind:side:replicate": 3, "Total":
 COLUMNS = {"Df": "df", "SS": "SS", "MS": "MS", "Rsq": "R2", "F": "F"}
 
 
-@pytest.fixture(scope="module")
-def folder(shared_data) -> Path:
-    folder = Path(shared_data) / "geomorph"
-    if not folder.is_dir():
-        pytest.skip("results of geomorph are absent")
-    return folder
-
-
-def analysed(folder: Path, name: str, **options) -> Asymmetry:
-    shapes, twins = read_set(folder, name)
+def analysed(geomorph: Path, name: str, **options) -> Asymmetry:
+    shapes, twins = read_set(geomorph, name)
     if name in MATCHING:
         return matching_asymmetry(shapes, **options)
     return object_asymmetry(shapes, twins, **options)
@@ -36,9 +28,9 @@ def rounded_as(value: float, text: str) -> str:
 
 
 @pytest.mark.parametrize("name", [*MATCHING, *OBJECT])
-def test_anova_of_shape_is_geomorphs_in_all_digits(folder, name) -> None:
-    printed = Printed.read(folder / f"{name}.txt", "shape")
-    found = analysed(folder, name, permutations=0).shape_anova
+def test_anova_of_shape_is_geomorphs_in_all_digits(geomorph, name) -> None:
+    printed = Printed.read(geomorph / f"{name}.txt", "shape")
+    found = analysed(geomorph, name, permutations=0).shape_anova
     compared = 0
     for effect, cells in printed.cells.items():
         for title in COLUMNS.keys() & cells.keys():
@@ -48,9 +40,9 @@ def test_anova_of_shape_is_geomorphs_in_all_digits(folder, name) -> None:
     assert compared == 4 * 4 + 2 + 3
 
 
-def test_anova_of_size_is_geomorphs(folder) -> None:
-    printed = Printed.read(folder / "matching.txt", "centroid size")
-    found = analysed(folder, "matching", permutations=0).size_anova
+def test_anova_of_size_is_geomorphs(geomorph) -> None:
+    printed = Printed.read(geomorph / "matching.txt", "centroid size")
+    found = analysed(geomorph, "matching", permutations=0).size_anova
     for effect, cells in printed.cells.items():
         for title in COLUMNS.keys() & cells.keys():
             # geomorph 4.0.8 prints F of individuals and sides over the error, but computes P over the interaction.
@@ -58,24 +50,24 @@ def test_anova_of_size_is_geomorphs(folder) -> None:
             assert rounded_as(found[column][EFFECTS[effect]], cells[title]) == cells[title], (effect, title)
 
 
-def test_anova_of_sizes_that_are_nearly_1_is_geomorphs_but_for_its_rounding(folder) -> None:
+def test_anova_of_sizes_that_are_nearly_1_is_geomorphs_but_for_its_rounding(geomorph) -> None:
     # geomorph subtracts sums of squares near 40, whose last place is 7e-15, from each other.
-    printed = Printed.read(folder / "mosquito.txt", "centroid size")
-    found = analysed(folder, "mosquito", permutations=0).size_anova
+    printed = Printed.read(geomorph / "mosquito.txt", "centroid size")
+    found = analysed(geomorph, "mosquito", permutations=0).size_anova
     for effect, cells in printed.cells.items():
         assert found["SS"][EFFECTS[effect]] == pytest.approx(float(cells["SS"]), abs=5 * 7e-15)
 
 
 @pytest.mark.parametrize("name", [*MATCHING, *OBJECT])
-def test_components_are_geomorphs_after_alignment(folder, name) -> None:
-    found = analysed(folder, name, permutations=0)
+def test_components_are_geomorphs_after_alignment(geomorph, name) -> None:
+    found = analysed(geomorph, name, permutations=0)
     shapes = {
         "symmetric": found.symmetric,
         "asymmetric": found.asymmetric,
         "directional": found.directional,
         "fluctuating": found.fluctuating,
     }
-    right = {component: read_shapes(folder / f"{name}-{component}.csv") for component in shapes}
+    right = {component: read_shapes(geomorph / f"{name}-{component}.csv") for component in shapes}
     left, _, other = np.linalg.svd(
         np.einsum("mki,mkj->ij", found.symmetric, right["symmetric"])
     )  # one rotation for all
@@ -84,28 +76,28 @@ def test_components_are_geomorphs_after_alignment(folder, name) -> None:
 
 
 @pytest.mark.parametrize("name", [*MATCHING, *OBJECT])
-def test_unsigned_index_is_geomorphs(folder, name) -> None:
-    right = np.loadtxt(folder / f"{name}-unsigned-ai.csv", delimiter=",", skiprows=1, usecols=1)
-    np.testing.assert_allclose(analysed(folder, name, permutations=0).unsigned_index, right, atol=1e-12)
+def test_unsigned_index_is_geomorphs(geomorph, name) -> None:
+    right = np.loadtxt(geomorph / f"{name}-unsigned-ai.csv", delimiter=",", skiprows=1, usecols=1)
+    np.testing.assert_allclose(analysed(geomorph, name, permutations=0).unsigned_index, right, atol=1e-12)
 
 
 @pytest.mark.parametrize("name", [*MATCHING, *OBJECT])
-def test_permutations_of_geomorph_give_its_p(folder, name) -> None:
-    lines = (folder / f"{name}.txt").read_text().split("centroid size")[0].split("Pr(>F)")[1].splitlines()
+def test_permutations_of_geomorph_give_its_p(geomorph, name) -> None:
+    lines = (geomorph / f"{name}.txt").read_text().split("centroid size")[0].split("Pr(>F)")[1].splitlines()
     right = [float(line.split()[1]) for line in lines if line.startswith(("ind ", "side ", "ind:side "))]
-    found = analysed(folder, name).shape_anova["P_geomorph"][:3]
+    found = analysed(geomorph, name).shape_anova["P_geomorph"][:3]
     # Both are shares of 1000 orders; their difference has at most this standard deviation.
     deviation = np.sqrt(2 * np.maximum(np.multiply(right, np.subtract(1, right)), 0.003) / 1000)
     assert (np.abs(np.subtract(found, right)) < 4 * deviation).all()
 
 
-def test_superimposition_is_gpagens(folder) -> None:
-    shapes, _ = read_set(folder, "object")
+def test_superimposition_is_gpagens(geomorph) -> None:
+    shapes, _ = read_set(geomorph, "object")
     fit = superimpose(shapes.reshape(-1, *shapes.shape[-2:]))
-    right = read_shapes(folder / "object-gpagen.csv")
+    right = read_shapes(geomorph / "object-gpagen.csv")
     left, _, other = np.linalg.svd(np.einsum("mki,mkj->ij", fit.shapes, right))
     np.testing.assert_allclose(fit.shapes @ left @ other, right, atol=1e-9)
-    sizes = np.loadtxt(folder / "object-csize.csv", delimiter=",", skiprows=1, usecols=1)
+    sizes = np.loadtxt(geomorph / "object-csize.csv", delimiter=",", skiprows=1, usecols=1)
     np.testing.assert_allclose(fit.sizes, sizes, rtol=1e-12)
 
 

@@ -2,7 +2,6 @@
 
 import json
 from dataclasses import replace
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -25,14 +24,6 @@ MEAN = np.array([[-30.0, 20], [30, 20], [-40, -25], [40, -25], [0, 45], [0, -50]
 NAMES = ("left_eye", "right_eye", "left_jaw", "right_jaw", "top", "chin")
 
 
-@pytest.fixture(scope="module")
-def folder(shared_data) -> Path:
-    folder = Path(shared_data) / "geomorph"
-    if not folder.is_dir():
-        pytest.skip("results of geomorph are absent")
-    return folder
-
-
 def analysed(specimens, kind: str, side: str = "auto", by: str | None = None, **options) -> AsymmetryResult:
     specimens, _ = of_one_side(alike(specimens)[0], side, by)
     wanted: dict[str, Any] = {"permutations": 0} | options
@@ -48,12 +39,12 @@ def analysed(specimens, kind: str, side: str = "auto", by: str | None = None, **
         ("lizards", (0.236787669, 0.009431742, 0.032119281, 0.006283277)),
     ],
 )
-def test_files_of_geomorph_have_its_sums_of_squares(folder, name, right) -> None:
-    specimens = read_specimens(folder / f"{name}.csv")
+def test_files_of_geomorph_have_its_sums_of_squares(geomorph, name, right) -> None:
+    specimens = read_specimens(geomorph / f"{name}.csv")
     if name in MATCHING:
         found = analysed(specimens, "matching")  # left ones are reflected, those of the mosquitoes were before
     else:
-        found = analysed(specimens, "object", pairs=str(folder / f"{name}-pairs.csv"))
+        found = analysed(specimens, "object", pairs=str(geomorph / f"{name}-pairs.csv"))
     digits = 9 if name in ("mosquito", "lizards") else 8
     assert [round(value, digits) for value in found.analysis.shape_anova["SS"][:4]] == [*right]
     assert found.replicates == 2 and found.left_out == ()

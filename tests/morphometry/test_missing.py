@@ -17,16 +17,8 @@ GAPS = ((2, 3), (5, 9), (11, 1), (11, 8))
 """Specimens and landmarks, from 1, that geomorph estimated."""
 
 
-@pytest.fixture(scope="module")
-def folder(shared_data) -> Path:
-    folder = Path(shared_data) / "geomorph"
-    if not folder.is_dir():
-        pytest.skip("results of geomorph are absent")
-    return folder
-
-
-def with_gaps(folder: Path) -> np.ndarray:
-    shapes, _ = read_set(folder, "object")
+def with_gaps(geomorph: Path) -> np.ndarray:
+    shapes, _ = read_set(geomorph, "object")
     shapes = shapes.reshape(-1, *shapes.shape[-2:])
     for specimen, landmark in GAPS:
         shapes[specimen - 1, landmark - 1] = np.nan
@@ -39,18 +31,18 @@ def printed(path: Path) -> np.ndarray:
     return np.array([[float(x), float(y)] for _, _, x, y in lines])
 
 
-def test_splines_are_geomorphs(folder) -> None:
-    shapes = with_gaps(folder)
+def test_splines_are_geomorphs(geomorph) -> None:
+    shapes = with_gaps(geomorph)
     found, faults = estimate_missing(shapes, "tps")
     assert faults == ()
     own = [found[specimen - 1, landmark - 1] for specimen, landmark in GAPS]
-    np.testing.assert_allclose(own, printed(folder / "object-missing-tps.txt"), atol=1e-6)
+    np.testing.assert_allclose(own, printed(geomorph / "object-missing-tps.txt"), atol=1e-6)
     there = np.isfinite(shapes)
     np.testing.assert_array_equal(found[there], shapes[there])
 
 
-def test_regressions_are_geomorphs(folder) -> None:
-    shapes = with_gaps(folder)
+def test_regressions_are_geomorphs(geomorph) -> None:
+    shapes = with_gaps(geomorph)
     found, faults = estimate_missing(shapes, "regression")
     assert faults == ()
     complete = shapes[np.isfinite(shapes).all(axis=(1, 2))]
@@ -64,7 +56,7 @@ def test_regressions_are_geomorphs(folder) -> None:
         turn = align(shape[known], reference[known] - reference[known].mean(axis=0)).matrix
         turn /= np.sqrt(np.linalg.det(turn))
         own.append((found[specimen - 1, landmark - 1] - shape[known].mean(axis=0)) @ turn.T)
-    right = printed(folder / "object-missing-regression.txt")
+    right = printed(geomorph / "object-missing-regression.txt")
     common = align(np.array(own), right).matrix  # geomorph's mean has another orientation
     common /= np.sqrt(np.linalg.det(common))
     np.testing.assert_allclose(own @ common.T, right, atol=2e-6)

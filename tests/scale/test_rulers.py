@@ -50,22 +50,10 @@ def test_stripes_all_over_are_no_ruler() -> None:
         find_ruler(stripes.astype(np.uint8))
 
 
-@pytest.mark.parametrize(
-    "image",
-    [
-        np.zeros((0, 9, 3), np.uint8),
-        np.zeros((1, 1), np.float32),
-        np.zeros((200, 300, 3), np.uint8),
-        np.full((200, 300), np.nan, np.float32),
-        np.full((200, 300), 1e38, np.float32),
-        np.full((200, 300), np.inf, np.float32),
-        np.zeros((2, 3000), np.uint8),
-    ],
-)
 @pytest.mark.filterwarnings("error")
-def test_images_of_nothing_have_a_defined_answer(image: np.ndarray) -> None:
+def test_images_of_nothing_have_a_defined_answer(image_of_nothing: np.ndarray) -> None:
     with pytest.raises(LiaamError, match="no ruler"):
-        find_ruler(image)
+        find_ruler(image_of_nothing)
 
 
 def test_the_length_of_a_pixel_has_both_errors() -> None:
