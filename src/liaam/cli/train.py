@@ -100,6 +100,7 @@ def train(
     from liaam.training.left_out import describe_objects
 
     check_model_name(output, folder)
+    with_regressor = parse_regressor(regressor)  # its errors come before any work
     if training_lamp is not None and not inputs.folder_of(lamps)[0].is_dir():
         raise LiaamError(
             f"--training-lamp {training_lamp}: this names the training light in a folder of lamp images; give that "
@@ -124,7 +125,7 @@ def train(
             contours=contours or None,
             methods=parse_methods(methods),
             shapes=inputs.parse_shapes(shapes),
-            regressor=parse_regressor(regressor),
+            regressor=with_regressor,
             name=name or inputs.folder_of(folder)[0].name,
             leave_out=leave_out,
             strict=strict,
