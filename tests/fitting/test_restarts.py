@@ -68,7 +68,8 @@ def test_where_no_quality_is_known_no_start_is_tried(scenes, lit_scene, monkeypa
 
 
 def test_results_say_how_many_starts_were_tried_and_are_of_the_one_kept(calibrated, lit_scene, both):
-    again = next(new for old, new in zip(*both, strict=True) if new.quality > old.quality)
+    # One that is right: a wrong fit may stop anywhere.
+    again = next(new for old, new in zip(*both, strict=True) if new.status.ok and new.quality > old.quality)
     assert again.to_dict()["starts_tried"] == again.n_starts > 1
     alone = Fitter(calibrated, restarts=False).fit(lit_scene.image, again.start)
     # Restarts go on from the blurred levels, so that the sharpest one averages the image around another shape; and each

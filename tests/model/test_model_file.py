@@ -776,6 +776,10 @@ def test_what_is_known_of_fits_is_kept(tiny_file, tmp_path):
         ({"unit": [5e-324]}, "reliability.unit 4.94066e-324 is not between 1e-12 and 1e+12"),
         ({"weights": [1.0, 2.0, 1e300]}, "reliability.weights has values beyond 1e+06"),
         ({"prior": [1e300]}, "reliability.prior 1e+300 is not between 1e-06 and 1e+06"),
+        ({"final_prior": [1.5]}, "reliability.final_prior is not between 0 and 1"),
+        ({"final_prior": [-0.5]}, "reliability.final_prior is not between 0 and 1"),
+        ({"expansion": [0.5]}, "reliability.expansion 0.5 is not between 1 and 2"),
+        ({"expansion": [1e9]}, "reliability.expansion 1e+09 is not between 1 and 2"),
     ],
 )
 def test_what_is_known_of_fits_is_checked(tiny_file, tmp_path, changes, words):

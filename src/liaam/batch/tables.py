@@ -33,6 +33,7 @@ COLUMNS = {
     "theta_deg": "float32",
     "cost": "float64",
     "iterations": "int32",
+    "expansion": "float32",
     "landmarks": "list<float32>",
     "covariance": "list<float32>",
     "seconds": "float32",

@@ -198,6 +198,7 @@ class FitJob:
             "theta_deg": _short(result.theta_degrees),
             "cost": finite_or_none(result.cost),
             "iterations": result.n_iterations,
+            "expansion": _short(result.expansion),
             "landmarks": _shorts(result.landmarks),
             "covariance": _shorts(result.landmark_covariances[:, (0, 0, 1), (0, 1, 1)]),
             "size": pixels.shape[1::-1],
@@ -222,7 +223,7 @@ class FitJob:
 
 def failed_row(path: str, message: str) -> FitRow:
     """Return the row of an image that could not be fitted."""
-    numbers = ("quality", "object", "score", "n_found", "theta_deg", "cost", "iterations")
+    numbers = ("quality", "object", "score", "n_found", "theta_deg", "cost", "iterations", "expansion")
     row = dict.fromkeys((*numbers, "landmarks", "covariance", "seconds"))
     return {"path": _printable(path), "status": ERROR, "message": _printable(message), **row}
 

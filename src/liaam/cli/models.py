@@ -141,6 +141,7 @@ def describe(model: "AAM", path: Path) -> dict[str, str]:
         "appearance modes": ", ".join(f"{a.n_modes} {name}" for name, a in appearances.items()),
         "methods": ", ".join(methods_of(model)),
         "quality, ellipses": describe_calibration(model),
+        **({"variation": describe_variation(model)} if model.calibrated else {}),
         **more,
         "reference frame": f"{width}×{height} px, {model.n_pixels} inside the mesh",
         "levels": "blur " + ", ".join(f"{level.blur:g}" for level in model.levels) + " px, coarse to fine",
@@ -157,6 +158,18 @@ def describe_calibration(model: "AAM") -> str:
     if model.failing_methods:
         return "not calibrated, since too few fits to left-out images were right: all fits are doubtful"
     return "not calibrated"
+
+
+def describe_variation(model: "AAM") -> str:
+    """Return what fits do so that their shapes vary as much as the objects do, by method."""
+    lines = []
+    for view in model.views.values():
+        for name, reliability in view.reliabilities.items():
+            prior = f"{name}: {reliability.final_prior:.0%} of the prior on the shape at the finest level"
+            if reliability.expansion > 1.0:
+                prior += f", shapes at {reliability.expansion:.2f} times their distance from the mean"
+            lines.append(prior)
+    return "; ".join(lines)
 
 
 def describe_regressor(model: "AAM") -> str:

@@ -15,6 +15,7 @@ from liaam.fitting.methods import DEFAULT_METHOD, METHODS, Method, get_method
 from liaam.fitting.quality.status import status_of
 from liaam.fitting.quality.uncertainty import (
     covariance,
+    expanded_covariance,
     explains_more_than_noise,
     landmark_covariances,
     quality_features,
@@ -68,7 +69,15 @@ class OneShapeFitter:
     @cached_property
     def objectives(self) -> tuple[Objective, ...]:
         """The objectives of model and method, one per level, coarse to fine."""
-        return make_objectives(self.model, scored(get_method(self.method), self.options))
+        method = scored(get_method(self.method), self.options)
+        return make_objectives(self.model, method, final_prior=self._final_prior)
+
+    @property
+    def _final_prior(self) -> float:
+        """Weight of the prior on the shape at the finest level: of the options, or else as the model has learnt."""
+        if self.options.final_prior is not None:
+            return self.options.final_prior
+        return 1.0 if self.reliability is None else self.reliability.final_prior
 
     @cached_property
     def coarse_to_fine(self) -> CoarseToFine:
@@ -93,7 +102,9 @@ class OneShapeFitter:
     @property
     def reliability(self) -> Reliability | None:
         """Calibration of quality and covariances; None if training has not calibrated the method."""
-        return next((self.view.reliabilities[name] for name in self.view.reliabilities if self._fits_with(name)), None)
+        view = self.model.views.get(get_method(self.method).view)
+        reliabilities = {} if view is None else view.reliabilities
+        return next((each for name, each in reliabilities.items() if self._fits_with(name)), None)
 
     @property
     def is_failing(self) -> bool:
@@ -102,7 +113,7 @@ class OneShapeFitter:
 
     def _fits_with(self, name: str) -> bool:
         """Return whether a name is that of the method."""
-        return METHODS.get(name) == self.objectives[0].method
+        return METHODS.get(name) == scored(get_method(self.method), self.options)
 
     def reliability_for(self, result: FitResult) -> Reliability | None:
         """Return the calibration if it says something about a fit: not if that was limited to few iterations."""
@@ -270,14 +281,21 @@ class OneShapeFitter:
         method = last.objective.method
         reliability = self.reliability
 
-        p = np.zeros(len(self.shapes.basis))  # the last level may have fewer modes
-        p[own_parameters(len(solution.p), len(p))] = solution.p
+        fitted_p = np.zeros(len(self.shapes.basis))  # the last level may have fewer modes
+        fitted_p[own_parameters(len(solution.p), len(fitted_p))] = solution.p
         theta_model, theta = solution.angles if method.has_angles else (np.nan, np.nan)
 
         prior_strength = self.options.shape_prior / solution.prior_scale
         spread = covariance(last, whole=self.objectives[-1], strength=prior_strength, pull=target.pull)
         if reliability is not None:
             spread = reliability.variance_factor * spread
+        landmarks = history[-1].landmarks
+        p = fitted_p
+        expansion = 1.0 if reliability is None else reliability.expansion
+        if expansion > 1.0:
+            p = self.shapes.expanded(fitted_p, expansion)
+            spread = expanded_covariance(spread, len(p), expansion)
+            landmarks = last.pose(self.shapes.shape(p))
         residual_variance = last.objective.noise_variance(solution)
 
         evidence = quality_features(last, doubt)
@@ -292,7 +310,7 @@ class OneShapeFitter:
         if status.ok and (quality < LEAST_QUALITY or not explains or self.is_failing):
             status = FitStatus.DOUBTFUL
         return FitResult(
-            landmarks=history[-1].landmarks,
+            landmarks=landmarks,
             status=status,
             theta=float(theta),
             theta_model=float(theta_model),
@@ -316,4 +334,5 @@ class OneShapeFitter:
             evidence=evidence,
             quality=quality,
             method=method,
+            expansion=expansion,
         )

@@ -158,7 +158,7 @@ class FitResult:
     Attributes
     ----------
     landmarks : (n, 2) float64
-        Fitted landmarks (x, y), image pixels.
+        Fitted landmarks (x, y), image pixels: those to measure, with the ``expansion``.
     status : FitStatus
         How the fit ended. Use the landmarks if ``status.ok``; ``message`` says what to do.
     theta : float
@@ -167,7 +167,8 @@ class FitResult:
     theta_model : float
         Angle of the training camera (theta_1), radians; NaN for methods without angles.
     p : (m + 4,) float64
-        Shape parameters in model pixels (eq 2), the similarity vectors last; ``pose`` maps s(p) to the image.
+        Shape parameters in model pixels (eq 2), the similarity vectors last; ``pose`` maps s(p) to the image, where it
+        is ``landmarks``.
     pose : Similarity
         Model pixels to image pixels.
     lam : (m,) float64
@@ -177,8 +178,8 @@ class FitResult:
     n_iterations : int
         Number of steps, rejected ones included.
     history : tuple of Iteration
-        Each level's start and every accepted step; the last is the result. If the last step was negligible, its cost is
-        that before the step.
+        Each level's start and every accepted step; the last is the result, before its ``expansion``. If the last step
+        was negligible, its cost is that before the step.
     covariance : (n_q, n_q) float64
         Covariance of (p, free angles), given the image and the prior. It accounts for correlation by the blur and (for
         ``soft-li``) by the model's errors, and is scaled up if left-out images showed larger errors.
@@ -206,6 +207,10 @@ class FitResult:
     n_starts : int
         Number of starts, more than 1 after restarts (:attr:`liaam.fitting.Fitter.restarts`). All other attributes,
         also ``history`` and ``start``, describe the fit that was kept.
+    expansion : float
+        Factor, at least 1, on the distance of the fitted shape from the mean shape, that the model has learnt from
+        left-out images, so that shapes vary as much as the objects do
+        (:attr:`liaam.model.Reliability.expansion`). :attr:`registered` is without it.
     contours : tuple of (indices, closed)
         Lines through landmarks, for drawing, and along which landmarks are less certain than across.
     landmark_names : tuple of str
@@ -235,9 +240,15 @@ class FitResult:
     least_quality: float = LEAST_QUALITY
     part: int = 0
     n_starts: int = 1
+    expansion: float = 1.0
     contours: Contours = ()
     landmark_names: tuple[str, ...] = ()
     image: np.ndarray | Path | None = None
+
+    @property
+    def registered(self) -> np.ndarray:
+        """Landmarks (n, 2) at which the model matches the image best, to compare pixels: without ``expansion``."""
+        return self.history[-1].landmarks
 
     def __repr__(self) -> str:
         counts = f"{len(self.landmarks)} landmarks, {count_of(self.n_iterations, 'iteration')}"
@@ -326,6 +337,7 @@ class FitResult:
             "theta_deg": self.theta_degrees,
             "cost": self.cost if np.isfinite(self.cost) else None,
             "iterations": self.n_iterations,
+            "expansion": round(self.expansion, 4),
             "quality": round(self.quality, 4) if self.calibrated else None,
             "calibrated": self.calibrated,
             "sd": finite_list(np.round(self.sd, 3)),

@@ -56,7 +56,7 @@ def _end_of(fitter: Fitter, result: FitResult, image) -> tuple[Objective, Encode
     objective = fitter.dense
     encoded = EncodedImage.at(
         linear.image,
-        result.landmarks,
+        result.registered,
         result.pose,
         method=objective.method,
         response=linear.response,
@@ -66,7 +66,7 @@ def _end_of(fitter: Fitter, result: FitResult, image) -> tuple[Objective, Encode
         density=objective.density,
     )
     # From the shape, because p refers to the shape model of the fit's method, which may be another one.
-    state = objective.start(fitter.shapes.parameters(result.pose.inverse()(result.landmarks)))
+    state = objective.start(fitter.shapes.parameters(result.pose.inverse()(result.registered)))
     if objective.method.has_angles and np.isfinite(result.theta):
         state = state._replace(angles=np.array([result.theta_model, result.theta]))
     return objective, encoded, state

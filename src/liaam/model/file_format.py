@@ -28,6 +28,7 @@ MAX_VARIANCE = MAX_DIAGONAL**2  # Largest variance of a landmark, square pixels 
 MAX_FACTOR = 1e6  # Largest factor on the variances of a fit (faces: 2.2), odds (9), and magnitude of their weights (34)
 LEAST_UNIT = 1e-12  # Least variance of a residual at weight 1; of faces 0.35
 LARGEST_UNIT = 1e12  # Largest one
+MOST_EXPANSION = 2.0  # Largest factor on the distance of a shape from the mean
 LEAST_FREEDOM = 1.0  # Least degrees of freedom: with fewer, shapes have no mean
 LARGEST_FILTER = 100  # Largest height and width of the search's filter, pixels
 # Smallest fraction of the pixels that a file stores. The others take memory that its size does not suggest.
@@ -40,7 +41,17 @@ STORED = {
     "features": ("mean", "projection"),
     "regressor": ("spacings", "weights", "offsets", "variances", "errors", "noise"),
     "shape": ("modes", "eigenvalues", "unexplained"),
-    "reliability": ("landmarks", "bias", "unit", "weights", "variance_factor", "typical", "prior"),
+    "reliability": (
+        "landmarks",
+        "bias",
+        "unit",
+        "weights",
+        "variance_factor",
+        "typical",
+        "prior",
+        "final_prior",
+        "expansion",
+    ),
 }
 MOST_STEPS = 10  # Largest number of steps of a regressor
 MOST_WEIGHT = 1e6  # Largest weight of another landmarker's point

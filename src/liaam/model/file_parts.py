@@ -34,6 +34,7 @@ from liaam.model.file_format import (
     MAX_POINTS,
     MAX_VALUE,
     MAX_VARIANCE,
+    MOST_EXPANSION,
     MOST_STEPS,
     MOST_WEIGHT,
     ROOMY,
@@ -260,8 +261,9 @@ def _reliability(tensors: dict[str, np.ndarray], prefix: str, n: int) -> Reliabi
     unit = number_of(tensors, f"{prefix}.unit")
     factor = number_of(tensors, f"{prefix}.variance_factor")
     typical = number_of(tensors, f"{prefix}.typical")
-    has_prior = f"{prefix}.prior" in tensors  # older files have none
-    prior = number_of(tensors, f"{prefix}.prior") if has_prior else 1.0
+    prior = _number_or_one(tensors, f"{prefix}.prior")
+    final_prior = _number_or_one(tensors, f"{prefix}.final_prior")
+    expansion = _number_or_one(tensors, f"{prefix}.expansion")
     check_covariances(f"{prefix}.landmarks", landmarks, MAX_VARIANCE)
     check_covariances(f"{prefix}.bias", bias, MAX_VARIANCE)
     if not unit > 0.0:
@@ -272,6 +274,10 @@ def _reliability(tensors: dict[str, np.ndarray], prefix: str, n: int) -> Reliabi
         raise ValueError(f"{prefix}.unit {unit:g} is not between {LEAST_UNIT:g} and {LARGEST_UNIT:g}")
     if not 1.0 / MAX_FACTOR <= prior <= MAX_FACTOR:
         raise ValueError(f"{prefix}.prior {prior:g} is not between {1.0 / MAX_FACTOR:g} and {MAX_FACTOR:g}")
+    if not 0.0 <= final_prior <= 1.0:
+        raise ValueError(f"{prefix}.final_prior is not between 0 and 1")
+    if not 1.0 <= expansion <= MOST_EXPANSION:
+        raise ValueError(f"{prefix}.expansion {expansion:g} is not between 1 and {MOST_EXPANSION:g}")
     if factor < 1.0:
         raise ValueError(f"{prefix}.variance_factor is below 1")
     check_magnitude(f"{prefix}.variance_factor", np.array(factor), MAX_FACTOR)
@@ -287,7 +293,14 @@ def _reliability(tensors: dict[str, np.ndarray], prefix: str, n: int) -> Reliabi
         variance_factor=factor,
         typical=typical,
         prior=prior,
+        final_prior=final_prior,
+        expansion=expansion,
     )
+
+
+def _number_or_one(tensors: dict[str, np.ndarray], name: str) -> float:
+    """Return a number, or 1 if the file is older than it."""
+    return number_of(tensors, name) if name in tensors else 1.0
 
 
 def _appearance(

@@ -194,6 +194,10 @@ class ShapeModel:
         moved = np.asarray(p) @ self.basis
         return self.mean + moved.reshape(*moved.shape[:-1], -1, 2)
 
+    def expanded(self, p: np.ndarray, factor: float) -> np.ndarray:
+        """Return the parameters (m + 4,) of a shape at a multiple of its distance from the mean, in the same pose."""
+        return np.concatenate([factor * p[:-4], p[-4:]])
+
     def parameters(self, shape: np.ndarray) -> np.ndarray:
         """Return the coordinates p of a shape's orthogonal projection on the model, (m + 4,) float64."""
         return self.basis @ (np.asarray(shape) - self.mean).ravel()

@@ -63,6 +63,11 @@ class Reliability:
         5th percentile of the quality, for equal odds, of right fits to left-out images.
     prior : float
         Odds of right to wrong fits from starts near the object, of left-out images.
+    final_prior : float
+        Weight, at most 1, of the prior on the shape at the finest level with which left-out images are fitted best.
+    expansion : float
+        Factor, at least 1, on the distance of a fitted shape from the mean. With it, fits to left-out images vary as
+        much as their true shapes, or as much as a small increase of their errors allows.
     """
 
     landmarks: np.ndarray
@@ -72,6 +77,8 @@ class Reliability:
     variance_factor: float
     typical: float = 0.5
     prior: float = 1.0
+    final_prior: float = 1.0
+    expansion: float = 1.0
 
     @property
     def low(self) -> float:

@@ -133,7 +133,7 @@ class Relighter:
         image, name = load_picture(image, name)
         refuse_grey(image, name, "relighting needs colours; give a colour image", MethodError)
         camera = fitter.camera or model.camera
-        shape = result.landmarks
+        shape = result.registered
         if len(seen_triangles(image, shape, model)):
             appearance, shading = find_shading(model, image, shape, camera.response)
             if steadied is not None:

@@ -91,7 +91,7 @@ def residual_layer(
 ) -> tuple[np.ndarray, dict[str, Any]]:
     """Draw the residual of a fit at a size (width, height), where the image is usable; also return its facts."""
     (values, facts), model = residual_of(fitter, image, result), fitter.part_for(result).model
-    shape = rescaled(result.landmarks, image.shape[:2], (to[1], to[0]))
+    shape = rescaled(result.registered, image.shape[:2], (to[1], to[0]))
     canvas = np.broadcast_to(np.uint8(0), (to[1], to[0], 3))  # takes no memory
     painted, inside = paint(canvas, shape, model, values)
     return coloured(painted[..., 0] / facts["limit"], RESIDUAL_COLOURS, inside & (painted[..., 1] > 0.5)), facts

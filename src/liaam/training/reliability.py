@@ -6,8 +6,8 @@ starts, and at the best wrong places that a search finds.
 """
 
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
-from typing import NamedTuple
+from dataclasses import dataclass, replace
+from itertools import chain
 
 import numpy as np
 
@@ -16,19 +16,16 @@ from liaam.fitting.detection import Detection
 from liaam.fitting.loop.levels import LinearImage
 from liaam.fitting.loop.options import SolverOptions
 from liaam.fitting.methods import Method
-from liaam.fitting.quality.uncertainty import fitted_covariances
 from liaam.fitting.search.finder import Finder
 from liaam.fitting.search.templates import is_searchable
 from liaam.model import AAM, Reliability
-from liaam.model.contours import contour_turns, outline_errors
+from liaam.model.contours import outline_errors
 from liaam.model.shape import align, diagonal_of, rotation, shifted_into
 from liaam.photometry import is_grey
-from liaam.training.covariances import Alike, learn_covariances, surprise, variance_factor, widened
+from liaam.training.covariances import Alike, learn_covariances, variance_factor, widened
+from liaam.training.left_out_fits import LeftOutFit, LeftOutFits
+from liaam.training.shrinkage import FINAL_PRIORS, least_shrunk
 
-# Mean distance from the landmarks as a fraction of the shape's diagonal, of landmarks on contours from the contours: a
-# fit is right up to the first and wrong beyond the second. Fits in between are not used.
-RIGHT = 0.03
-WRONG = 0.06
 OPTIONS = SolverOptions(max_iterations=20)  # Right fits converge sooner; wrong ones need not converge
 PLACES = 3  # Places of the search that are fitted in an image, besides those that fill the frame
 RARE = 0.05  # Fraction of right fits whose quality is below typical
@@ -58,61 +55,10 @@ class LeftOutImage:
     relit: bool = False
 
 
-class LeftOutFit(NamedTuple):
-    """A fit to a left-out image.
-
-    ``error`` is the mean distance of the landmarks from the true ones, or of those on contours from the true contours,
-    as a fraction of the shape's diagonal; ``near`` fits start near the object. The rest is in pixels of the frame,
-    turned from the contours of the image to those of the mean shape.
-    """
-
-    near: bool
-    error: float
-    evidence: np.ndarray
-    """(2,) float64"""
-    errors: np.ndarray
-    """(n, 2) float64: true minus fitted landmarks; NaN where the true one is not known."""
-    spreads: np.ndarray
-    """(n, 2, 2) float64: covariances of the landmarks by the fit."""
-    surprise: float
-    unit: float
-
-    @property
-    def right(self) -> bool:
-        """Whether the fit is right."""
-        return self.error <= RIGHT
-
-    @property
-    def wrong(self) -> bool:
-        """Whether the fit is wrong."""
-        return self.error > WRONG
-
-
-@dataclass
-class LeftOutFits:
-    """The fits of a method to left-out images.
-
-    ``n_near`` is the number of starts near the object, of which some fits may be lost by their status; the others are
-    in ``fits``, with those from other starts.
-    """
-
-    fits: list[LeftOutFit] = field(default_factory=list)
-    n_near: int = 0
-
-    @property
-    def n_near_right(self) -> int:
-        """Number of right fits from starts near the object."""
-        return sum(fit.near and fit.right for fit in self.fits)
-
-    @property
-    def near_error(self) -> float:
-        """Mean error of the right fits from starts near the object, as a fraction of the diagonal; NaN without any."""
-        errors = [fit.error for fit in self.fits if fit.near and fit.right]
-        return float(np.mean(errors)) if errors else np.nan
-
-
 def fit_left_out(model: AAM, pictures: Iterable[LeftOutImage], methods: Sequence[Method]) -> dict[str, LeftOutFits]:
     """Fit left-out images from near and distant starts, and at the best wrong places that a search finds.
+
+    Each method fits with several weights of the prior on the shape at the finest level, of which the best is kept.
 
     Parameters
     ----------
@@ -128,10 +74,14 @@ def fit_left_out(model: AAM, pictures: Iterable[LeftOutImage], methods: Sequence
     """
     finder = Finder(model)
     fitters = []
-    fits = {method.name: LeftOutFits() for method in methods}
+    fits = {method.name: [LeftOutFits(weight) for weight in FINAL_PRIORS] for method in methods}
     for i, picture in enumerate(pictures):
         if not fitters or fitters[0].model is not picture.model:
-            fitters = [Fitter(picture.model, method, OPTIONS, restarts=False) for method in methods]
+            fitters = [
+                Fitter(picture.model, method, replace(OPTIONS, final_prior=of_weight.final_prior), restarts=False)
+                for method in methods
+                for of_weight in fits[method.name]
+            ]
         rng = np.random.default_rng([7, i])
         near = _near(picture, rng)
         far = _moved(_near(picture, rng), rng, turn=30.0, shift=0.4)
@@ -139,15 +89,15 @@ def fit_left_out(model: AAM, pictures: Iterable[LeftOutImage], methods: Sequence
         places = []
         if not picture.relit and is_searchable(model):
             places = finder.others_in(LinearImage(picture.image, model.response), PLACES)
-        for fitter, method in zip(fitters, methods, strict=True):
-            if not (method.needs_colour and is_grey(picture.image)):
+        for fitter, of_fitter in zip(fitters, chain.from_iterable(fits.values()), strict=True):
+            if not (fitter.objectives[0].method.needs_colour and is_grey(picture.image)):
                 tried = [_fit(picture, fitter, start, k == 0) for k, start in enumerate(starts)]
                 wrong = [fit for place in places if (fit := _fit(picture, fitter, place)) and fit.wrong]
                 # Of the wrong places, that which explains most.
                 worst = sorted(wrong, key=lambda fit: -fit.evidence[0])[:1]
-                fits[method.name].fits += [*filter(None, tried), *worst]
-                fits[method.name].n_near += 1
-    return fits
+                of_fitter.fits.extend([*filter(None, tried), *worst])
+                of_fitter.n_near += 1
+    return {name: least_shrunk(of_method) for name, of_method in fits.items()}
 
 
 def calibrate(model: AAM, fits: Mapping[str, LeftOutFits], methods: Sequence[Method]) -> dict[str, Reliability]:
@@ -156,7 +106,7 @@ def calibrate(model: AAM, fits: Mapping[str, LeftOutFits], methods: Sequence[Met
     Return the calibrations by the names of the methods, without those that have too few right fits to learn from.
     """
     views = {method.name: method.view for method in methods}
-    learnt = {name: learnt_from(model, of_method.fits, views[name]) for name, of_method in fits.items()}
+    learnt = {name: learnt_from(model, of_method, views[name]) for name, of_method in fits.items()}
     return {name: each for name, each in learnt.items() if each is not None}
 
 
@@ -168,27 +118,23 @@ def _fit(picture: LeftOutImage, fitter: Fitter, start: np.ndarray | Detection, n
         return None
     known = np.ones(model.n_points, bool) if picture.known is None else picture.known
     error = outline_errors(result.landmarks, picture.points, model.contours)[known].mean()
-    unposed = result.pose.inverse()
-    shapes = fitter.shapes
-    truth = unposed(picture.points)
-    turns = contour_turns(truth, shapes.mean, model.contours)
-    # Landmarks that are not known are no surprise, so that only a share of the parameters' errors is seen.
-    seen = truth if picture.known is None else np.where(known[:, None], truth, unposed(result.landmarks))
-    off = shapes.parameters(seen) - result.p
-    errors = np.einsum("nab,nb->na", turns, (picture.points - result.landmarks) @ unposed.matrix.T)
     return LeftOutFit(
-        near,
-        float(error / diagonal_of(picture.points)),
-        result.evidence,
-        errors if picture.known is None else np.where(known[:, None], errors, np.nan),
-        turns @ fitted_covariances(shapes, result.covariance) @ np.swapaxes(turns, 1, 2),
-        surprise(off, result.covariance) / float(known.mean()),
-        result.residual_variance,
+        near=near,
+        error=float(error / diagonal_of(picture.points)),
+        evidence=result.evidence,
+        unit=result.residual_variance,
+        shapes=fitter.shapes,
+        contours=model.contours,
+        truth=result.pose.inverse()(picture.points),
+        known=known,
+        p=result.p,
+        covariance=result.covariance,
     )
 
 
-def learnt_from(model: AAM, fits: Sequence[LeftOutFit], view: str) -> Reliability | None:
+def learnt_from(model: AAM, left_out: LeftOutFits, view: str) -> Reliability | None:
     """Learn the quality and the errors of a method's fits from those to left-out images; None if too few are right."""
+    fits = left_out.fits
     judged = [fit for fit in fits if fit.right or fit.wrong]
     near_fits = [fit for fit in fits if fit.near and not fit.wrong]
     evidence = np.array([fit.evidence for fit in judged])
@@ -214,7 +160,13 @@ def learnt_from(model: AAM, fits: Sequence[LeftOutFit], view: str) -> Reliabilit
     qualities = [made.quality(fit.evidence) for fit in judged if fit.right]
     near = [fit.right for fit in fits if fit.near]
     prior = min((sum(near) + 1) / (len(near) - sum(near) + 1), MOST_ODDS)  # as if there were one more of each
-    return replace(made, typical=float(np.quantile(qualities, RARE)), prior=prior)
+    return replace(
+        made,
+        typical=float(np.quantile(qualities, RARE)),
+        prior=prior,
+        final_prior=left_out.final_prior,
+        expansion=left_out.expansion,
+    )
 
 
 def _n_known(model: AAM) -> int | np.ndarray:

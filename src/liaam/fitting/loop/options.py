@@ -15,6 +15,17 @@ from liaam.formatting import changed_repr
 ELIMINATIONS = ("varpro", "joint")
 ANGLE_STARTS = ("best", "model")
 
+FINITE = (
+    "tolerance",
+    "early_tolerance",
+    "relative_tolerance",
+    "damping",
+    "shape_prior",
+    "final_prior",
+    "observable",
+)
+OPTIONAL = ("early_tolerance", "final_prior", "scoring")  # None: the method's own, or the model's
+
 MOST_ITERATIONS = 1_000_000
 """Largest number of steps that makes sense."""
 
@@ -45,6 +56,10 @@ class SolverOptions:
         Hessian). 0 is pure Gauss-Newton as in the paper, which accepts every step.
     shape_prior : float
         Strength of the Gaussian prior on the shape modes: 1 as learnt, 0 none (the paper).
+    final_prior : float, optional
+        Strength of that prior at the finest level, as a fraction of ``shape_prior``. By default as the model has learnt
+        from left-out images (:attr:`liaam.model.Reliability.final_prior`). A strong prior finds the object, a weaker
+        one lets its shape vary more.
     observable : float
         Estimate a common change of both angles only if its curvature exceeds this multiple of the curvature due to
         noise. Measured: 1-16 without a change of light, since the model's errors are not pure noise; 100 and more under
@@ -64,6 +79,7 @@ class SolverOptions:
     elimination: str = "varpro"
     damping: float = 1e-3
     shape_prior: float = 1.0
+    final_prior: float | None = None
     observable: float = 25.0
     angle_start: str = "best"
     scoring: int | None = None
@@ -76,15 +92,15 @@ class SolverOptions:
             raise MethodError(f"unknown elimination {self.elimination!r}; choose from {', '.join(ELIMINATIONS)}")
         if self.angle_start not in ANGLE_STARTS:
             raise MethodError(f"unknown angle_start {self.angle_start!r}; choose from {', '.join(ANGLE_STARTS)}")
-        for name in ("tolerance", "early_tolerance", "relative_tolerance", "damping", "shape_prior", "observable"):
+        for name in FINITE:
             value = getattr(self, name)
-            if value is None and name == "early_tolerance":
+            if value is None and name in OPTIONAL:
                 continue
             if not isinstance(value, Real) or not 0.0 <= float(value) < np.inf:
                 raise MethodError(f"{name} {value!r}: give a finite number of at least 0")
         for name in ("max_iterations", "scoring"):
             value = getattr(self, name)
-            if value is None and name == "scoring":
+            if value is None and name in OPTIONAL:
                 continue
             if not isinstance(value, Integral) or not 0 <= int(value) <= MOST_ITERATIONS:
                 raise MethodError(f"{name} {value!r}: give a whole number from 0 to {MOST_ITERATIONS:,}")

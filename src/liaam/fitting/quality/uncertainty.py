@@ -37,7 +37,7 @@ def covariance(
     whole = whole or stage.objective
     precision = _precision_of_image(stage, whole)
     n_p = whole.warp.n_parameters
-    precision[np.arange(n_p), np.arange(n_p)] += strength * whole.prior
+    precision[np.arange(n_p), np.arange(n_p)] += strength * whole.weighted_prior
     if pull is not None:
         precision[:n_p, :n_p] += pull
     return _inverse(precision)
@@ -126,6 +126,13 @@ def quality_features(stage: FittedLevel, doubt: float = 0.0) -> np.ndarray:
     n_modes = objective.warp.n_parameters - 4  # without the similarity
     mean_square = squared_modes[:n_modes].mean() if n_modes > 0 else 0.0
     return np.array([max(explained, -1.0), np.log1p(min(mean_square + doubt, 1e6))])
+
+
+def expanded_covariance(spread: np.ndarray, n_p: int, factor: float) -> np.ndarray:
+    """Return the covariance (n_q, n_q) of (p, free angles) if a factor multiplies the shape modes in p (n_p,)."""
+    scales = np.ones(len(spread))
+    scales[: n_p - 4] = factor  # without the similarity
+    return scales[:, None] * spread * scales
 
 
 def fitted_covariances(shapes: ShapeModel, spread: np.ndarray) -> np.ndarray:

@@ -1,0 +1,143 @@
+"""Fits to images left out of training: how far from the truth they are, and how far they say that they are."""
+
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+
+import numpy as np
+
+from liaam.fitting.quality.uncertainty import expanded_covariance, fitted_covariances
+from liaam.model.contours import Contours, contour_turns
+from liaam.model.shape import ShapeModel
+from liaam.training.covariances import surprise
+
+# Mean distance from the landmarks as a fraction of the shape's diagonal, of landmarks on contours from the contours: a
+# fit is right up to the first and wrong beyond the second. Fits in between are not used.
+RIGHT = 0.03
+WRONG = 0.06
+
+
+@dataclass(frozen=True, eq=False)
+class LeftOutFit:
+    """A fit to a left-out image.
+
+    Attributes
+    ----------
+    near : bool
+        Whether it started near the object.
+    error : float
+        Mean distance of the landmarks from the true ones, or of those on contours from the true contours, as a fraction
+        of the shape's diagonal.
+    evidence : (2,) float64
+    unit : float
+        Variance of a residual at weight 1.
+    shapes : ShapeModel
+        The shape model of the fit.
+    contours : tuple of (indices, closed)
+    truth : (n, 2) float64
+        True landmarks, pixels of the frame.
+    known : (n,) bool
+        Which of these are known; the others are estimates.
+    p : (n_p,) float64
+        Shape parameters of the fit.
+    covariance : (n_q, n_q) float64
+        Covariance of p, and of the angles.
+    expansion : float
+        Factor on the distance of the fitted shape from the mean.
+    """
+
+    near: bool
+    error: float
+    evidence: np.ndarray
+    unit: float
+    shapes: ShapeModel
+    contours: Contours
+    truth: np.ndarray
+    known: np.ndarray
+    p: np.ndarray
+    covariance: np.ndarray
+    expansion: float = 1.0
+
+    @property
+    def right(self) -> bool:
+        """Whether the fit is right."""
+        return self.error <= RIGHT
+
+    @property
+    def wrong(self) -> bool:
+        """Whether the fit is wrong."""
+        return self.error > WRONG
+
+    @property
+    def landmarks(self) -> np.ndarray:
+        """Fitted landmarks, (n, 2) float64, pixels of the frame."""
+        return self.shapes.shape(self._expanded_p)
+
+    @property
+    def errors(self) -> np.ndarray:
+        """True minus fitted landmarks, (n, 2) float64, turned from the contours of the image to those of the mean.
+
+        NaN where the true one is not known.
+        """
+        errors = np.einsum("nab,nb->na", self._turns, self.truth - self.landmarks)
+        return np.where(self.known[:, None], errors, np.nan)
+
+    @property
+    def spreads(self) -> np.ndarray:
+        """Covariances of the landmarks by the fit, (n, 2, 2) float64, turned as the errors."""
+        fitted = fitted_covariances(self.shapes, expanded_covariance(self.covariance, len(self.p), self.expansion))
+        return self._turns @ fitted @ np.swapaxes(self._turns, 1, 2)
+
+    @property
+    def surprise(self) -> float:
+        """Squared error of p in its covariance, 1 on average if that is right.
+
+        Landmarks that are not known are no surprise, so that only a share of the parameters' errors is seen.
+        """
+        seen = np.where(self.known[:, None], self.truth, self.landmarks)
+        off = self.shapes.parameters(seen) - self._expanded_p
+        stated = expanded_covariance(self.covariance, len(self.p), self.expansion)
+        return surprise(off, stated) / float(self.known.mean())
+
+    @property
+    def _expanded_p(self) -> np.ndarray:
+        return self.shapes.expanded(self.p, self.expansion)
+
+    @cached_property
+    def _turns(self) -> np.ndarray:
+        """Rotations (n, 2, 2) from the contours of the image to those of the mean shape."""
+        return contour_turns(self.truth, self.shapes.mean, self.contours)
+
+
+@dataclass(eq=False)
+class LeftOutFits:
+    """The fits of a method to left-out images, with one weight of the prior on the shape at the finest level.
+
+    ``n_near`` is the number of starts near the object, of which some fits may be lost by their status; the others are
+    in ``fits``, with those from other starts. Their shapes are at ``expansion`` times their distance from the mean.
+    """
+
+    final_prior: float = 1.0
+    expansion: float = 1.0
+    fits: list[LeftOutFit] = field(default_factory=list)
+    n_near: int = 0
+
+    @property
+    def near_right(self) -> list[LeftOutFit]:
+        """Right fits from starts near the object."""
+        return [fit for fit in self.fits if fit.near and fit.right]
+
+    @property
+    def n_near_right(self) -> int:
+        """Number of right fits from starts near the object."""
+        return len(self.near_right)
+
+    @property
+    def near_error(self) -> float:
+        """Mean error of the right fits from starts near the object, as a fraction of the diagonal; NaN without any."""
+        errors = [fit.error for fit in self.near_right]
+        return float(np.mean(errors)) if errors else np.nan
+
+    def expanded(self, expansion: float) -> "LeftOutFits":
+        """Return the fits with shapes at as many times their distance from the mean."""
+        fits = [replace(fit, expansion=expansion) for fit in self.fits]
+        return replace(self, fits=fits, expansion=expansion)
