@@ -585,3 +585,25 @@ def test_a_full_disk_ends_a_fit_with_one_error(run, model_file, portraits, tmp_p
     assert err.count("error: ") == 1
     assert "stopped: 0 of 3 images are done; make room, and fit the others" in err
     assert not list((tmp_path / "fits").iterdir())  # no results without their pictures
+
+
+def test_overlays_of_large_images_are_jpeg_and_replace_earlier_ones(run, portraits, model_file, tmp_path):
+    box = box_around(read_landmarks(portraits[2]).points)
+    image = tmp_path / "new.png"
+    small = read_image(portraits[1])
+    write_image(image, small)
+    out = tmp_path / "fits"
+    assert run("fit", model_file, image, "--init", box, "-o", out, "--numbers", "--mesh")[0] == 0
+    assert sorted(path.name for path in out.iterdir()) == ["new.json", "new_fit.png"]
+    large = np.zeros((1600, 1600, 3), np.uint8)
+    large[: small.shape[0], : small.shape[1]] = small
+    write_image(image, large)
+    assert run("fit", model_file, image, "--init", box, "-o", out)[0] == 0
+    assert sorted(path.name for path in out.iterdir()) == ["new.json", "new_fit.jpg"]
+
+
+def test_names_are_drawn_where_there_are_names(run, portraits, model_file):
+    code, _, err = run("fit", model_file, portraits[1], "--names")
+    assert code == 1 and "--names: the model's landmarks have no names; use --numbers" in err
+    code, _, err = run("fit", model_file, portraits[1], "--names", "--numbers")
+    assert code == 1 and "--numbers and --names would be drawn on each other" in err

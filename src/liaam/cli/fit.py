@@ -3,7 +3,7 @@
 from collections import defaultdict
 from collections.abc import Iterator
 from contextlib import closing, contextmanager
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -24,6 +24,10 @@ from liaam.scale.choice import facts_of, length_for
 
 if TYPE_CHECKING:
     from liaam.fitting import FitResult, Fitter
+    from liaam.model import AAM
+
+MOST_PNG_PIXELS = 2_000_000
+"""Pixels of an overlay above which it is a JPEG, of about 1 MB instead of 4 MB."""
 
 # Facts of a fit on its own landmarks, which are not written with those of another scheme
 OF_LANDMARKS = ("landmark_names", "sd", "covariance")
@@ -88,9 +92,17 @@ def fit(
     ] = None,
     rotations: inputs.RotationsOption = "upright",
     ellipses: inputs.EllipsesOption = False,
+    numbers: Annotated[bool, typer.Option("--numbers", help="Draw the number of each landmark, from 1.")] = False,
+    names: Annotated[
+        bool, typer.Option("--names", help="Draw the name of each landmark, if the model has any.")
+    ] = False,
+    mesh: Annotated[bool, typer.Option("--mesh", help="Draw the triangles between the landmarks.")] = False,
     given_camera: inputs.CameraOption = None,
 ) -> None:
-    """Fit a model to images. Writes the landmarks and an overlay image for each."""
+    """Fit a model to images. Writes the landmarks and an overlay image for each.
+
+    Overlays are green if the fit may be used, amber if it is doubtful, and red if it failed.
+    """
     from liaam.fitting import Fitter
     from liaam.model import load_model
     from liaam.workers import all_cores, in_order, one_blas_thread, one_thread
@@ -100,9 +112,10 @@ def fit(
     model_file, images = inputs.model_and_inputs(files, "fit")
     if folder := next((image for image in images if image.is_dir()), None):
         raise LiaamError(f"{folder} is a folder; give its images, such as {folder}/*.png, or use 'liaam batch'")
-    outputs = Outputs.asked(output, formats, ellipses=ellipses, scheme=scheme, several=len(images) > 1 or every)
+    outputs = Outputs.asked(output, formats, scheme=scheme, several=len(images) > 1 or every)
     inputs.refuse_inputs([output], images)
     model = load_model(model_file)
+    outputs = replace(outputs, look=look_of(model, ellipses=ellipses, numbers=numbers, names=names, mesh=mesh))
     camera = inputs.camera_for(images, given_camera, model.camera)
     fitter = Fitter(model, method, camera=camera, rotations=rotations)
     if scheme is not None:
@@ -205,6 +218,16 @@ def row_of(result: "FitResult") -> tuple[str, ...]:
     return start, score, str(result.status), result.quality_text, sd, str(result.n_iterations), theta
 
 
+def look_of(model: "AAM", *, ellipses: bool, numbers: bool, names: bool, mesh: bool) -> dict[str, Any]:
+    """Return what an overlay shows, as arguments of :func:`liaam.plotting.overlay_of_fit`."""
+    if numbers and names:
+        raise LiaamError("--numbers and --names would be drawn on each other; use only one of them")
+    if names and not model.landmark_names:
+        raise LiaamError("--names: the model's landmarks have no names; use --numbers")
+    labels = tuple(str(number) for number in range(1, model.n_points + 1)) if numbers else ()
+    return {"ellipses": ellipses, "labels": model.landmark_names if names else labels, "mesh": mesh}
+
+
 @dataclass(frozen=True)
 class Outputs:
     """What is written for each fit.
@@ -214,25 +237,25 @@ class Outputs:
     folder : Path
     suffixes : tuple of str
         Suffixes of the landmark files.
-    picture : str, optional
-        Ending of the name of the overlay image; by default none is written.
-    stem : str, optional
-        Name, without ending, of the only file that was asked for. By default files are named as their image.
-    ellipses : bool
-        Whether the overlay image shows the ellipses of landmarks.
+    picture : bool
+        Whether to write an overlay image.
+    only : Path, optional
+        The only file that was asked for. By default files are named as their image.
+    look : dict
+        What the overlay image shows, as arguments of :func:`liaam.plotting.overlay_of_fit`.
     scheme : str, optional
         Scheme of the landmarks in the files; that of the model by default.
     """
 
     folder: Path
     suffixes: tuple[str, ...]
-    picture: str | None = None
-    stem: str | None = None
-    ellipses: bool = False
+    picture: bool = True
+    only: Path | None = None
+    look: dict[str, Any] = field(default_factory=dict)
     scheme: str | None = None
 
     @classmethod
-    def asked(cls, output: Path, formats: str, *, ellipses: bool, scheme: str | None, several: bool) -> "Outputs":
+    def asked(cls, output: Path, formats: str, *, scheme: str | None, several: bool) -> "Outputs":
         """Take -o as one file if its suffix is that of one, and else as a folder for files of --format."""
         suffixes = tuple(f".{name.strip().lower().removeprefix('.')}" for name in formats.split(","))
         for suffix in suffixes:
@@ -241,21 +264,26 @@ class Outputs:
         is_picture = output.suffix.lower() in IMAGE_SUFFIXES
         is_landmark_file = output.suffix.lower() in FIT_SUFFIXES
         if output.is_dir() or not (is_picture or is_landmark_file):
-            return cls(folder=output, suffixes=suffixes, picture="_fit.png", ellipses=ellipses, scheme=scheme)
+            return cls(folder=output, suffixes=suffixes, scheme=scheme)
         if several:
             raise LiaamError(f"{output} is one file; give a folder with -o, since there may be several results")
-        return cls(
-            folder=output.parent,
-            suffixes=() if is_picture else (output.suffix,),
-            picture=output.suffix if is_picture else None,
-            stem=output.stem,
-            ellipses=ellipses,
-            scheme=scheme,
-        )
+        suffixes = () if is_picture else (output.suffix,)
+        return cls(folder=output.parent, suffixes=suffixes, picture=is_picture, only=output, scheme=scheme)
 
-    def path_of(self, name: str, ending: str) -> Path:
-        """Return the path of a file for the fit of a name."""
-        return self.folder / f"{self.stem or name}{ending}"
+    def path_of(self, name: str, suffix: str) -> Path:
+        """Return the path of a landmark file for the fit of a name."""
+        return self.only or self.folder / f"{name}{suffix}"
+
+    def write_picture(self, name: str, picture: np.ndarray) -> None:
+        """Write the overlay image of the fit of a name: as JPEG if it is large, and else as PNG."""
+        if self.only is not None:
+            write_image(self.only, picture)
+            return
+        height, width = picture.shape[:2]
+        endings = ("_fit.jpg", "_fit.png") if height * width > MOST_PNG_PIXELS else ("_fit.png", "_fit.jpg")
+        wanted, other = (self.folder / f"{name}{ending}" for ending in endings)
+        write_image(wanted, picture)
+        other.unlink(missing_ok=True)  # that of an earlier fit, to a copy of another size
 
 
 def fit_file(
@@ -280,7 +308,7 @@ def fit_object(
     fitter: "Fitter", image: Path, pixels: np.ndarray, start: Any, name: str, outputs: Outputs
 ) -> "FitResult":
     """Fit one object of an image file, and write the results to files of a name."""
-    from liaam.plotting import overlay
+    from liaam.plotting import overlay_of_fit
 
     model = fitter.model
     result = fitter.fit(pixels, start, image.name)
@@ -305,10 +333,8 @@ def fit_object(
     with all_or_none([outputs.path_of(name, suffix) for suffix in outputs.suffixes]) as paths:
         for path in paths:
             write_fit(path, landmarks, facts, (width, height))
-        if outputs.picture is not None:
-            covariances = result.landmark_covariances if outputs.ellipses else None
-            picture = overlay(pixels, result.landmarks, model, covariances=covariances)
-            write_image(outputs.path_of(name, outputs.picture), picture)
+        if outputs.picture:
+            outputs.write_picture(name, overlay_of_fit(pixels, result, model, **outputs.look))
     return result
 
 

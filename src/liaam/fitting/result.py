@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from liaam.drawing import new_axes, plot_landmarks, png_bytes, zoom_to
+from liaam.drawing import DOUBTFUL, LANDMARK, LOST, new_axes, plot_landmarks, png_bytes, zoom_to
 from liaam.errors import LiaamError
 from liaam.fitting.detection import Detection, are_beside
 from liaam.fitting.loop.levels import FittedLevel
@@ -58,6 +58,13 @@ class FitStatus(StrEnum):
     def message(self) -> str:
         """What happened, and what to do."""
         return _MESSAGES[self]
+
+    @property
+    def colour(self) -> str:
+        """Colour in which a fit is drawn: green if it may be used, red if it has failed, or else amber."""
+        if self.ok:
+            return LANDMARK
+        return LOST if self.lost else DOUBTFUL
 
 
 USABLE = frozenset(str(status) for status in FitStatus if status.ok)
@@ -370,6 +377,7 @@ class FitResult:
             covariances=self.landmark_covariances if ellipses else None,
             contours=self.contours,
             title=f"{self.method.name}: {self.status}, quality {self.quality_text}",
+            colour=self.status.colour,
             ax=ax,
         )
 
