@@ -549,10 +549,10 @@ def test_a_model_after_the_images_is_told_where_it_belongs(run, portraits, late)
     assert status == 1 and f"as in 'liaam fit {late} {portraits[1].name}'" in err
 
 
-def test_a_folder_is_not_fitted(run, tmp_path):
+def test_a_folder_without_images_is_named(run, tmp_path):
     for arguments in ((tmp_path,), ("face", tmp_path)):
         status, _, err = run("fit", *arguments)
-        assert status == 1 and f"{tmp_path} is a folder; give its images" in err
+        assert status == 1 and f"{tmp_path}: no images" in err and "give a folder of images" in err
 
 
 def test_an_image_without_texture_gets_no_advice_on_the_search(run, model_file, tmp_path):
@@ -607,3 +607,29 @@ def test_names_are_drawn_where_there_are_names(run, portraits, model_file):
     assert code == 1 and "--names: the model's landmarks have no names; use --numbers" in err
     code, _, err = run("fit", model_file, portraits[1], "--names", "--numbers")
     assert code == 1 and "--numbers and --names would be drawn on each other" in err
+
+
+def test_a_folder_is_fitted_into_one_page(run, portraits, model_file, tmp_path):
+    folder = tmp_path / "new"
+    folder.mkdir()
+    write_image(folder / "a.png", read_image(portraits[1]))
+    (folder / "b.png").write_bytes(b"no image")
+    page = tmp_path / "report.html"
+    code, out, err = run("fit", model_file, folder, "-o", page)
+    assert code == 1 and "b.png" in err
+    assert "1 error" in out and f"written to {page}" in out
+    assert "image    start" not in out  # the page has the table
+    text = page.read_text()
+    assert text.index(">b.png<") < text.index(">a.png<")
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["new", "report.html"]
+    code, _, err = run("fit", model_file, folder, "-o", page, "--scheme", "ibug-68")
+    assert code == 1 and "shows the model's own landmarks" in err
+
+
+def test_overlays_of_earlier_fits_in_a_folder_are_not_fitted(run, portraits, model_file, tmp_path):
+    write_image(tmp_path / "a.png", read_image(portraits[1]))
+    for _ in range(2):
+        assert run("fit", model_file, tmp_path, "-o", tmp_path / "fits")[0] == 0
+    assert sorted(path.name for path in (tmp_path / "fits").iterdir()) == ["a.json", "a_fit.png"]
+    code, _, err = run("fit", model_file, tmp_path / "fits")
+    assert code == 1 and "its images are overlays of earlier fits" in err

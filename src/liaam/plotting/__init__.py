@@ -10,7 +10,7 @@ from liaam.plotting.figures import (
     show_picture,
     subplots,
 )
-from liaam.plotting.overlays import enlarged, overlay, overlay_of_faults, overlay_of_fit
+from liaam.plotting.overlays import enlarged, overlay, overlay_of_faults, overlay_of_fit, thumbnail
 
 __all__ = [
     "enlarged",
@@ -25,5 +25,6 @@ __all__ = [
     "save_figure",
     "show_picture",
     "subplots",
+    "thumbnail",
     "video",
 ]

@@ -261,6 +261,36 @@ def _font(size: int) -> Any:
     return ImageFont.load_default(size)
 
 
+def thumbnail(image: np.ndarray, result: "FitResult", size: int) -> np.ndarray:
+    """Draw a fit on a small picture of its object, or if it failed of the whole image.
+
+    Parameters
+    ----------
+    image : (h, w, 3) array
+    result : FitResult
+    size : int
+        Larger side of the picture in pixels.
+
+    Returns
+    -------
+    (h', w', 3) uint8
+    """
+    points = result.landmarks
+    whole = np.array(image.shape[1::-1])
+    low = np.zeros(2, int)
+    high = whole
+    if not result.status.lost and np.isfinite(points).all():
+        margin = 0.4 * float(np.ptp(points, axis=0).max(initial=0.0)) + 4
+        low = np.clip(np.floor(points.min(axis=0) - margin), 0, whole - 1).astype(int)
+        high = np.clip(np.ceil(points.max(axis=0) + margin), low + 1, whole).astype(int)
+    scale = size / float((high - low).max())
+    width, height = np.maximum(np.rint((high - low) * scale), 1).astype(int).tolist()
+    part = as_picture(image[low[1] : high[1], low[0] : high[0]])
+    picture = cv2.resize(part, (width, height), interpolation=cv2.INTER_AREA if scale < 1 else cv2.INTER_CUBIC)
+    draw_shape(picture, (points - low + 0.5) * scale - 0.5, result.contours, colour=result.status.colour)
+    return picture
+
+
 def overlay_of_faults(image: np.ndarray, points: np.ndarray, faults: Sequence[LabelFault]) -> np.ndarray:
     """Draw landmarks on their image, faulty ones in red and numbered, with yellow lines to their expected positions.
 
