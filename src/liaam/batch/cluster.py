@@ -10,8 +10,8 @@ from typing import Any, cast
 from weakref import WeakSet
 
 from distributed import Client, KilledWorker, Worker, WorkerPlugin, get_worker
-from distributed.comm import connect
 from distributed.comm.addressing import parse_address, parse_host_port
+from distributed.comm.core import connect
 from distributed.comm.registry import get_backend
 
 from liaam import __version__
