@@ -69,7 +69,10 @@ def test_train_and_show(run, portraits, tmp_path):
     assert (code, err) == (0, "")
     assert "5 samples" in out
     assert "trained on 5 images and 15 copies under 60 lamps; shape modes: " in out
-    assert "limit of accuracy: fits to new images are off by at least about" in out
+    assert (
+        "of the object's size, by which the shapes of new images differ from those of the model; fits have larger"
+        in out
+    )
     code, out, _ = run("show", model, "-o", tmp_path / "drawn.png")
     assert code == 0
     assert "me (" in out

@@ -154,7 +154,7 @@ def fit(
                     break
     outputs.write_report(model, given)
     report.show(output, as_table=outputs.report is None)
-    if model.scale is not None and report.table.row_count:
+    if model.scale is not None and report.rows:
         say(f"images that state no scale have that of the training images, {model.scale} per pixel")
     if report.failed:
         raise typer.Exit(1)
@@ -185,9 +185,7 @@ class FitReport:
 
     every: bool  # whether every object of an image is fitted
     rotations: str
-    table: Table = field(
-        default_factory=lambda: table_of("image", "start", "score", "status", "quality", "sd", "iterations", "theta")
-    )
+    rows: list[dict[str, str]] = field(default_factory=list)  # cells by the name of their column
     advice: defaultdict[str, list[str]] = field(default_factory=lambda: defaultdict(list))
     statuses: Counter[str] = field(default_factory=Counter)
     uncalibrated: bool = False  # whether the quality of a fit is unknown
@@ -204,7 +202,7 @@ class FitReport:
         for stem, result in results.items():
             # The only object of an image is named as the image. Of several, each is named as its files.
             name = image.name if stem == image.stem else stem
-            self.table.add_row(cell(name), *row_of(result))
+            self.rows.append({"image": name, **row_of(result)})
             self.statuses[str(result.status)] += 1
             if not result.calibrated:
                 self.uncalibrated = True
@@ -223,31 +221,42 @@ class FitReport:
         if result.detection_doubtful and not result.status.unusable:
             yield inputs.LOW_SCORE + (inputs.TURNED if self.rotations == "upright" else "")
 
+    def table(self) -> Table:
+        """Return the table of all fits, without columns that are empty in all."""
+        columns = [name for name in self.rows[0] if any(row[name] for row in self.rows)]
+        table = table_of(*columns)
+        for row in self.rows:
+            table.add_row(*(cell(row[name] or "–") for name in columns))
+        return table
+
     def show(self, output: Path, *, as_table: bool = True) -> None:
         """Print the table, if there is any fit, or only the numbers of fits by status; and the advice."""
-        if self.table.row_count:
+        if self.rows:
             if as_table:
-                show_table(self.table)
+                show_table(self.table())
             else:
                 say(in_words(self.statuses))
             if self.uncalibrated:
-                say("the quality is unknown, and sd and ellipses are not calibrated: see 'liaam show MODEL'")
+                say("the quality is unknown, and uncertainty and ellipses are not calibrated: see 'liaam show MODEL'")
             say(f"written to {output}")
         inputs.say_advice(self.advice)
 
 
-def row_of(result: "FitResult") -> tuple[str, ...]:
-    """Return the table row of a fit: start, score, status, quality, median landmark sd, iterations and theta."""
+def row_of(result: "FitResult") -> dict[str, str]:
+    """Return the cells of a fit in the table by their column; they are empty where there is nothing to say."""
     if result.found is None:
         start = "given"
-        score = "–"
+    elif result.found.score == 0:
+        start = "not found"  # the fit started in the middle of the image
     else:
-        # Where nothing was found, the fit started in the middle of the image.
-        start = "searched" if result.found.score != 0 else "not found"
-        score = f"{result.found.score:.2f}"
-    sd = f"{np.median(result.sd):.1f} px" if result.status.ok else "–"
-    theta = "–" if result.theta_degrees is None else f"{result.theta_degrees:.1f}°"
-    return start, score, str(result.status), result.quality_text, sd, str(result.n_iterations), theta
+        start = f"searched (score {result.found.score:.2f})"
+    return {
+        "status": str(result.status),
+        "quality": result.quality_text,
+        "uncertainty": f"± {np.median(result.sd):.1f} px" if result.status.ok else "",
+        "start": start,
+        "theta": "" if result.theta_degrees is None else f"{result.theta_degrees:.1f}°",
+    }
 
 
 def look_of(model: "AAM", *, ellipses: bool, numbers: bool, names: bool, mesh: bool) -> dict[str, Any]:

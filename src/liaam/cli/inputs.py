@@ -51,8 +51,8 @@ ModelAndImages = Annotated[
     typer.Argument(
         metavar="[MODEL] IMAGE...",
         readable=False,
-        help="Model file of 'liaam train', or a name that 'liaam show' lists; then the images. If the first name ends "
-        "as that of an image does, there is no MODEL, and 'face' is used, which comes with liaam.",
+        help="Model file of 'liaam train', or a name that 'liaam show' lists; then the images. "
+        "Without a model, as in 'liaam fit photo.jpg', the face model that comes with liaam is used.",
     ),
 ]
 ModelFile = Annotated[
@@ -65,7 +65,7 @@ ModelFile = Annotated[
     ),
 ]
 StrictOption = Annotated[
-    bool, typer.Option("--strict", help="Refuse landmarks with a fault, instead of leaving these out with a line.")
+    bool, typer.Option("--strict", help="Stop if landmarks are faulty. By default, these are named and left out.")
 ]
 CategoryOption = Annotated[
     str | None,
