@@ -40,7 +40,9 @@ def wing():
 
 
 def beetle():
-    shell, head, eye = (52, 92, 48), (38, 46, 34), (16, 16, 16)
+    shell = (52, 92, 48)
+    head = (38, 46, 34)
+    eye = (16, 16, 16)
     parts = []
     for side in (-1, 1):
         for y in (-0.15, 0.15, 0.45):
@@ -69,18 +71,11 @@ def beetle():
 
 
 def key():
-    brass, dark = (188, 152, 70), (120, 90, 36)
-    teeth = np.array(
-        [[-0.05, 0.08], [0.3, 0.08], [0.3, 0.3], [0.45, 0.3], [0.45, 0.16], [0.6, 0.16]]
-        + [
-            [0.6, 0.34],
-            [0.75, 0.34],
-            [0.75, 0.08],
-            [0.95, 0.0],
-            [0.85, -0.08],
-            [-0.05, -0.08],
-        ]
-    )
+    brass = (188, 152, 70)
+    dark = (120, 90, 36)
+    x = [-0.05, 0.3, 0.3, 0.45, 0.45, 0.6, 0.6, 0.75, 0.75, 0.95, 0.85, -0.05]
+    y = [0.08, 0.08, 0.3, 0.3, 0.16, 0.16, 0.34, 0.34, 0.08, 0.0, -0.08, -0.08]
+    teeth = np.stack([x, y], axis=1)
     parts = [(oval(-0.5, 0, 0.42, 0.4), brass, 0), (oval(-0.5, 0, 0.42, 0.4), dark, 2)]
     parts += [(oval(-0.68, 0, 0.12, 0.13), (72, 80, 92), 0), (teeth, brass, 0)]
     parts += [(np.concatenate([teeth, teeth[:1]]), dark, 2)]
@@ -136,7 +131,7 @@ figure, axes = plt.subplots(3, 4, figsize=(10, 7.6), layout="constrained")
 for row, kind in zip(axes, (wing, beetle, key), strict=True):
     rng = np.random.default_rng(5)
     training = [photograph(kind, rng, 0.15) for _ in range(12)]
-    model = liaam.train(training, diagonal=100, lamps=None)
+    model = liaam.train(training, diagonal=100, lamps=None, regressor=False)
     row[0].imshow(photograph(kind, rng, 0.15)[0])
     row[0].set_title(f"{kind.__name__}, soft light")
     row[0].axis("off")
