@@ -81,6 +81,11 @@ def test_the_table_of_the_page_can_be_measured(fits, images, tmp_path):
 def test_what_cannot_be_reported_is_refused_by_name(fits, images, tmp_path):
     with pytest.raises(LiaamError, match=r"report\.pdf: a report is a web page; give a name that ends in \.html"):
         write_report(tmp_path / "report.pdf", fits, images)
+    (tmp_path / "mine.html").write_text("<html>my own page</html>")
+    with pytest.raises(
+        LiaamError, match=r"mine\.html exists and is not a report of liaam; give another name to keep it"
+    ):
+        write_report(tmp_path / "mine.html", fits, images)
     with pytest.raises(LiaamError, match="4 results and 1 images: give the image of each result"):
         write_report(tmp_path / "report.html", fits, images[:1])
     bare = replace(fits[0], image=None)
@@ -93,7 +98,8 @@ def test_what_cannot_be_reported_is_refused_by_name(fits, images, tmp_path):
 
 
 def test_a_page_of_nothing_and_of_arrays(fits, tmp_path, moving):
-    write_report(tmp_path / "none.html", [])
+    for _ in range(2):  # a report may be replaced
+        write_report(tmp_path / "none.html", [])
     assert "<title>0 fits</title>" in (tmp_path / "none.html").read_text("utf-8")
     write_report(tmp_path / "arrays.html", [replace(fit, image=None) for fit in fits], [s.image for s in moving[:4]])
     assert names_on(tmp_path / "arrays.html") == ["images[3]", "images[2]", "images[1]", "images[0]"]

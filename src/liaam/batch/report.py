@@ -34,6 +34,8 @@ REPORT_SUFFIXES = (".html", ".htm")
 THUMBNAIL = 256
 """Larger side of the pictures in pixels: with 8 kB each, a page of 2,000 has 20 MB."""
 JPEG_QUALITY = 65
+GENERATOR = b'<meta name="generator" content="liaam">'
+"""Near the start of each report, to tell it from other pages."""
 
 
 @dataclass(frozen=True)
@@ -142,7 +144,17 @@ def check_report(path: str | os.PathLike[str]) -> Path:
     if page.suffix.lower() not in REPORT_SUFFIXES:
         raise LiaamError(f"{page}: a report is a web page; give a name that ends in .html")
     check_output(page)
+    refuse_other_page(page)
     return page
+
+
+def refuse_other_page(page: Path) -> None:
+    """Raise if a page would be overwritten that is no report."""
+    if not page.is_file():
+        return
+    with page.open("rb") as file:
+        if GENERATOR not in file.read(1000):
+            raise LiaamError(f"{page} exists and is not a report of liaam; give another name to keep it")
 
 
 def write_entries(path: Path, entries: Iterable[Entry], n_points: int, names: Sequence[str], title: str = "") -> None:

@@ -100,7 +100,8 @@ def _is_number(value: Any) -> bool:
 def check_format(output: Path) -> None:
     """Raise, before any work, if the format cannot be written."""
     if output.suffix.lower() not in _WRITERS:
-        raise LiaamError(f"{output}: give a table that ends in {', '.join(_WRITERS)}")
+        page = "; 'liaam fit' writes web pages" if output.suffix.lower() in (".html", ".htm") else ""
+        raise LiaamError(f"{output}: give a table that ends in {', '.join(_WRITERS)}{page}")
     if output.suffix.lower() == ".parquet" and find_spec("pyarrow") is None:
         raise LiaamError(
             f"{output}: Parquet needs pyarrow; run {installing('batch')}, or give a name that ends in .csv or .jsonl"

@@ -12,7 +12,7 @@ import typer
 from rich.table import Table
 from typer.core import TyperCommand
 
-from liaam.batch.report import REPORT_SUFFIXES, Entry, entry_of_error, entry_of_fit, write_entries
+from liaam.batch.report import REPORT_SUFFIXES, Entry, entry_of_error, entry_of_fit, refuse_other_page, write_entries
 from liaam.batch.run import in_words
 from liaam.batch.work import ERROR
 from liaam.cli import inputs
@@ -311,6 +311,7 @@ class Outputs:
         if output.suffix.lower() in REPORT_SUFFIXES and not output.is_dir():
             if scheme is not None:
                 raise LiaamError(f"{output} shows the model's own landmarks; give --scheme for landmark files only")
+            refuse_other_page(output)
             return cls(folder=output.parent, suffixes=(), picture=False, report=output)
         is_picture = output.suffix.lower() in IMAGE_SUFFIXES
         is_landmark_file = output.suffix.lower() in FIT_SUFFIXES
