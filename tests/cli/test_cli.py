@@ -552,6 +552,12 @@ def test_a_model_after_the_images_is_told_where_it_belongs(run, portraits, late)
     assert status == 1 and f"as in 'liaam fit {late} {portraits[1].name}'" in err
 
 
+def test_a_folder_that_is_called_as_a_model_is_a_folder_by_its_path(run, tmp_path):
+    (tmp_path / "face").mkdir()
+    assert "face: no images" in run("fit", tmp_path / "face")[2]
+    assert "face: no images" in run("batch", tmp_path / "face", "-o", tmp_path / "t.csv")[2]
+
+
 def test_a_folder_without_images_is_named(run, tmp_path):
     for arguments in ((tmp_path,), ("face", tmp_path)):
         status, _, err = run("fit", *arguments)

@@ -254,7 +254,7 @@ def model_and_inputs(files: Sequence[Given], command: str, inputs: str = "IMAGE.
     """Split the files of a command: the first is the model, unless its name is that of an input (:func:`is_input`)."""
     if not files or is_input(str(files[0])):
         paths = [Path(file) for file in files]
-        if late := next((path for path in paths if path.suffix.lower() in MODEL_SUFFIXES or path.name in MODELS), None):
+        if late := next((path for path in paths if path.suffix.lower() in MODEL_SUFFIXES or str(path) in MODELS), None):
             raise LiaamError(f"{late}: a model comes first, as in 'liaam {command} {late.name} {paths[0].name}'")
         return Path(FACE), list(files)
     if len(files) == 1:
