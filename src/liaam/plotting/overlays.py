@@ -208,7 +208,9 @@ def _draw_mesh(picture: np.ndarray, points: np.ndarray, triangles: np.ndarray, c
 def _with_labels(picture: np.ndarray, points: np.ndarray, labels: Sequence[str]) -> np.ndarray:
     """Return a picture with a text beside each point, on the side where fewer other points are."""
     points = _within_reach(points)
-    size = max(SMALLEST_LETTERS, _extent(picture, points) / 40, max(picture.shape[:2]) / 64)
+    # Seen where the picture is shown in some 800 pixels, unless that covers the neighbours.
+    wanted = min(max(picture.shape[:2]) / 64, _spacing(points))
+    size = max(SMALLEST_LETTERS, _extent(picture, points) / 40, wanted)
     nearest = np.argsort(_distances(points), axis=1)[:, 1 : 1 + NEIGHBOURS]
     away = points - points[nearest].mean(axis=1) if nearest.size else np.zeros(points.shape)
     lengths = np.linalg.norm(away, axis=1, keepdims=True)
