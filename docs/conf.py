@@ -75,6 +75,7 @@ ORDER = [
     "plot_relighting.py",
     "plot_batch.py",
     "plot_specimens.py",
+    "plot_other_objects.py",
     "plot_calibration.py",
     "plot_invariant.py",
     "plot_registration.py",

@@ -12,7 +12,7 @@ import matplotlib.pyplot as plt
 import numpy as np
 
 import liaam
-from liaam.plotting import overlay
+from liaam.plotting import overlay_of_fit
 from scenes import Expression, Head, Pose, lateral, make_set, render
 
 # %%
@@ -48,7 +48,7 @@ fits = {
 figure, axes = plt.subplots(1, 4, figsize=(9, 3.4), layout="constrained")
 for axis, (method, fit) in zip(axes, fits.items(), strict=True):
     error = np.linalg.norm(fit.landmarks - test.landmarks, axis=1).mean()
-    axis.imshow(overlay(test.image, fit.landmarks, model))
+    axis.imshow(overlay_of_fit(test.image, fit, model))
     axis.set_title(f"{method}: {error:.2f} px")
     axis.axis("off")
 

@@ -2,7 +2,7 @@
 Checking landmarks
 ==================
 
-Landmarks in another order, a contour that runs backwards, or two points exchanged spoil a model. Find such mistakes
+Landmarks in another order, a contour that runs backwards, or two points exchanged make a model that fits badly. Find such mistakes
 before training.
 """
 

@@ -9,7 +9,7 @@ import matplotlib.pyplot as plt
 import numpy as np
 
 import liaam
-from liaam.plotting import overlay
+from liaam.plotting import overlay_of_fit
 from scenes import Head, Pose, make_set, render
 
 head = Head(5)
@@ -41,6 +41,6 @@ for axis, method in zip(
 ):
     result = liaam.fit(model, image, box, method)
     error = np.linalg.norm(result.landmarks - test.landmarks, axis=1).mean()
-    axis.imshow(overlay(image, result.landmarks, model))
+    axis.imshow(overlay_of_fit(image, result, model))
     axis.set_title(f"{method}: {error:.2f} px")
     axis.axis("off")

@@ -12,7 +12,7 @@ from skimage.feature import daisy
 
 import liaam
 from liaam.fitting import features_method
-from liaam.plotting import overlay
+from liaam.plotting import overlay_of_fit
 from scenes import DIFFUSE, Head, lateral, make_set
 
 RADIUS = 8
@@ -63,7 +63,7 @@ for axis, (name, method) in zip(axes, methods.items(), strict=True):
         result = fitter.fit(test.image, box)
         distances = np.linalg.norm(result.landmarks - test.landmarks, axis=1)
         errors.append(distances.mean())
-    axis.imshow(overlay(test.image, result.landmarks, model))
+    axis.imshow(overlay_of_fit(test.image, result, model))
     axis.set_title(f"{name}: {np.mean(errors):.2f} px")
     axis.axis("off")
 

@@ -10,7 +10,7 @@ import numpy as np
 
 import liaam
 from liaam.datasets import load_face
-from liaam.plotting import overlay
+from liaam.plotting import overlay_of_fit
 
 # %%
 # Both are calibrated in training, on images that are left out in turn. The face model that comes with liaam fits a
@@ -32,9 +32,8 @@ images = {"as taken": photograph, "covered": covered, "turned": np.rot90(photogr
 figure, axes = plt.subplots(1, 3, figsize=(9, 4.2), layout="constrained")
 for axis, (name, image) in zip(axes, images.items(), strict=True):
     result = fitter.fit(image)
-    ellipses = result.landmark_covariances
-    axis.imshow(overlay(image, result.landmarks, model, covariances=ellipses))
-    axis.set_title(f"{name}: {result.status}, quality {result.quality:.2f}", fontsize=9)
+    axis.imshow(overlay_of_fit(image, result, model, ellipses=True))
+    axis.set_title(name)
     axis.axis("off")
     print(f"{name}: mean standard deviation {result.sd.mean():.1f} pixels")
 

@@ -59,6 +59,9 @@ DASHES = ((0, (1, 1.5)), (0, (5, 2)), (0, (6, 2, 1, 2)))
 FLOOR = 1e-3
 """Lower limit of a logarithmic axis of errors. Smaller errors are drawn there."""
 
+MOST_ACROSS = 2
+"""Entries of a legend below each panel."""
+
 OTHERS = ("#1d4e89", "#e8743b", "#19a979", "#b565a7", "#d4a017", "#5c5c5c")
 """Colours of curves that do not show a method, in turn."""
 
@@ -149,8 +152,8 @@ class Panel:
 
 
 def figure_of_curves(panels: Sequence[Panel]) -> "Figure":
-    """Draw curves in panels side by side, with one legend."""
-    figure, axes = subplots(1, len(panels), (5.0 * len(panels) + 1.5, 4.2))
+    """Draw curves in panels side by side, with one legend below. Their letters can be read on a page of two panels."""
+    figure, axes = subplots(1, len(panels), (4.0 * len(panels), 4.4))
     strange = list(dict.fromkeys(name for panel in panels for name in panel.curves if base_of(name) not in COLOURS))
     colours = dict(zip(strange, cycle(OTHERS))) if len(strange) > 1 else {}
     references = list(dict.fromkeys(name for panel in panels for name in panel.references))
@@ -160,8 +163,9 @@ def figure_of_curves(panels: Sequence[Panel]) -> "Figure":
     handles: dict[str, Any] = {}
     for axis in axes[0]:
         handles |= dict(zip(*reversed(axis.get_legend_handles_labels()), strict=True))
+    columns = min(len(handles), MOST_ACROSS * len(panels))
     figure.legend(
-        handles.values(), handles.keys(), loc="outside right center", fontsize=9, frameon=False, handlelength=3.2
+        handles.values(), handles.keys(), loc="outside lower center", ncols=columns, frameon=False, handlelength=3.2
     )
     return figure
 

@@ -266,21 +266,32 @@ def test_every_example_has_its_place_in_the_gallery():
     assert sorted(listed) == sorted(path.name for path in (ROOT / "examples").glob("*.py"))
 
 
+PASTED = {
+    "README.md": ("liaam-fits/lisa_fit.png", "lisa_relit.png", "new.pts"),
+    "docs/index.md": ("liaam-fits/lisa_fit.png", "lisa_relit.png", "new.pts"),
+    "docs/tutorial/first-model.md": ("faces-model.png", "fits/new.json", "new.pts", "new_flat.png"),
+}
+"""Pages whose blocks run when they are pasted in order, and some of the files that they write."""
+
+
 @pytest.mark.slow
-def test_the_tutorial_runs(tmp_path, monkeypatch):
-    """Its code and its commands, in order; only the installation is left out."""
+@pytest.mark.parametrize("page", PASTED)
+def test_code_and_commands_of_first_pages_run_when_they_are_pasted(tmp_path, monkeypatch, page):
+    """All in order, as in a checkout; only the installation is left out."""
     monkeypatch.chdir(tmp_path)
+    (tmp_path / "src").symlink_to(ROOT / "src")
     names: dict[str, object] = {}
-    for kind, code in BLOCK.findall(text_of(ROOT / "docs/tutorial/first-model.md")):
+    for kind, code in BLOCK.findall(text_of(ROOT / page)):
         if kind == "python":
             exec(code, names)
-        elif kind == "sh" and "pip install" not in code:
-            for line in code.splitlines():
-                words = shlex.split(line, comments=True)
-                assert words[0] == "liaam"
+        for line in code.splitlines() if kind == "sh" else ():
+            words = shlex.split(line.removeprefix("pip install . && "), comments=True)
+            if words[:1] == ["liaam"]:
                 subprocess.run([sys.executable, "-m", *words], check=True)
+            else:
+                assert words in ([], ["pip", "install", "."])
     result = names["result"]
     assert isinstance(result, FitResult)
     assert result.status == "converged"
     assert result.quality > 0.5
-    assert all((tmp_path / name).exists() for name in ("faces-model.png", "fits/new.json", "new.pts", "new_flat.png"))
+    assert all((tmp_path / name).exists() for name in PASTED[page])

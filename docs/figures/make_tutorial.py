@@ -12,7 +12,7 @@ from PIL import Image
 import liaam
 from liaam.datasets.heads import HARD_LIGHT, SOFT_LIGHT
 from liaam.fitting import Fitter
-from liaam.plotting import figure_of_model, overlay, save_figure
+from liaam.plotting import figure_of_model, overlay_of_fit, save_figure
 
 HERE = Path(__file__).parent
 
@@ -27,7 +27,7 @@ def main() -> None:
         save("tutorial-model", [Image.open(Path(name) / "model.png").convert("RGB")])
         result = Fitter(model).fit(new)
         image = liaam.read_image(new)
-        fitted = overlay(image, result.landmarks, model)
+        fitted = overlay_of_fit(image, result, model)
         save("tutorial-fit", [Image.fromarray(each) for each in (image, fitted, liaam.relight(model, new))])
 
 

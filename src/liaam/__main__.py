@@ -11,8 +11,10 @@ def main() -> None:
     """Run the command line; a Ctrl-C at any time ends it without a traceback."""
     sys.unraisablehook = _on_unraisable
     try:
-        from liaam.cli.main import main as run  # takes a moment
+        from liaam.cli.terminal import warnings_as_lines
 
+        with warnings_as_lines():  # also that the compiled core is missing, which its import says
+            from liaam.cli.main import main as run  # takes a moment
         run()
     except KeyboardInterrupt:
         print("stopped", file=sys.stderr)

@@ -12,6 +12,7 @@ from pathlib import Path
 from types import ModuleType
 
 from liaam import encoding_constants
+from liaam.errors import CoreWarning
 
 INSTRUCTION_SETS = ("baseline", "avx2")
 """Instruction sets that may be built, from the least to the most."""
@@ -59,7 +60,7 @@ if _module is None:
         warnings.warn(
             f"liaam was installed without its compiled core, so that fits take about {TIMES_SLOWER} times as long; "
             "install a C++ compiler, and then liaam again with 'pip install --no-cache-dir --force-reinstall'",
-            RuntimeWarning,
+            CoreWarning,
             stacklevel=2,
         )
     INSTRUCTION_SET = NUMPY
@@ -77,7 +78,7 @@ def _warn_if_stale(digest: str) -> None:
         warnings.warn(
             "the compiled core of liaam is older than its sources; build it again with "
             "'pip install --no-build-isolation -e .'",
-            RuntimeWarning,
+            CoreWarning,
             stacklevel=3,
         )
 

@@ -1,5 +1,6 @@
 """Landmarks drawn on images: what results and figures have in common."""
 
+from collections.abc import Sequence
 from io import BytesIO
 from typing import TYPE_CHECKING
 
@@ -11,8 +12,22 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-LANDMARK = "#40ff8c"  # Colour of landmarks
-ELLIPSE = "#ffdc40"  # Colour of their ellipses
+LANDMARK = "#40ff8c"  # Colour of landmarks, and of fits that may be used
+DOUBTFUL = "#ffa81f"  # Colour of fits to check
+LOST = "#ff4141"  # Colour of fits that failed, and of faulty landmarks
+ELLIPSE = "#ffffff"  # Colour of ellipses
+EDGE = 1.6  # Width of the dark edges around lines in figures, points, with which they are seen on any ground
+
+
+def rgb(colour: str) -> tuple[int, int, int]:
+    """Return red, green and blue, 0 to 255, of a colour such as ``#40ff8c``."""
+    red, green, blue = bytes.fromhex(colour.removeprefix("#"))
+    return red, green, blue
+
+
+def line_of(points: np.ndarray, indices: Sequence[int], closed: bool) -> np.ndarray:
+    """Return the points (m, 2) of a contour of landmarks (n, 2) in turn, the first again at the end if it is closed."""
+    return points[[*indices, indices[0]] if closed else list(indices)]
 
 
 def as_picture(image: np.ndarray) -> np.ndarray:
@@ -44,12 +59,15 @@ def plot_landmarks(
     covariances: np.ndarray | None = None,
     contours: Contours = (),
     title: str = "",
+    colour: str = LANDMARK,
     ax: "Axes | None" = None,
 ) -> "Axes":
     """Draw landmarks (n, 2), their contours and their 95 % ellipses with Matplotlib, on an image or on white.
 
     Landmarks that are not finite are left out.
     """
+    from matplotlib.patheffects import withStroke
+
     ax = ax or new_axes()[1]
     if image is None:
         ax.set_aspect("equal")
@@ -58,13 +76,16 @@ def plot_landmarks(
     else:
         ax.imshow(as_picture(image))
         ax.set_autoscale_on(False)
+
+    def draw_line(line: np.ndarray, colour: str, width: float) -> None:
+        ax.plot(*line.T, color=colour, lw=width, path_effects=[withStroke(linewidth=width + EDGE, foreground="black")])
+
     for indices, closed in contours:
-        line = landmarks[[*indices, indices[0]] if closed else list(indices)]
-        ax.plot(line[:, 0], line[:, 1], color=LANDMARK, lw=1.2)
-    ax.plot(landmarks[:, 0], landmarks[:, 1], "o", color=LANDMARK, mec="black", mew=0.4, ms=3.5)
+        draw_line(line_of(landmarks, indices, closed), colour, 1.2)
     if covariances is not None:
         for outline in ellipses(landmarks, covariances):
-            ax.plot(*np.concatenate([outline, outline[:1]]).T, color=ELLIPSE, lw=0.8)
+            draw_line(np.concatenate([outline, outline[:1]]), ELLIPSE, 0.8)
+    ax.plot(landmarks[:, 0], landmarks[:, 1], "o", color=colour, mec="black", mew=0.8, ms=4)
     ax.set_title(title, fontsize=10)
     ax.axis("off")
     return ax

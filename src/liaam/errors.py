@@ -155,3 +155,7 @@ def check_options(given: Iterable[str], allowed: Sequence[str], remedies: Mappin
         remedy = (remedies or {}).get(name) or (f"did you mean {meant!r}?" if meant else "")
         listed = f"unknown option {name!r}; choose from {', '.join(allowed)}"
         raise OptionError(f"{listed}; {remedy}" if remedy else listed)
+
+
+class CoreWarning(RuntimeWarning, UserWarning):
+    """The compiled core is missing, so that fits take longer, or is older than its sources."""

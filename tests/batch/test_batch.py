@@ -8,10 +8,12 @@ import multiprocessing
 import os
 import random
 import signal
+import socket
 import sqlite3
 import subprocess
 import sys
-from contextlib import closing
+import threading
+from contextlib import closing, suppress
 from dataclasses import replace
 from hashlib import sha256
 from pathlib import Path
@@ -584,6 +586,24 @@ def test_a_scheduler_that_is_not_there_is_an_error(world, tmp_path, monkeypatch)
                 batch_of(world, tmp_path / "r.csv", jobs=None, scheduler=address)
     with pytest.raises(LiaamError, match="leave --jobs out"):
         batch_of(world, tmp_path / "r.csv", jobs=2, scheduler="tcp://127.0.0.1:1")
+
+
+def test_another_program_in_place_of_a_scheduler_is_an_error(world, tmp_path):
+    """A web server's answer is no length of a message, which would be all the memory there is."""
+    pytest.importorskip("distributed")
+    with socket.create_server(("127.0.0.1", 0)) as server:
+
+        def answer():
+            with suppress(OSError):
+                while True:
+                    connection, _ = server.accept()
+                    connection.sendall(b"HTTP/1.1 400 Bad Request\r\n\r\n" * 9)
+                    connection.close()
+
+        threading.Thread(target=answer, daemon=True).start()
+        address = f"tcp://127.0.0.1:{server.getsockname()[1]}"
+        with pytest.raises(LiaamError, match=f"{address}: no scheduler answers"):
+            batch_of(world, tmp_path / "r.csv", jobs=None, scheduler=address)
 
 
 # Bad input, and the command line ------------------------------------------------------------------------

@@ -69,7 +69,10 @@ def test_train_and_show(run, portraits, tmp_path):
     assert (code, err) == (0, "")
     assert "5 samples" in out
     assert "trained on 5 images and 15 copies under 60 lamps; shape modes: " in out
-    assert "limit of accuracy: fits to new images are off by at least about" in out
+    assert (
+        "of the object's size, by which the shapes of new images differ from those of the model; fits have larger"
+        in out
+    )
     code, out, _ = run("show", model, "-o", tmp_path / "drawn.png")
     assert code == 0
     assert "me (" in out
@@ -549,10 +552,16 @@ def test_a_model_after_the_images_is_told_where_it_belongs(run, portraits, late)
     assert status == 1 and f"as in 'liaam fit {late} {portraits[1].name}'" in err
 
 
-def test_a_folder_is_not_fitted(run, tmp_path):
+def test_a_folder_that_is_called_as_a_model_is_a_folder_by_its_path(run, tmp_path):
+    (tmp_path / "face").mkdir()
+    assert "face: no images" in run("fit", tmp_path / "face")[2]
+    assert "face: no images" in run("batch", tmp_path / "face", "-o", tmp_path / "t.csv")[2]
+
+
+def test_a_folder_without_images_is_named(run, tmp_path):
     for arguments in ((tmp_path,), ("face", tmp_path)):
         status, _, err = run("fit", *arguments)
-        assert status == 1 and f"{tmp_path} is a folder; give its images" in err
+        assert status == 1 and f"{tmp_path}: no images" in err and "give a folder of images" in err
 
 
 def test_an_image_without_texture_gets_no_advice_on_the_search(run, model_file, tmp_path):
@@ -585,3 +594,51 @@ def test_a_full_disk_ends_a_fit_with_one_error(run, model_file, portraits, tmp_p
     assert err.count("error: ") == 1
     assert "stopped: 0 of 3 images are done; make room, and fit the others" in err
     assert not list((tmp_path / "fits").iterdir())  # no results without their pictures
+
+
+def test_overlays_of_large_images_are_jpeg_and_replace_earlier_ones(run, portraits, model_file, tmp_path):
+    box = box_around(read_landmarks(portraits[2]).points)
+    image = tmp_path / "new.png"
+    small = read_image(portraits[1])
+    write_image(image, small)
+    out = tmp_path / "fits"
+    assert run("fit", model_file, image, "--init", box, "-o", out, "--numbers", "--mesh")[0] == 0
+    assert sorted(path.name for path in out.iterdir()) == ["new.json", "new_fit.png"]
+    large = np.zeros((1600, 1600, 3), np.uint8)
+    large[: small.shape[0], : small.shape[1]] = small
+    write_image(image, large)
+    assert run("fit", model_file, image, "--init", box, "-o", out)[0] == 0
+    assert sorted(path.name for path in out.iterdir()) == ["new.json", "new_fit.jpg"]
+
+
+def test_names_are_drawn_where_there_are_names(run, portraits, model_file):
+    code, _, err = run("fit", model_file, portraits[1], "--names")
+    assert code == 1 and "--names: the model's landmarks have no names; use --numbers" in err
+    code, _, err = run("fit", model_file, portraits[1], "--names", "--numbers")
+    assert code == 1 and "--numbers and --names would be drawn on each other" in err
+
+
+def test_a_folder_is_fitted_into_one_page(run, portraits, model_file, tmp_path):
+    folder = tmp_path / "new"
+    folder.mkdir()
+    write_image(folder / "a.png", read_image(portraits[1]))
+    (folder / "b.png").write_bytes(b"no image")
+    page = tmp_path / "report.html"
+    code, out, err = run("fit", model_file, folder, "-o", page)
+    assert code == 1 and "b.png" in err
+    assert "1 error" in out and f"written to {page}" in out
+    assert "image    start" not in out  # the page has the table
+    text = page.read_text()
+    assert text.index(">b.png<") < text.index(">a.png<")
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["new", "report.html"]
+    code, _, err = run("fit", model_file, folder, "-o", page, "--scheme", "ibug-68")
+    assert code == 1 and "shows the model's own landmarks" in err
+
+
+def test_overlays_of_earlier_fits_in_a_folder_are_not_fitted(run, portraits, model_file, tmp_path):
+    write_image(tmp_path / "a.png", read_image(portraits[1]))
+    for _ in range(2):
+        assert run("fit", model_file, tmp_path, "-o", tmp_path / "fits")[0] == 0
+    assert sorted(path.name for path in (tmp_path / "fits").iterdir()) == ["a.json", "a_fit.png"]
+    code, _, err = run("fit", model_file, tmp_path / "fits")
+    assert code == 1 and "its images are overlays of earlier fits" in err

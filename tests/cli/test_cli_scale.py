@@ -5,6 +5,7 @@ import pandas as pd
 import pytest
 from PIL import Image, TiffImagePlugin
 
+from liaam.drawing import LOST, rgb
 from liaam.io import Landmarks, read_image, write_collection, write_image
 from scenes.ruler import draw
 
@@ -31,7 +32,7 @@ def test_rulers_from_the_photograph_to_the_table(run, images):
     assert table["unit"][0] == "mm" and 0 < table["scale_se"][0] < 1e-4
     assert sorted(path.name for path in (images / "s").iterdir()) == ["a_scale.png", "b_scale.png"]
     drawn = read_image(images / "s/a_scale.png")
-    assert (drawn != read_image(images / "a.png")).any()
+    assert (np.abs(drawn.astype(int) - rgb(LOST)).max(axis=2) < 60).any()  # marks at the ticks
     for name in "abc":
         (images / f"{name}.png").rename(images / f"{name}.off")
     (images / "m").mkdir()

@@ -271,6 +271,26 @@ def test_a_core_can_be_required():
     assert ran.returncode and "without its compiled core" in ran.stderr
 
 
+def test_the_command_line_says_in_one_line_that_the_core_is_missing():
+    code = """
+import sys
+
+class Blocker:
+    def find_spec(self, name, *_):
+        if name.startswith("liaam._core_"):
+            raise ModuleNotFoundError(name, name=name)
+
+sys.meta_path.insert(0, Blocker())
+sys.argv = ["liaam", "show", "face"]
+from liaam.__main__ import main
+main()
+"""
+    environment = {**os.environ, "LIAAM_CPU": "", "LIAAM_REQUIRE_CORE": ""}
+    ran = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, env=environment, check=False)
+    assert ran.returncode == 0 and "not compiled (NumPy)" in ran.stdout
+    assert re.fullmatch(r"liaam was installed without its compiled core, .*\n", ran.stderr)
+
+
 def test_threads_that_are_still_at_work_do_not_abort_the_end_of_python():
     code = """
 import threading

@@ -25,7 +25,7 @@ def test_the_landmarks_are_expanded_and_the_registration_is_not(calibrated, lit_
     result = Fitter(expanded_model(calibrated, 1.5)).fit(lit_scene.image, start)
     shapes = calibrated.views[SURROUNDINGS].shape_model
     assert result.expansion == result.to_dict()["expansion"] == 1.5
-    np.testing.assert_array_equal(result.registered, plain.landmarks)
+    np.testing.assert_allclose(result.registered, plain.landmarks, atol=1e-9)
     np.testing.assert_array_equal(plain.registered, plain.landmarks)
     np.testing.assert_allclose(result.p[:-4], 1.5 * plain.p[:-4])
     np.testing.assert_allclose(result.landmarks, result.pose(shapes.shape(result.p)), atol=1e-9)
@@ -41,7 +41,9 @@ def test_pixels_are_compared_where_they_match(calibrated, lit_scene):
     fitter = Fitter(expanded_model(calibrated, 1.0))
     plain = residual_at(fitter, lit_scene.image, fitter.fit(lit_scene.image, start))[0]
     fitter = Fitter(expanded_model(calibrated, 1.5))
-    np.testing.assert_allclose(residual_at(fitter, lit_scene.image, fitter.fit(lit_scene.image, start))[0], plain)
+    np.testing.assert_allclose(
+        residual_at(fitter, lit_scene.image, fitter.fit(lit_scene.image, start))[0], plain, atol=1e-5
+    )
 
 
 def test_a_weaker_prior_is_that_of_the_finest_level_alone(calibrated):

@@ -2,6 +2,7 @@
 
 import io
 import json
+from dataclasses import replace
 
 import matplotlib
 import numpy as np
@@ -10,7 +11,7 @@ from PIL import Image
 
 import liaam
 from liaam.errors import ImageError
-from liaam.fitting import Fitter, fit_many
+from liaam.fitting import FitStatus, Fitter, fit_many
 from liaam.io import write_image
 from setups import disturb
 
@@ -44,11 +45,16 @@ def test_what_is_not_a_number_becomes_none(model, image):
 def test_a_result_draws_its_image_landmarks_and_ellipses(result, image):
     ax = result.plot()
     assert np.asarray(ax.images[0].get_array()).shape == image.shape
-    np.testing.assert_array_equal(np.transpose(ax.lines[len(result.contours)].get_data()), result.landmarks)
+    dots = ax.lines[-1]  # over all else
+    np.testing.assert_array_equal(np.transpose(dots.get_data()), result.landmarks)
+    assert dots.get_color() == FitStatus.CONVERGED.colour
     n_ellipses = len(ax.lines) - len(result.contours) - 1
     assert n_ellipses == len(result.landmarks)
     assert len(result.plot(ellipses=False).lines) == len(ax.lines) - n_ellipses
     assert result.plot(ax=ax) is ax
+    colours = {status.colour for status in FitStatus}
+    assert len(colours) == 3  # may be used, to check, failed
+    assert replace(result, status=FitStatus.DOUBTFUL).plot().lines[-1].get_color() == FitStatus.DOUBTFUL.colour
 
 
 def test_a_notebook_shows_the_object(result):

@@ -4,8 +4,12 @@ from dataclasses import replace
 
 import numpy as np
 
+from liaam.drawing import LANDMARK, LOST, rgb
 from liaam.plotting import figure_of_model
-from liaam.plotting.video import BAD, GOOD, annotated
+from liaam.plotting.video import annotated
+
+GOOD = rgb(LANDMARK)
+BAD = rgb(LOST)
 
 
 def test_landmarks_ellipses_and_a_caption_are_drawn(head_model, moving):

@@ -1,5 +1,6 @@
 """Fit images on a running Dask cluster. Needs the extra ``cluster``."""
 
+import asyncio
 import uuid
 from collections.abc import Iterator
 from concurrent.futures import CancelledError, Future
@@ -10,6 +11,7 @@ from weakref import WeakSet
 
 from distributed import Client, KilledWorker, Worker, WorkerPlugin, get_worker
 from distributed.comm.addressing import parse_address, parse_host_port
+from distributed.comm.core import connect
 from distributed.comm.registry import get_backend
 
 from liaam import __version__
@@ -17,7 +19,7 @@ from liaam.batch.work import FitJob, JournalRow, Pool
 from liaam.errors import LiaamError
 from liaam.workers import AHEAD, one_thread
 
-ANSWER = 8  # Timeout in seconds for the scheduler, which answers in less than one
+ANSWER = 5  # Timeout in seconds for the scheduler, which answers in less than one
 PATIENCE = 30  # Timeout in seconds for its first worker
 
 
@@ -89,13 +91,14 @@ _REMEDY = f"they need liaam {__version__} and the same version of distributed as
 @contextmanager
 def _connected(address: str) -> Iterator[Client]:
     try:
-        # Check the address first: a Client with an invalid address hangs when it is deleted.
+        # Check the address first: a Client of an invalid address, or of another program, hangs when it is deleted.
         scheme, place = parse_address(address)
         get_backend(scheme)
         if scheme in ("tcp", "tls"):
             parse_host_port(place)
+        asyncio.run(_greet(address))
         client = Client(address, timeout=ANSWER, set_as_default=False, name="liaam-batch")
-    except (OSError, ValueError, ImportError) as error:  # a timeout is an OSError
+    except Exception as error:  # of any class, if another program answers
         raise LiaamError(
             f"{address}: no scheduler answers ({error}); start one with 'dask scheduler' and give the address "
             "that it prints, such as tcp://host:8786"
@@ -108,6 +111,12 @@ def _connected(address: str) -> Iterator[Client]:
                 f"{address}: the scheduler has no workers; start some with 'dask worker {address} --nthreads 1'"
             ) from None
         yield client
+
+
+async def _greet(address: str) -> None:
+    """Raise unless a Dask program answers at an address."""
+    greeting = await connect(address, timeout=ANSWER)
+    await greeting.close()
 
 
 @contextmanager

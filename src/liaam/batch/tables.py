@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from importlib.util import find_spec
 from itertools import chain, islice
 from pathlib import Path
-from typing import Any
+from typing import Any, TextIO
 
 import numpy as np
 
@@ -101,7 +101,8 @@ def _is_number(value: Any) -> bool:
 def check_format(output: Path) -> None:
     """Raise, before any work, if the format cannot be written."""
     if output.suffix.lower() not in _WRITERS:
-        raise LiaamError(f"{output}: give a table that ends in {', '.join(_WRITERS)}")
+        page = "; 'liaam fit' writes web pages" if output.suffix.lower() in (".html", ".htm") else ""
+        raise LiaamError(f"{output}: give a table that ends in {', '.join(_WRITERS)}{page}")
     if output.suffix.lower() == ".parquet" and find_spec("pyarrow") is None:
         raise LiaamError(
             f"{output}: Parquet needs pyarrow; run {installing('batch')}, or give a name that ends in .csv or .jsonl"
@@ -128,15 +129,19 @@ def _write_parquet(path: Path, table: BatchTable) -> None:
 
 
 def _write_csv(path: Path, table: BatchTable) -> None:
+    with path.open("w", encoding="utf-8", newline="") as file:
+        write_csv_rows(file, table)
+
+
+def write_csv_rows(file: TextIO, table: BatchTable) -> None:
     """Write flat columns: x1, y1, x2 ... and covariances xx1, xy1, yy1 ...; by names x_tip, y_tip, ..."""
     suffixes = [f"_{name}" for name in table.names] or [str(number) for number in range(1, table.n_points + 1)]
     headers = {name: _headers(name, suffixes) for name in _columns(table.covariance)}
-    with path.open("w", encoding="utf-8", newline="") as file:
-        writer = csv.writer(file, lineterminator="\n")
-        writer.writerow(chain.from_iterable(headers.values()))
-        for _, row in table.rows:
-            cells = (_cells(row[name], len(names)) for name, names in headers.items())
-            writer.writerow(chain.from_iterable(cells))
+    writer = csv.writer(file, lineterminator="\n")
+    writer.writerow(chain.from_iterable(headers.values()))
+    for _, row in table.rows:
+        cells = (_cells(row[name], len(names)) for name, names in headers.items())
+        writer.writerow(chain.from_iterable(cells))
 
 
 def _headers(column: str, suffixes: Sequence[str]) -> list[str]:

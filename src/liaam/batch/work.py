@@ -174,36 +174,17 @@ class FitJob:
     def _fit(self, path: str) -> list[FitRow]:
         picture = Path(self.folder, path)
         pixels = read_image(picture)
+        size = pixels.shape[1::-1]
         start = self._start(path)
         if start is not None:
-            start = read_start(start, picture, pixels.shape[1::-1])
+            start = read_start(start, picture, size)
         fitter = self.fitter(is_raw(picture))
         if not self.settings.every:
             length = length_for(picture, start, fitter.model.scale)
-            return [self._row_of(fitter.fit(pixels, start, picture.name), path, pixels, length)]
+            return [fit_row(fitter.fit(pixels, start, picture.name), path, size, length)]
         length = length_for(picture, None, fitter.model.scale)
         fits = fitter.fit_all(pixels, picture.name)
-        return [self._row_of(fit, path, pixels, length) | {"object": i} for i, fit in enumerate(fits, 1)]
-
-    @staticmethod
-    def _row_of(result: FitResult, path: str, pixels: np.ndarray, length: Length | None) -> FitRow:
-        return {
-            "path": _printable(path),
-            "status": str(result.status),
-            "message": result.message,
-            "quality": _short(result.quality),
-            "object": None,
-            "score": None if result.found is None else _short(result.found.score),
-            "n_found": result.n_found,
-            "theta_deg": _short(result.theta_degrees),
-            "cost": finite_or_none(result.cost),
-            "iterations": result.n_iterations,
-            "expansion": _short(result.expansion),
-            "landmarks": _shorts(result.landmarks),
-            "covariance": _shorts(result.landmark_covariances[:, (0, 0, 1), (0, 1, 1)]),
-            "size": pixels.shape[1::-1],
-            **facts_of(length),
-        }
+        return [fit_row(fit, path, size, length) | {"object": i} for i, fit in enumerate(fits, 1)]
 
     def _start(self, path: str) -> str | None:
         """Return the start of an image in a form that :func:`liaam.fitting.search.starts.read_start` accepts."""
@@ -219,6 +200,27 @@ class FitJob:
         named.pop(os.sep, None)  # it is in all paths
         places = "|".join(re.escape(place) for place in sorted(named, key=len, reverse=True))
         return re.sub(places, lambda match: named[match.group()], message)
+
+
+def fit_row(result: FitResult, path: str, size: tuple[int, int], length: Length | None) -> FitRow:
+    """Return the row of a fit to an image of a size (width, height), whose scale may be known."""
+    return {
+        "path": _printable(path),
+        "status": str(result.status),
+        "message": result.message,
+        "quality": _short(result.quality),
+        "object": None,
+        "score": None if result.found is None else _short(result.found.score),
+        "n_found": result.n_found,
+        "theta_deg": _short(result.theta_degrees),
+        "cost": finite_or_none(result.cost),
+        "iterations": result.n_iterations,
+        "expansion": _short(result.expansion),
+        "landmarks": _shorts(result.landmarks),
+        "covariance": _shorts(result.landmark_covariances[:, (0, 0, 1), (0, 1, 1)]),
+        "size": size,
+        **facts_of(length),
+    }
 
 
 def failed_row(path: str, message: str) -> FitRow:

@@ -83,9 +83,10 @@ def batch(
         complain(f"skipped {folder}: it cannot be read; check its permissions")
     if errors := summary.statuses.get(ERROR, 0):
         complain(f"{count_of(errors, 'image')} could not be fitted; see the column 'message'")
-    if doubtful := summary.statuses.get(FitStatus.DOUBTFUL, 0):
+    # A fit to another object, or to one that is turned, may also not converge.
+    if uncertain := sum(summary.statuses.get(status, 0) for status in (FitStatus.DOUBTFUL, FitStatus.MAX_ITERATIONS)):
         turned = TURNED if init is None and rotations == "upright" else ""
-        complain(f"doubtful fits: {doubtful}; check those, by the column 'status'{turned}")
+        complain(f"fits that may be wrong: {uncertain}; check those, by the column 'status'{turned}")
     if errors == summary.total:
         raise typer.Exit(1)
 

@@ -176,4 +176,4 @@ def warn_of_faults(data: Dataset, folder: Path, shapes: int | str = inputs.AUTO)
         complain(f"{sample.name}: {fault.message}")
     if pairs:
         more = f"and {len(pairs) - MAX_WARNINGS} more; " if len(pairs) > MAX_WARNINGS else ""
-        complain(f"{more}training uses them as they are; run 'liaam check {folder}' to see and fix them")
+        complain(f"{more}training does not correct them; run 'liaam check {folder}' to see and fix them")

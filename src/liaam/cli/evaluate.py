@@ -36,9 +36,9 @@ def evaluate(
     folds: Annotated[
         int | None,
         typer.Option(
-            help="Instead of a given model, train without one of so many parts of the folder and evaluate on it, for "
-            "each part. Images of one person or object, by their names, are left out together. As many as there are "
-            "images: leave one out.",
+            help="Cross-validate without a MODEL: divide the images into so many parts, and evaluate on each a model "
+            "of the others. Images of one person or object, by their names, stay together. As many parts as images: "
+            "leave one out.",
             min=2,
         ),
     ] = None,

@@ -1,9 +1,9 @@
 """The command ``liaam fit``."""
 
-from collections import defaultdict
+from collections import Counter, defaultdict
 from collections.abc import Iterator
 from contextlib import closing, contextmanager
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -12,18 +12,28 @@ import typer
 from rich.table import Table
 from typer.core import TyperCommand
 
+from liaam.batch.report import REPORT_SUFFIXES, Entry, entry_of_error, entry_of_fit, refuse_other_page, write_entries
+from liaam.batch.run import in_words
+from liaam.batch.work import ERROR
 from liaam.cli import inputs
 from liaam.cli.terminal import cell, complain, progress_bar, say, show_table, table_of
 from liaam.errors import LiaamError
 from liaam.io import IMAGE_SUFFIXES, Contour, Landmarks, make_folder, write_image
 from liaam.io.atomic import is_disk_full
-from liaam.io.files import count_of
+from liaam.io.files import count_of, natural_key
 from liaam.io.fit_files import FIT_SUFFIXES, corrected_file, read_fit, write_fit
 from liaam.morphometry.schemes import in_scheme
 from liaam.scale.choice import facts_of, length_for
 
 if TYPE_CHECKING:
     from liaam.fitting import FitResult, Fitter
+    from liaam.model import AAM
+
+OVERLAYS = ("_fit.png", "_fit.jpg")
+"""Ends of the names of overlays, of small and of large images."""
+
+MOST_PNG_PIXELS = 2_000_000
+"""Pixels of an overlay above which it is a JPEG, of about 1 MB instead of 4 MB."""
 
 # Facts of a fit on its own landmarks, which are not written with those of another scheme
 OF_LANDMARKS = ("landmark_names", "sd", "covariance")
@@ -71,7 +81,7 @@ def fit(
             "--output",
             "-o",
             help="Folder for a landmark file and a picture of each image; or, for one image, the only file to write: "
-            f"{', '.join(FIT_SUFFIXES)}, or a picture.",
+            f"{', '.join(FIT_SUFFIXES)}, or a picture. Or a web page with all fits: report.html.",
         ),
     ] = Path("liaam-fits"),
     formats: Annotated[
@@ -88,21 +98,29 @@ def fit(
     ] = None,
     rotations: inputs.RotationsOption = "upright",
     ellipses: inputs.EllipsesOption = False,
+    numbers: Annotated[bool, typer.Option("--numbers", help="Draw the number of each landmark, from 1.")] = False,
+    names: Annotated[
+        bool, typer.Option("--names", help="Draw the name of each landmark, if the model has any.")
+    ] = False,
+    mesh: Annotated[bool, typer.Option("--mesh", help="Draw the triangles between the landmarks.")] = False,
     given_camera: inputs.CameraOption = None,
 ) -> None:
-    """Fit a model to images. Writes the landmarks and an overlay image for each."""
+    """Fit a model to images, or to those of folders. Writes the landmarks and an overlay image for each.
+
+    Overlays are green if the fit may be used, amber if it is doubtful, and red if it failed.
+    """
     from liaam.fitting import Fitter
     from liaam.model import load_model
     from liaam.workers import all_cores, in_order, one_blas_thread, one_thread
 
     if every and init is not None:
         raise LiaamError("--all searches for every object and --init gives the place of one; use only one of them")
-    model_file, images = inputs.model_and_inputs(files, "fit")
-    if folder := next((image for image in images if image.is_dir()), None):
-        raise LiaamError(f"{folder} is a folder; give its images, such as {folder}/*.png, or use 'liaam batch'")
-    outputs = Outputs.asked(output, formats, ellipses=ellipses, scheme=scheme, several=len(images) > 1 or every)
+    model_file, given = inputs.model_and_inputs(files, "fit")
+    images = [image for path in given for image in images_in(path)]
+    outputs = Outputs.asked(output, formats, scheme=scheme, several=len(images) > 1 or every)
     inputs.refuse_inputs([output], images)
     model = load_model(model_file)
+    outputs = replace(outputs, look=look_of(model, ellipses=ellipses, numbers=numbers, names=names, mesh=mesh))
     camera = inputs.camera_for(images, given_camera, model.camera)
     fitter = Fitter(model, method, camera=camera, rotations=rotations)
     if scheme is not None:
@@ -130,14 +148,35 @@ def fit(
                     report.add_results(image, outcome)
                     continue
                 report.add_error(outcome)
+                outputs.add_error(outcome, image)
                 if is_disk_full(outcome):  # the others would end like this
                     complain(f"stopped: {i - 1} of {len(images)} images are done; make room, and fit the others")
                     break
-    report.show(output)
-    if model.scale is not None and report.table.row_count:
+    outputs.write_report(model, given)
+    report.show(output, as_table=outputs.report is None)
+    if model.scale is not None and report.rows:
         say(f"images that state no scale have that of the training images, {model.scale} per pixel")
     if report.failed:
         raise typer.Exit(1)
+
+
+def images_in(path: Path) -> list[Path]:
+    """Return an image, or the images of a folder and its subfolders without the overlays of earlier fits."""
+    from liaam.batch import find_pictures
+
+    if not path.is_dir():
+        return [path]
+    found = sorted((Path(image) for image in find_pictures(path)), key=lambda image: natural_key(str(image)))
+    images = [image for image in found if not is_overlay(image)]
+    if not images:
+        raise LiaamError(f"{path}: its images are overlays of earlier fits; give the folder of the images themselves")
+    return images
+
+
+def is_overlay(image: Path) -> bool:
+    """Return whether an image is an overlay: its name ends as one, and the fit is beside it."""
+    name, _, ending = image.name.rpartition("_")
+    return f"_{ending}" in OVERLAYS and read_fit(image.with_name(f"{name}.json")) is not None
 
 
 @dataclass
@@ -146,16 +185,16 @@ class FitReport:
 
     every: bool  # whether every object of an image is fitted
     rotations: str
-    table: Table = field(
-        default_factory=lambda: table_of("image", "start", "score", "status", "quality", "sd", "iterations", "theta")
-    )
+    rows: list[dict[str, str]] = field(default_factory=list)  # cells by the name of their column
     advice: defaultdict[str, list[str]] = field(default_factory=lambda: defaultdict(list))
+    statuses: Counter[str] = field(default_factory=Counter)
     uncalibrated: bool = False  # whether the quality of a fit is unknown
     failed: bool = False  # whether an image could not be read, or a fit failed
 
     def add_error(self, error: LiaamError) -> None:
         """Print why an image could not be fitted."""
         self.failed = True
+        self.statuses[ERROR] += 1
         complain(f"error: {error}")
 
     def add_results(self, image: Path, results: "dict[str, FitResult]") -> None:
@@ -163,7 +202,8 @@ class FitReport:
         for stem, result in results.items():
             # The only object of an image is named as the image. Of several, each is named as its files.
             name = image.name if stem == image.stem else stem
-            self.table.add_row(cell(name), *row_of(result))
+            self.rows.append({"image": name, **row_of(result)})
+            self.statuses[str(result.status)] += 1
             if not result.calibrated:
                 self.uncalibrated = True
             if not result.status.ok:
@@ -181,28 +221,52 @@ class FitReport:
         if result.detection_doubtful and not result.status.unusable:
             yield inputs.LOW_SCORE + (inputs.TURNED if self.rotations == "upright" else "")
 
-    def show(self, output: Path) -> None:
-        """Print the table, if there is any fit, and the advice."""
-        if self.table.row_count:
-            show_table(self.table)
+    def table(self) -> Table:
+        """Return the table of all fits, without columns that are empty in all."""
+        columns = [name for name in self.rows[0] if any(row[name] for row in self.rows)]
+        table = table_of(*columns)
+        for row in self.rows:
+            table.add_row(*(cell(row[name] or "–") for name in columns))
+        return table
+
+    def show(self, output: Path, *, as_table: bool = True) -> None:
+        """Print the table, if there is any fit, or only the numbers of fits by status; and the advice."""
+        if self.rows:
+            if as_table:
+                show_table(self.table())
+            else:
+                say(in_words(self.statuses))
             if self.uncalibrated:
-                say("the quality is unknown, and sd and ellipses are not calibrated: see 'liaam show MODEL'")
+                say("the quality is unknown, and uncertainty and ellipses are not calibrated: see 'liaam show MODEL'")
             say(f"written to {output}")
         inputs.say_advice(self.advice)
 
 
-def row_of(result: "FitResult") -> tuple[str, ...]:
-    """Return the table row of a fit: start, score, status, quality, median landmark sd, iterations and theta."""
+def row_of(result: "FitResult") -> dict[str, str]:
+    """Return the cells of a fit in the table by their column; they are empty where there is nothing to say."""
     if result.found is None:
         start = "given"
-        score = "–"
+    elif result.found.score == 0:
+        start = "not found"  # the fit started in the middle of the image
     else:
-        # Where nothing was found, the fit started in the middle of the image.
-        start = "searched" if result.found.score != 0 else "not found"
-        score = f"{result.found.score:.2f}"
-    sd = f"{np.median(result.sd):.1f} px" if result.status.ok else "–"
-    theta = "–" if result.theta_degrees is None else f"{result.theta_degrees:.1f}°"
-    return start, score, str(result.status), result.quality_text, sd, str(result.n_iterations), theta
+        start = f"searched (score {result.found.score:.2f})"
+    return {
+        "status": str(result.status),
+        "quality": result.quality_text,
+        "uncertainty": f"± {np.median(result.sd):.1f} px" if result.status.ok else "",
+        "start": start,
+        "theta": "" if result.theta_degrees is None else f"{result.theta_degrees:.1f}°",
+    }
+
+
+def look_of(model: "AAM", *, ellipses: bool, numbers: bool, names: bool, mesh: bool) -> dict[str, Any]:
+    """Return what an overlay shows, as arguments of :func:`liaam.plotting.overlay_of_fit`."""
+    if numbers and names:
+        raise LiaamError("--numbers and --names would be drawn on each other; use only one of them")
+    if names and not model.landmark_names:
+        raise LiaamError("--names: the model's landmarks have no names; use --numbers")
+    labels = tuple(str(number) for number in range(1, model.n_points + 1)) if numbers else ()
+    return {"ellipses": ellipses, "labels": model.landmark_names if names else labels, "mesh": mesh}
 
 
 @dataclass(frozen=True)
@@ -214,48 +278,76 @@ class Outputs:
     folder : Path
     suffixes : tuple of str
         Suffixes of the landmark files.
-    picture : str, optional
-        Ending of the name of the overlay image; by default none is written.
-    stem : str, optional
-        Name, without ending, of the only file that was asked for. By default files are named as their image.
-    ellipses : bool
-        Whether the overlay image shows the ellipses of landmarks.
+    picture : bool
+        Whether to write an overlay image.
+    only : Path, optional
+        The only file that was asked for. By default files are named as their image.
+    look : dict
+        What the overlay image shows, as arguments of :func:`liaam.plotting.overlay_of_fit`.
     scheme : str, optional
         Scheme of the landmarks in the files; that of the model by default.
+    report : Path, optional
+        Web page with all fits, instead of a file for each.
+    entries : list of Entry
+        Its fits and errors, in the order in which they are done.
     """
 
     folder: Path
     suffixes: tuple[str, ...]
-    picture: str | None = None
-    stem: str | None = None
-    ellipses: bool = False
+    picture: bool = True
+    only: Path | None = None
+    look: dict[str, Any] = field(default_factory=dict)
     scheme: str | None = None
+    report: Path | None = None
+    entries: list[Entry] = field(default_factory=list)
 
     @classmethod
-    def asked(cls, output: Path, formats: str, *, ellipses: bool, scheme: str | None, several: bool) -> "Outputs":
+    def asked(cls, output: Path, formats: str, *, scheme: str | None, several: bool) -> "Outputs":
         """Take -o as one file if its suffix is that of one, and else as a folder for files of --format."""
         suffixes = tuple(f".{name.strip().lower().removeprefix('.')}" for name in formats.split(","))
         for suffix in suffixes:
             if suffix not in FIT_SUFFIXES:
                 raise LiaamError(f"--format {suffix[1:]} is unknown; choose from json, pts, csv and tps")
+        if output.suffix.lower() in REPORT_SUFFIXES and not output.is_dir():
+            if scheme is not None:
+                raise LiaamError(f"{output} shows the model's own landmarks; give --scheme for landmark files only")
+            refuse_other_page(output)
+            return cls(folder=output.parent, suffixes=(), picture=False, report=output)
         is_picture = output.suffix.lower() in IMAGE_SUFFIXES
         is_landmark_file = output.suffix.lower() in FIT_SUFFIXES
         if output.is_dir() or not (is_picture or is_landmark_file):
-            return cls(folder=output, suffixes=suffixes, picture="_fit.png", ellipses=ellipses, scheme=scheme)
+            return cls(folder=output, suffixes=suffixes, scheme=scheme)
         if several:
             raise LiaamError(f"{output} is one file; give a folder with -o, since there may be several results")
-        return cls(
-            folder=output.parent,
-            suffixes=() if is_picture else (output.suffix,),
-            picture=output.suffix if is_picture else None,
-            stem=output.stem,
-            ellipses=ellipses,
-            scheme=scheme,
-        )
+        suffixes = () if is_picture else (output.suffix,)
+        return cls(folder=output.parent, suffixes=suffixes, picture=is_picture, only=output, scheme=scheme)
 
-    def path_of(self, name: str, ending: str) -> Path:
-        """Return the path of a file for the fit of a name."""
-        return self.folder / f"{self.stem or name}{ending}"
+    def path_of(self, name: str, suffix: str) -> Path:
+        """Return the path of a landmark file for the fit of a name."""
+        return self.only or self.folder / f"{name}{suffix}"
+
+    def write_picture(self, name: str, picture: np.ndarray) -> None:
+        """Write the overlay image of the fit of a name: as JPEG if it is large, and else as PNG."""
+        if self.only is not None:
+            write_image(self.only, picture)
+            return
+        height, width = picture.shape[:2]
+        png, jpeg = (self.folder / f"{name}{ending}" for ending in OVERLAYS)
+        wanted, other = (jpeg, png) if height * width > MOST_PNG_PIXELS else (png, jpeg)
+        write_image(wanted, picture)
+        other.unlink(missing_ok=True)  # that of an earlier fit, to a copy of another size
+
+    def add_error(self, error: LiaamError, image: Path) -> None:
+        """Keep an image that could not be fitted for the report."""
+        if self.report is not None:
+            self.entries.append(entry_of_error(error, str(image), image.name))
+
+    def write_report(self, model: "AAM", given: list[Path]) -> None:
+        """Write the report, if there is to be one."""
+        if self.report is not None:
+            what = given[0].name if len(given) == 1 else f"{len(given)} images or folders"
+            title = f"{what}: {count_of(len(self.entries), 'fit')} of the model {model.name}".rstrip()
+            write_entries(self.report, self.entries, model.n_points, model.landmark_names, title)
 
 
 def fit_file(
@@ -273,14 +365,18 @@ def fit_file(
         starts = {stem: start}
     for name in starts:
         refuse_to_overwrite([outputs.path_of(name, suffix) for suffix in outputs.suffixes])
-    return {name: fit_object(fitter, image, pixels, start, name, outputs) for name, start in starts.items()}
+    numbers = range(1, len(starts) + 1) if every else (None,)
+    return {
+        name: fit_object(fitter, image, pixels, start, name, number, outputs)
+        for (name, start), number in zip(starts.items(), numbers, strict=True)
+    }
 
 
 def fit_object(
-    fitter: "Fitter", image: Path, pixels: np.ndarray, start: Any, name: str, outputs: Outputs
+    fitter: "Fitter", image: Path, pixels: np.ndarray, start: Any, name: str, number: int | None, outputs: Outputs
 ) -> "FitResult":
-    """Fit one object of an image file, and write the results to files of a name."""
-    from liaam.plotting import overlay
+    """Fit one object of an image file, perhaps one of several with its number, and write the results to files."""
+    from liaam.plotting import overlay_of_fit
 
     model = fitter.model
     result = fitter.fit(pixels, start, image.name)
@@ -305,10 +401,10 @@ def fit_object(
     with all_or_none([outputs.path_of(name, suffix) for suffix in outputs.suffixes]) as paths:
         for path in paths:
             write_fit(path, landmarks, facts, (width, height))
-        if outputs.picture is not None:
-            covariances = result.landmark_covariances if outputs.ellipses else None
-            picture = overlay(pixels, result.landmarks, model, covariances=covariances)
-            write_image(outputs.path_of(name, outputs.picture), picture)
+        if outputs.report is not None:
+            outputs.entries.append(entry_of_fit(result, pixels, str(image), image.name, number, length))
+        if outputs.picture:
+            outputs.write_picture(name, overlay_of_fit(pixels, result, model, **outputs.look))
     return result
 
 

@@ -51,8 +51,8 @@ ModelAndImages = Annotated[
     typer.Argument(
         metavar="[MODEL] IMAGE...",
         readable=False,
-        help="Model file of 'liaam train', or a name that 'liaam show' lists; then the images. If the first name ends "
-        "as that of an image does, there is no MODEL, and 'face' is used, which comes with liaam.",
+        help="Model file of 'liaam train', or a name that 'liaam show' lists; then the images. "
+        "Without a model, as in 'liaam fit photo.jpg', the face model that comes with liaam is used.",
     ),
 ]
 ModelFile = Annotated[
@@ -65,7 +65,7 @@ ModelFile = Annotated[
     ),
 ]
 StrictOption = Annotated[
-    bool, typer.Option("--strict", help="Refuse landmarks with a fault, instead of leaving these out with a line.")
+    bool, typer.Option("--strict", help="Stop if landmarks are faulty. By default, these are named and left out.")
 ]
 CategoryOption = Annotated[
     str | None,
@@ -254,7 +254,7 @@ def model_and_inputs(files: Sequence[Given], command: str, inputs: str = "IMAGE.
     """Split the files of a command: the first is the model, unless its name is that of an input (:func:`is_input`)."""
     if not files or is_input(str(files[0])):
         paths = [Path(file) for file in files]
-        if late := next((path for path in paths if path.suffix.lower() in MODEL_SUFFIXES or path.name in MODELS), None):
+        if late := next((path for path in paths if path.suffix.lower() in MODEL_SUFFIXES or str(path) in MODELS), None):
             raise LiaamError(f"{late}: a model comes first, as in 'liaam {command} {late.name} {paths[0].name}'")
         return Path(FACE), list(files)
     if len(files) == 1:

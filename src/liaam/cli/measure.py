@@ -90,9 +90,9 @@ def measure(
     side: Annotated[
         str,
         typer.Option(
-            help="Specimens of the left and right side (by a column 'side', folders left and right, or names such as "
-            "wing1_left or wing1_L): auto reflects the left ones, left or right reflects the others to this side, "
-            "reflected if they were reflected before, ignore if names tell no sides."
+            help="If specimens are of the left and right side (by a column 'side', folders left and right, or names "
+            "such as wing1_left or wing1_L): auto reflects the left ones; left or right reflects those of the other "
+            "side to this one; reflected: they were reflected before; ignore: these are no sides."
         ),
     ] = "auto",
     estimate: Annotated[
@@ -274,7 +274,7 @@ def _draw(columns: Columns, found: "AsymmetryResult | None", specimens: "Sequenc
 
 
 def _show(error: Columns) -> None:
-    """Print the measurement error: the measures, and the landmarks that repeat worst."""
+    """Print the measurement error: the measures, and the least repeatable landmarks."""
     rows = [dict(zip(error, values, strict=True)) for values in zip(*error.values(), strict=True)]
     table = table_of("measure", "specimens", "replicates", "df", "F", "P", "repeatability", "sd", "sd %")
     for row in rows:

@@ -172,7 +172,7 @@ def relight_file(fitter: "Fitter", image: Path, path: Path, change: Change, repo
     if report.strict and (is_uncertain or not result.status.ok):
         action = "nothing was written"
     else:
-        action = "the image was relit although the fit may be wrong"
+        action = "the image was relit all the same: check it"
         write_image(path, shown(relighter, change.lamps, change.other))
         report.written.append(path)
         if change.certainty:

@@ -73,7 +73,7 @@ class _Commands(TyperGroup):
 
     def invoke(self, ctx: Any) -> Any:
         """Read the arguments of a command, and run it."""
-        with _plain_complaints(), _warnings_as_lines():
+        with _plain_complaints(), warnings_as_lines():
             return super().invoke(ctx)
 
 
@@ -165,7 +165,7 @@ def show_table(table: Table) -> None:
 
 
 @contextmanager
-def _warnings_as_lines() -> Iterator[None]:
+def warnings_as_lines() -> Iterator[None]:
     """Print warnings for users as lines on standard error, without the line of code that gives them."""
     with warnings.catch_warnings():
         show = warnings.showwarning

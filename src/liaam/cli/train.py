@@ -79,8 +79,8 @@ def train(
     regressor: Annotated[
         str,
         typer.Option(
-            help="Also learn to find the landmarks by regression, which fits start from and weigh in: 'auto' if "
-            "without it some fits to left-out images fail and fewer fail with it, 'always', or 'none'."
+            help="Also learn to predict the landmarks by regression. Fits then start from the prediction, and take it "
+            "into account: 'always', 'none', or 'auto' if fewer fits to left-out images fail with it."
         ),
     ] = inputs.AUTO,
     leave_out: Annotated[
@@ -226,8 +226,8 @@ def report(model: "AAM", output: Path, light: "LearntLamps | Literal['auto'] | N
     view = model.views[METHODS[DEFAULT_METHOD].view]
     bound = view.shape_model.left_out_bound
     say(
-        f"limit of accuracy: fits to new images are off by at least about {bound / model.diagonal:.1%} of the object's "
-        "size; more training images lower it"
+        f"limit of accuracy: {bound / model.diagonal:.1%} of the object's size, by which the shapes of new images "
+        "differ from those of the model; fits have larger errors. More training images lower both"
     )
     if model.points is not None:
         away = model.points.deviation

@@ -290,12 +290,14 @@ class OneShapeFitter:
         if reliability is not None:
             spread = reliability.variance_factor * spread
         landmarks = history[-1].landmarks
+        shift = None
         p = fitted_p
         expansion = 1.0 if reliability is None else reliability.expansion
         if expansion > 1.0:
             p = self.shapes.expanded(fitted_p, expansion)
             spread = expanded_covariance(spread, len(p), expansion)
-            landmarks = last.pose(self.shapes.shape(p))
+            shift = last.pose(self.shapes.shape(p)) - landmarks
+            landmarks = landmarks + shift
         residual_variance = last.objective.noise_variance(solution)
 
         evidence = quality_features(last, doubt)
@@ -335,4 +337,5 @@ class OneShapeFitter:
             quality=quality,
             method=method,
             expansion=expansion,
+            shift=shift,
         )

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from liaam.drawing import new_axes, plot_landmarks, png_bytes, zoom_to
+from liaam.drawing import DOUBTFUL, LANDMARK, LOST, new_axes, plot_landmarks, png_bytes, zoom_to
 from liaam.errors import LiaamError
 from liaam.fitting.detection import Detection, are_beside
 from liaam.fitting.loop.levels import FittedLevel
@@ -58,6 +58,13 @@ class FitStatus(StrEnum):
     def message(self) -> str:
         """What happened, and what to do."""
         return _MESSAGES[self]
+
+    @property
+    def colour(self) -> str:
+        """Colour in which a fit is drawn: green if it may be used, red if it has failed, or else amber."""
+        if self.ok:
+            return LANDMARK
+        return LOST if self.lost else DOUBTFUL
 
 
 USABLE = frozenset(str(status) for status in FitStatus if status.ok)
@@ -211,6 +218,8 @@ class FitResult:
         Factor, at least 1, on the distance of the fitted shape from the mean shape, that the model has learnt from
         left-out images, so that shapes vary as much as the objects do
         (:attr:`liaam.model.Reliability.expansion`). :attr:`registered` is without it.
+    shift : (n, 2) float64, optional
+        What that factor added to the landmarks, image pixels; None if it is 1.
     contours : tuple of (indices, closed)
         Lines through landmarks, for drawing, and along which landmarks are less certain than across.
     landmark_names : tuple of str
@@ -241,6 +250,7 @@ class FitResult:
     part: int = 0
     n_starts: int = 1
     expansion: float = 1.0
+    shift: np.ndarray | None = None
     contours: Contours = ()
     landmark_names: tuple[str, ...] = ()
     image: np.ndarray | Path | None = None
@@ -248,7 +258,7 @@ class FitResult:
     @property
     def registered(self) -> np.ndarray:
         """Landmarks (n, 2) at which the model matches the image best, to compare pixels: without ``expansion``."""
-        return self.history[-1].landmarks
+        return self.landmarks if self.shift is None else self.landmarks - self.shift
 
     def __repr__(self) -> str:
         counts = f"{len(self.landmarks)} landmarks, {count_of(self.n_iterations, 'iteration')}"
@@ -382,6 +392,7 @@ class FitResult:
             covariances=self.landmark_covariances if ellipses else None,
             contours=self.contours,
             title=f"{self.method.name}: {self.status}, quality {self.quality_text}",
+            colour=self.status.colour,
             ax=ax,
         )
 

@@ -10,7 +10,7 @@ from liaam.plotting.figures import (
     show_picture,
     subplots,
 )
-from liaam.plotting.overlays import enlarged, overlay, overlay_of_faults
+from liaam.plotting.overlays import enlarged, overlay, overlay_of_faults, overlay_of_fit, thumbnail
 
 __all__ = [
     "enlarged",
@@ -20,9 +20,11 @@ __all__ = [
     "figure_of_pictures",
     "overlay",
     "overlay_of_faults",
+    "overlay_of_fit",
     "photometry",
     "save_figure",
     "show_picture",
     "subplots",
+    "thumbnail",
     "video",
 ]

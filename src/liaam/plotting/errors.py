@@ -45,8 +45,9 @@ def figure_of_worst(
         axis.set_autoscale_on(False)
         for start, end in zip(truth, fit, strict=True):
             axis.plot(*np.stack([start, end]).T, color="white", lw=0.7)
-        axis.plot(*truth.T, ".", color=TRUTH, ms=4, label="given")
-        axis.plot(*fit.T, ".", color=LANDMARK, ms=4, label="fitted")
+        edge = {"ms": 6, "mec": "black", "mew": 0.5}  # seen on any ground
+        axis.plot(*truth.T, ".", color=TRUTH, label="given", **edge)
+        axis.plot(*fit.T, ".", color=LANDMARK, label="fitted", **edge)
         zoom_to(axis, np.concatenate([truth, fit]), (pixels.shape[1], pixels.shape[0]))
     axes[0, 0].legend(loc="lower right", fontsize=7, framealpha=0.6)
     return figure

@@ -1,12 +1,13 @@
 """Figures of models, lamps and fits."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
 
-from liaam.drawing import as_picture
+from liaam.drawing import as_picture, line_of
 from liaam.io import atomic_path
 from liaam.model import AAM
 from liaam.model.appearance import AppearanceModel
@@ -16,9 +17,15 @@ from liaam.training import LearntLamps
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
+    from matplotlib.lines import Line2D
 
 LINE_WIDTH = 1.8  # Of contours, points
+INK = "#0b6e8a"  # Colour of landmarks on white: deep enough to be seen
+MINUS = "#2f7fd0"  # Colour of shapes moved by minus two standard deviations along a mode
+PLUS = "#e8743b"  # That of plus two
+MOST_NUMBERED = 40  # Landmarks up to which each has its number beside it; of more, every other has one, and so on
 LAMPS_DRAWN = 47  # Maximum number of lamps in a figure: with the training light they fill six rows
+FITS_ACROSS = 3  # Number of fits in a row, so that their titles can be read on a page
 LAMPS_ACROSS = 8  # Number of images in a row of it
 
 
@@ -60,8 +67,7 @@ def _draw_shape(axis: "Axes", shape: np.ndarray, model: AAM, colour: str, label:
         axis.triplot(*shape.T, model.triangles, color=colour, alpha=0.8, label=label, lw=0.6 * style["lw"])
         return
     for i, (indices, closed) in enumerate(model.contours):
-        line = shape[[*indices, indices[0]] if closed else list(indices)]
-        axis.plot(line[:, 0], line[:, 1], color=colour, label=label if i == 0 else None, **style)
+        axis.plot(*line_of(shape, indices, closed).T, color=colour, label=label if i == 0 else None, **style)
 
 
 def show_picture(axis: "Axes", image: np.ndarray, title: str) -> None:
@@ -88,16 +94,19 @@ def figure_of_fits(
     fits : mapping of method to (shape, mean error in pixels)
     model : AAM
     """
-    figure, axes = subplots(1, 2 + len(fits), (3.1 * (2 + len(fits)), 4.4))
-    show_picture(axes[0, 0], training, "a training image")
-    show_picture(axes[0, 1], image, "new image, hard lateral light: start")
-    _draw_shape(axes[0, 1], start, model, "#ffd166")
-    for i, (method, (shape, error)) in enumerate(fits.items()):
-        axis = axes[0, 2 + i]
+    n_rows = -(-(2 + len(fits)) // FITS_ACROSS)
+    figure, grid = subplots(n_rows, FITS_ACROSS, (2.6 * FITS_ACROSS, 3.9 * n_rows))
+    axes = grid.ravel()
+    for axis in axes[2 + len(fits) :]:
+        axis.remove()
+    show_picture(axes[0], training, "a training image")
+    show_picture(axes[1], image, "new image in hard light: start")
+    _draw_shape(axes[1], start, model, "#ffd166")
+    for i, (axis, (method, (shape, error))) in enumerate(zip(axes[2:], fits.items(), strict=False)):
         show_picture(axis, image, f"{method}: {error:.1f} px")
         _draw_shape(axis, truth, model, "white", "truth", lw=0.9)
         _draw_shape(axis, shape, model, f"C{i}", method)
-        axis.legend(loc="lower right", fontsize=7, framealpha=0.6)
+        axis.legend(loc="lower right", fontsize=9, framealpha=0.6)
     return figure
 
 
@@ -106,27 +115,65 @@ def figure_of_model(model: AAM, n_modes: int = 3) -> "Figure":
 
     The shapes of a model of several are drawn below each other.
     """
-    parts = [(part, part.levels[-1].appearances["log"]) for part in model.parts]
-    most_modes = max(max(len(part.shape_model.modes), appearance.n_modes) for part, appearance in parts)
-    shown = max(1, min(n_modes, most_modes))
-    figure, grid = subplots(2 * len(parts), 2 + shown, (2.6 * (2 + shown), 6.0 * len(parts)))
+    rows = [row for part in model.parts for row in _panels_of(part, n_modes)]
+    columns = max(len(row) for row in rows)
+    tallest = max(part.frame.size[1] / part.frame.size[0] for part in model.parts)
+    figure, grid = subplots(len(rows), columns, (2.6 * columns, (2.6 * tallest + 0.4) * len(rows)))
     for axis in grid.ravel():
         axis.axis("off")
-    for (part, appearance), axes in zip(parts, np.split(grid, len(parts)), strict=True):
-        mean = _stored(part, appearance.mean)
-        show_picture(axes[0, 0], mean, "mean appearance")
-        show_picture(axes[1, 0], mean, f"mesh, {part.n_points} landmarks")
-        axes[1, 0].triplot(*(part.shape_model.mean - part.frame.origin).T, part.triangles, color="#19a979", lw=0.7)
-        if part.is_colour:
-            values = part.frame.picture(invariant(appearance.mean, part.theta), np.nan)
-            # Without NaN below the mask: Matplotlib resamples what is masked, too, and may warn of it.
-            axes[0, 1].imshow(np.ma.masked_array(np.nan_to_num(values), np.isnan(values)), cmap="viridis")
-            axes[0, 1].set_title("mean invariant", fontsize=10)
-        for i in range(min(shown, len(part.shape_model.modes))):
-            _show_shape_mode(axes[0, 2 + i], part, i)
-        for i in range(min(shown, appearance.n_modes)):
-            _show_appearance_mode(axes[1, 2 + i], part, appearance, i)
+    for axes, row in zip(grid, rows, strict=True):
+        for axis, draw in zip(axes, row, strict=False):
+            draw(axis)
+    figure.legend(*_legend_of_modes(), loc="outside lower center", ncols=2, frameon=False)
     return figure
+
+
+Panel = Callable[["Axes"], None]
+"""What draws a panel of a figure."""
+
+
+def _panels_of(model: AAM, n_modes: int) -> tuple[list[Panel], list[Panel]]:
+    """Return the panels of a model: its landmarks and shape modes, and its appearance and appearance modes."""
+    appearance = model.levels[-1].appearances["log"]
+    mean = _stored(model, appearance.mean)
+    above = [
+        partial(show_picture, image=mean, title="mean appearance"),
+        partial(_show_landmarks, mean=mean, model=model),
+    ]
+    below = [partial(_show_mesh, mean=mean, model=model)]
+    if model.is_colour:
+        below.append(partial(_show_invariant, model=model, appearance=appearance))
+    n_shapes = min(n_modes, len(model.shape_model.modes))
+    n_appearances = min(n_shapes + len(above) - len(below), appearance.n_modes)  # as many as have room
+    above += [partial(_show_shape_mode, model=model, i=i) for i in range(n_shapes)]
+    below += [partial(_show_appearance_mode, model=model, appearance=appearance, i=i) for i in range(n_appearances)]
+    return above, below
+
+
+def _show_landmarks(axis: "Axes", mean: np.ndarray, model: AAM) -> None:
+    """Draw the mean shape with its contours, and the numbers of the landmarks."""
+    shape = model.shape_model.mean - model.frame.origin
+    show_picture(axis, np.full_like(mean, 1.0), f"{model.n_points} landmarks")
+    if model.contours:
+        _draw_shape(axis, shape, model, "0.7", lw=0.8)
+    axis.plot(*shape.T, ".", color=INK, ms=4)
+    step = -(-model.n_points // MOST_NUMBERED)
+    for i in range(0, model.n_points, step):
+        axis.annotate(str(i + 1), shape[i], (2, 2), textcoords="offset points", fontsize=7)
+
+
+def _show_mesh(axis: "Axes", mean: np.ndarray, model: AAM) -> None:
+    """Draw the mean shape's triangles on the mean appearance."""
+    show_picture(axis, mean, f"mesh, {len(model.triangles)} triangles")
+    axis.triplot(*(model.shape_model.mean - model.frame.origin).T, model.triangles, color="#19a979", lw=0.7)
+
+
+def _show_invariant(axis: "Axes", model: AAM, appearance: AppearanceModel) -> None:
+    """Show the invariant of the mean appearance."""
+    values = model.frame.picture(invariant(appearance.mean, model.theta), np.nan)
+    # Without NaN below the mask: Matplotlib resamples what is masked, too, and may warn of it.
+    axis.imshow(np.ma.masked_array(np.nan_to_num(values), np.isnan(values)), cmap="viridis")
+    axis.set_title("mean invariant", fontsize=10)
 
 
 def _show_appearance_mode(axis: "Axes", model: AAM, appearance: AppearanceModel, i: int) -> None:
@@ -136,7 +183,7 @@ def _show_appearance_mode(axis: "Axes", model: AAM, appearance: AppearanceModel,
     plus = _stored(model, appearance.mean + step)
     half = minus.shape[1] // 2
     halves = np.concatenate([minus[:, :half], plus[:, half:]], axis=1)
-    show_picture(axis, halves, f"appearance mode {i + 1}, −2 | +2 sd")
+    show_picture(axis, halves, f"appearance mode {i + 1}")
 
 
 def _show_shape_mode(axis: "Axes", model: AAM, i: int) -> None:
@@ -145,16 +192,27 @@ def _show_shape_mode(axis: "Axes", model: AAM, i: int) -> None:
     step = 2 * np.sqrt(model.shape_model.eigenvalues[i]) * model.shape_model.modes[i].reshape(-1, 2)
     if not model.contours:
         axis.triplot(*mean.T, model.triangles, color="#d0d0d0", lw=0.6)
-    for sign, colour in ((-1, "#5899da"), (1, "#e8743b")):
+    for sign, colour in ((-1, MINUS), (1, PLUS)):
         moved = mean + sign * step
         if model.contours:
             _draw_shape(axis, moved, model, colour, lw=1.2)
         else:  # without contours: draw the displacement of each landmark
             axis.plot(*np.stack([mean, moved]).transpose(2, 0, 1), color=colour, lw=1.2)
             axis.plot(*moved.T, ".", color=colour, ms=4)
-    axis.set_title(f"shape mode {i + 1}, −2 and +2 sd", fontsize=10)
+    axis.set_title(f"shape mode {i + 1}", fontsize=10)
     axis.set_aspect("equal")
     axis.invert_yaxis()
+
+
+def _legend_of_modes() -> "tuple[list[Line2D], list[str]]":
+    """Return the entries of a legend: what the colours of shape modes and the halves of appearance modes are."""
+    from matplotlib.lines import Line2D
+
+    handles = [Line2D([], [], color=colour, lw=2) for colour in (MINUS, PLUS)]
+    return handles, [
+        "\N{MINUS SIGN}2 standard deviations; left half of appearance modes",
+        "+2 standard deviations; right half",
+    ]
 
 
 def _stored(model: AAM, log_rgb: np.ndarray) -> np.ndarray:

@@ -1,29 +1,45 @@
-"""Overlays of landmarks, meshes, ellipses and label faults on images."""
+"""Overlays of landmarks, contours, meshes, ellipses and label faults on images.
 
-from collections.abc import Sequence
+Lines, dots and letters are bright with a dark edge, so that they can be seen on any ground.
+"""
+
+from collections.abc import Iterable, Sequence
+from functools import cache
+from typing import TYPE_CHECKING, Any
 
 import cv2
 import numpy as np
 
 from liaam.datasets.label_faults import LabelFault
-from liaam.drawing import as_picture, ellipses
+from liaam.drawing import ELLIPSE, LANDMARK, LOST, as_picture, ellipses as outlines_of, line_of, rgb
 from liaam.model import AAM
+from liaam.model.contours import Contours
 
-GREEN = (64, 255, 140)  # Colour of landmarks
-YELLOW = (255, 220, 64)  # Colour of their ellipses and expected positions
-RED = (255, 40, 40)  # Colour of faulty landmarks
+if TYPE_CHECKING:
+    from liaam.fitting import FitResult
 
-LARGE = 700  # Larger side of an image from which it is not enlarged, pixels
+EXPECTED = "#ffdc40"  # Colour of the expected positions of faulty landmarks
+DARK = (0, 0, 0)  # Colour of the edges
+BRIGHT = (255, 255, 255)  # Colour of letters
+
+LARGE = 1000  # Larger side in pixels to which small images are about enlarged
+LARGE_FRAME = 700  # That of frames of a video, which take longer to write
 # OpenCV draws between pixel centres with fixed-point numbers, of so many bits after the point.
 FRACTION_BITS = 4
 ONE = 2**FRACTION_BITS  # A pixel in these numbers
 FARTHEST = 1e6  # Largest coordinate in pixels that is drawn, so that these numbers do not overflow
+SMALLEST_LETTERS = 11  # Size of the smallest letters in pixels
+OPACITY = 0.75  # Of ellipses and meshes, which are less important than the landmarks below them
+NEIGHBOURS = 4  # Nearest landmarks of a landmark, from which its label is moved away
+
+Lines = list[np.ndarray]
+"""Lines through points (m, 2), pixels."""
 
 
-def enlarged(image: np.ndarray) -> tuple[np.ndarray, int]:
+def enlarged(image: np.ndarray, large: int = LARGE) -> tuple[np.ndarray, int]:
     """Return a copy of an image to draw on, (h', w', 3) uint8, enlarged if small, and the zoom factor."""
     picture = as_picture(image)
-    zoom = max(1, round(LARGE / max(picture.shape[:2])))
+    zoom = max(1, round(large / max(picture.shape[:2])))
     if zoom == 1:
         return picture.copy(), 1
     return cv2.resize(picture, None, fx=zoom, fy=zoom, interpolation=cv2.INTER_CUBIC), zoom
@@ -34,6 +50,12 @@ def overlay(
     shape: np.ndarray,
     model: AAM,
     covariances: np.ndarray | None = None,
+    *,
+    colour: str = LANDMARK,
+    labels: Sequence[str] = (),
+    mesh: bool = False,
+    caption: str = "",
+    large: int = LARGE,
 ) -> np.ndarray:
     """Draw a fitted shape on its image.
 
@@ -43,48 +65,238 @@ def overlay(
     shape : (n, 2) float
         Landmarks in image pixels.
     model : AAM
-        Model with the mesh (drawn transparent) and the contours (drawn opaque).
+        Model with the contours and the mesh.
     covariances : (n, 2, 2) float, optional
         Covariances of the landmarks in square pixels, drawn as 95 % confidence ellipses.
+    colour : str
+        Colour of the landmarks and contours, such as ``#40ff8c``.
+    labels : sequence of str
+        Texts beside the landmarks, such as their numbers.
+    mesh : bool
+        Whether to draw the triangles between the landmarks.
+    caption : str
+        Text in the corner at the bottom left, after a dot of the colour.
+    large : int
+        Larger side in pixels to which a small image is about enlarged, by a whole factor.
 
     Returns
     -------
     (h', w', 3) uint8
         The image, enlarged if small so that the lines do not cover it.
     """
-    picture, zoom = enlarged(image)
-    size = float(np.ptp(shape, axis=0).max()) * zoom if np.isfinite(shape).all() else 100.0
-    size = float(np.clip(size, 1.0, 4 * max(picture.shape[:2])))  # a failed fit may have any size
-    thick = max(1, round(size / 300))
-    points = np.clip(np.nan_to_num((shape + 0.5) * zoom - 0.5), -FARTHEST, FARTHEST)
-    fixed = np.rint(points * ONE).astype(np.int32)
-    with_mesh = picture.copy()
-    edges = np.unique(np.sort(model.triangles[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2), axis=1), axis=0)
-    _draw_lines(with_mesh, fixed[edges], False, GREEN, thick)
-    opacity = 0.35 if model.contours else 0.6
-    picture = cv2.addWeighted(with_mesh, opacity, picture, 1 - opacity, 0)
-    for indices, closed in model.contours:
-        _draw_lines(picture, fixed[list(indices)][None], closed, GREEN, thick)
-    if covariances is not None:
-        rings = ellipses(points, zoom**2 * np.asarray(covariances))
-        rings = np.clip(np.rint(rings * ONE), -(2**30), 2**30).astype(np.int32)
-        _draw_lines(picture, rings, True, YELLOW, thick)
-    radius = int(ONE * max(1.2, size / 180))
-    for x, y in fixed.tolist():
-        cv2.circle(picture, (x, y), radius, (0, 0, 0), -1, cv2.LINE_AA, FRACTION_BITS)
-        cv2.circle(picture, (x, y), int(radius * 0.7), GREEN, -1, cv2.LINE_AA, FRACTION_BITS)
+    picture, zoom = enlarged(image, large)
+    points = (shape + 0.5) * zoom - 0.5
+    if mesh:
+        _draw_mesh(picture, points, model.triangles, colour)
+    spread = None if covariances is None else zoom**2 * np.asarray(covariances)
+    draw_shape(picture, points, model.contours, spread, colour)
+    if labels:
+        picture = _with_labels(picture, points, labels)
+    if caption:
+        write_caption(picture, caption, colour)
     return picture
 
 
-def _draw_lines(
-    picture: np.ndarray, lines: np.ndarray, closed: bool, colour: tuple[int, int, int], thickness: int
+def overlay_of_fit(
+    image: np.ndarray,
+    result: "FitResult",
+    model: AAM,
+    *,
+    ellipses: bool = False,
+    labels: Sequence[str] = (),
+    mesh: bool = False,
+) -> np.ndarray:
+    """Draw a fit on its image, green if it may be used, amber if it is doubtful and red if it failed.
+
+    The status and the quality are in a corner. The parameters are those of :func:`overlay`; ``ellipses`` says
+    whether to draw those of the landmarks, which a failed fit does not have.
+    """
+    covariances = result.landmark_covariances if ellipses and not result.status.lost else None
+    look = {"labels": labels, "mesh": mesh, "colour": result.status.colour, "caption": caption_of(result)}
+    return overlay(image, result.landmarks, model, covariances, **look)
+
+
+def caption_of(result: "FitResult") -> str:
+    """Return the status and the quality of a fit in a few words."""
+    if result.status.lost:
+        return f"failed: {result.status}"
+    remedy = "" if result.status.ok else ": check it"
+    return f"{result.status}, quality {result.quality_text}{remedy}"
+
+
+def draw_shape(
+    picture: np.ndarray,
+    points: np.ndarray,
+    contours: Contours = (),
+    covariances: np.ndarray | None = None,
+    colour: str = LANDMARK,
 ) -> None:
-    """Draw lines through points (m, k, 2) int32, pixels times :data:`ONE`, on a picture."""
-    cv2.polylines(picture, list(lines[:, :, None]), closed, colour, thickness, cv2.LINE_AA, FRACTION_BITS)
+    """Draw landmarks (n, 2) with their contours and 95 % ellipses on a picture (h, w, 3) uint8, in place."""
+    points = _within_reach(points)
+    thick = _thickness(picture, points)
+    if covariances is not None:
+        rings = outlines_of(points, np.asarray(covariances))
+        closed_rings = list(np.concatenate([rings, rings[:, :1]], axis=1))
+        _draw_faintly(picture, closed_rings, ELLIPSE, max(1, thick // 2))
+    draw_lines(picture, [line_of(points, indices, closed) for indices, closed in contours], colour, thick)
+    draw_dots(picture, points, colour, _radius(picture, points))
+
+
+def _within_reach(points: np.ndarray) -> np.ndarray:
+    """Return points (n, 2) that can be drawn; those of a failed fit may be anywhere."""
+    return np.clip(np.nan_to_num(points), -FARTHEST, FARTHEST)
+
+
+def _extent(picture: np.ndarray, points: np.ndarray) -> float:
+    """Return the larger side of the box around points in pixels, at least 1 and at most four times the picture's."""
+    return float(np.clip(np.ptp(points, axis=0).max(initial=0.0), 1.0, 4 * max(picture.shape[:2])))
+
+
+def _thickness(picture: np.ndarray, points: np.ndarray) -> int:
+    """Return the thickness of lines: seen on the object, and where the picture is shown in some 800 pixels."""
+    return max(1, round(_extent(picture, points) / 300), round(max(picture.shape[:2]) / 800))
+
+
+def _radius(picture: np.ndarray, points: np.ndarray) -> float:
+    """Return the radius of dots in pixels. They are as thick lines are, but must not merge."""
+    wanted = max(_extent(picture, points) / 180, max(picture.shape[:2]) / 400)
+    return max(1.2, min(wanted, 0.4 * _spacing(points)))
+
+
+def _spacing(points: np.ndarray) -> float:
+    """Return the lower quartile of the distances of points (n, 2) to their nearest neighbours."""
+    if len(points) < 2:
+        return np.inf
+    return float(np.quantile(np.sort(_distances(points), axis=1)[:, 1], 0.25))
+
+
+def _distances(points: np.ndarray) -> np.ndarray:
+    """Return the distances (n, n) between points."""
+    return np.linalg.norm(points[:, None] - points, axis=2)
+
+
+def draw_lines(picture: np.ndarray, lines: Lines, colour: str, thickness: int) -> None:
+    """Draw lines with dark edges on a picture, in place."""
+    fixed = [np.rint(np.clip(line * ONE, -(2**30), 2**30)).astype(np.int32) for line in lines]
+    edge = thickness + 2 * max(1, thickness // 2)
+    for paint, width in ((DARK, edge), (rgb(colour), thickness)):
+        cv2.polylines(picture, fixed, False, paint, width, cv2.LINE_AA, FRACTION_BITS)
+
+
+def draw_dots(picture: np.ndarray, points: np.ndarray, colour: str, radius: float) -> None:
+    """Draw dots with dark edges at points (n, 2) on a picture, in place."""
+    edge = max(1.0, 0.4 * radius)
+    for paint, size in ((DARK, radius + edge), (rgb(colour), radius)):
+        for x, y in np.rint(points * ONE).astype(int).tolist():
+            cv2.circle(picture, (x, y), int(ONE * size), paint, -1, cv2.LINE_AA, FRACTION_BITS)
+
+
+def _draw_faintly(picture: np.ndarray, lines: Lines, colour: str, thickness: int) -> None:
+    """Draw slightly transparent lines with dark edges on a picture, in place."""
+    before = picture.copy()
+    draw_lines(picture, lines, colour, thickness)
+    cv2.addWeighted(picture, OPACITY, before, 1 - OPACITY, 0, dst=picture)
+
+
+def _draw_mesh(picture: np.ndarray, points: np.ndarray, triangles: np.ndarray, colour: str) -> None:
+    """Draw the edges of triangles (k, 3) of points (n, 2) on a picture, slightly transparent, in place."""
+    points = _within_reach(points)
+    edges = np.unique(np.sort(triangles[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2), axis=1), axis=0)
+    _draw_faintly(picture, list(points[edges]), colour, max(1, _thickness(picture, points) // 2))
+
+
+def _with_labels(picture: np.ndarray, points: np.ndarray, labels: Sequence[str]) -> np.ndarray:
+    """Return a picture with a text beside each point, on the side where fewer other points are."""
+    points = _within_reach(points)
+    # Seen where the picture is shown in some 800 pixels, unless that covers the neighbours.
+    wanted = min(max(picture.shape[:2]) / 64, _spacing(points))
+    size = max(SMALLEST_LETTERS, _extent(picture, points) / 40, wanted)
+    nearest = np.argsort(_distances(points), axis=1)[:, 1 : 1 + NEIGHBOURS]
+    away = points - points[nearest].mean(axis=1) if nearest.size else np.zeros(points.shape)
+    lengths = np.linalg.norm(away, axis=1, keepdims=True)
+    directions = np.where(lengths > 0, away / np.maximum(lengths, 1e-9), (0.0, -1.0))
+    return with_texts(picture, points + (_radius(picture, points) + 0.7 * size) * directions, labels, size)
+
+
+def with_texts(picture: np.ndarray, places: np.ndarray, texts: Iterable[str], size: float) -> np.ndarray:
+    """Return a picture with texts around places (n, 2); their letters are bright, with dark edges."""
+    from PIL import Image, ImageDraw
+
+    image = Image.fromarray(picture)
+    draw = ImageDraw.Draw(image)
+    font = _font(round(size))
+    edge = max(1, round(size / 8))
+    for (x, y), text in zip(places.tolist(), texts, strict=True):
+        draw.text((x, y), text, font=font, fill=BRIGHT, anchor="mm", stroke_width=edge, stroke_fill=DARK)
+    return np.array(image)
+
+
+def write_caption(picture: np.ndarray, text: str, colour: str) -> None:
+    """Write a text after a dot of a colour on a dark band at the bottom left of a picture, in place."""
+    from PIL import Image, ImageDraw
+
+    wanted = max(picture.shape[:2]) / 36
+    width = _width_of_caption(text, round(wanted))
+    size = round(max(SMALLEST_LETTERS, wanted * min(1.0, picture.shape[1] / width)))
+    font = _font(size)
+    pad = size // 2
+    height = min(round(font.getbbox("Ag")[3]) + pad, picture.shape[0])
+    corner = picture[picture.shape[0] - height :, : _width_of_caption(text, size)]
+    band = Image.fromarray((0.25 * corner).astype(np.uint8))
+    draw = ImageDraw.Draw(band)
+    middle = height // 2
+    radius = max(2, round(0.28 * size))
+    draw.ellipse((pad, middle - radius, pad + 2 * radius, middle + radius), fill=rgb(colour))
+    draw.text((pad + size, middle), text, font=font, fill=BRIGHT, anchor="lm")
+    corner[:] = np.asarray(band)
+
+
+def _width_of_caption(text: str, size: int) -> int:
+    """Return the width of a caption in letters of a size, with its dot and margins."""
+    return round(_font(size).getlength(text)) + 2 * (size // 2) + size
+
+
+@cache
+def _font(size: int) -> Any:
+    from PIL import ImageFont
+
+    return ImageFont.load_default(size)
+
+
+def thumbnail(image: np.ndarray, result: "FitResult", size: int) -> np.ndarray:
+    """Draw a fit on a small picture of its object, or if it failed of the whole image.
+
+    Parameters
+    ----------
+    image : (h, w, 3) array
+    result : FitResult
+    size : int
+        Larger side of the picture in pixels.
+
+    Returns
+    -------
+    (h', w', 3) uint8
+    """
+    points = result.landmarks
+    whole = np.array(image.shape[1::-1])
+    low = np.zeros(2, int)
+    high = whole
+    if not result.status.lost and np.isfinite(points).all():
+        margin = 0.4 * float(np.ptp(points, axis=0).max(initial=0.0)) + 4
+        low = np.clip(np.floor(points.min(axis=0) - margin), 0, whole - 1).astype(int)
+        high = np.clip(np.ceil(points.max(axis=0) + margin), low + 1, whole).astype(int)
+    scale = size / float((high - low).max())
+    width, height = np.maximum(np.rint((high - low) * scale), 1).astype(int).tolist()
+    part = as_picture(image[low[1] : high[1], low[0] : high[0]])
+    picture = cv2.resize(part, (width, height), interpolation=cv2.INTER_AREA if scale < 1 else cv2.INTER_CUBIC)
+    draw_shape(picture, (points - low + 0.5) * scale - 0.5, result.contours, colour=result.status.colour)
+    return picture
 
 
 def overlay_of_faults(image: np.ndarray, points: np.ndarray, faults: Sequence[LabelFault]) -> np.ndarray:
-    """Draw landmarks on their image, faulty ones in red and numbered, with lines to their expected positions.
+    """Draw landmarks on their image, faulty ones in red and numbered, with yellow lines to their expected positions.
+
+    The faults are described in the corner.
 
     Parameters
     ----------
@@ -108,22 +320,19 @@ def overlay_of_faults(image: np.ndarray, points: np.ndarray, faults: Sequence[La
         high = size_of_image
     picture, zoom = enlarged(image[low[1] : high[1], low[0] : high[0]])
 
-    def at(point: np.ndarray) -> tuple[int, int]:
-        """Return the pixel of the picture at a point (2,) of the image."""
-        x, y = np.clip(np.rint((point - low + 0.5) * zoom - 0.5), -FARTHEST, FARTHEST)
-        return int(x), int(y)
+    def at(places: np.ndarray) -> np.ndarray:
+        """Return the places in the picture of places (k, 2) of the image."""
+        return _within_reach((places - low + 0.5) * zoom - 0.5)
 
     size = max(picture.shape[:2]) / LARGE
-    thick = max(1, round(size))
-    radius = max(2, round(3 * size))
-    for point in points:
-        cv2.circle(picture, at(point), radius, GREEN, -1, cv2.LINE_AA)
-    for fault in faults:
-        for i in fault.points:
-            cv2.line(picture, at(points[i]), at(fault.expected[i]), YELLOW, thick, cv2.LINE_AA)
-            cv2.circle(picture, at(points[i]), radius, RED, -1, cv2.LINE_AA)
-        for i in fault.points:
-            x, y = at(points[i])
-            place = (x + 2 * radius, y - radius)
-            cv2.putText(picture, str(i + 1), place, cv2.FONT_HERSHEY_SIMPLEX, 0.45 * size, (255, 255, 255), thick)
+    radius = max(2.0, 5 * size)
+    faulty = sorted({i for fault in faults for i in fault.points})
+    moves = [at(np.stack([points[i], fault.expected[i]])) for fault in faults for i in fault.points]
+    draw_lines(picture, moves, EXPECTED, max(1, round(2 * size)))
+    draw_dots(picture, np.array([end for _, end in moves]), EXPECTED, 0.7 * radius)
+    draw_dots(picture, at(points), LANDMARK, radius)
+    draw_dots(picture, at(points[faulty]), LOST, radius)
+    numbers = [str(i + 1) for i in faulty]
+    picture = with_texts(picture, at(points[faulty]) + 3.5 * radius * np.array([1.0, -1.0]), numbers, 20 * size)
+    write_caption(picture, "; ".join(fault.message for fault in faults), LOST)
     return picture

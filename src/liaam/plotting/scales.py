@@ -1,13 +1,14 @@
 """Overlays of rulers and scale bars on images, to check them by eye."""
 
-import cv2
 import numpy as np
 
-from liaam.plotting.overlays import FRACTION_BITS, GREEN, ONE, RED, enlarged
+from liaam.drawing import LANDMARK, LOST
+from liaam.plotting.overlays import draw_lines, enlarged, with_texts
 from liaam.scale.bars import Bar
 from liaam.scale.rulers import Ruler
 
 _MOST_MARKS = 2000  # ticks that are drawn
+LETTERS = 36  # Larger side of a picture in units of the size of letters
 
 
 def overlay_of_scale(image: np.ndarray, found: Ruler | Bar, label: str) -> np.ndarray:
@@ -18,7 +19,7 @@ def overlay_of_scale(image: np.ndarray, found: Ruler | Bar, label: str) -> np.nd
     image : (h, w, 3) or (h, w) array
     found : Ruler or Bar
     label : str
-        Text beside it, such as the length of a pixel; letters that are not ASCII are drawn as ``?``.
+        Text beside it, such as the length of a pixel.
 
     Returns
     -------
@@ -30,15 +31,9 @@ def overlay_of_scale(image: np.ndarray, found: Ruler | Bar, label: str) -> np.nd
     n = min(found.n_ticks, _MOST_MARKS) if isinstance(found, Ruler) else 2
     axis = (last - first) / max(float(np.hypot(*(last - first))), 1e-9)
     arm = 8 * zoom * np.array([-axis[1], axis[0]])
-    _line(picture, first, last, GREEN, zoom)
-    for place in np.linspace(first, last, n):
-        _line(picture, place - arm, place + arm, RED, 1)
-    text = label.encode("ascii", "replace").decode()
-    x, y = np.rint((first + last) / 2 + 3 * np.abs(arm).sum()).astype(int).tolist()
-    cv2.putText(picture, text, (max(x - 150, 5), y), cv2.FONT_HERSHEY_SIMPLEX, 0.6, RED, 2, cv2.LINE_AA)
-    return picture
-
-
-def _line(picture: np.ndarray, start: np.ndarray, end: np.ndarray, colour: tuple[int, int, int], thick: int) -> None:
-    begin, stop = (tuple(np.rint(point * ONE).astype(int).tolist()) for point in (start, end))
-    cv2.line(picture, begin, stop, colour, thick, cv2.LINE_AA, FRACTION_BITS)
+    draw_lines(picture, [np.stack([first, last])], LANDMARK, zoom)
+    draw_lines(picture, [np.stack([place - arm, place + arm]) for place in np.linspace(first, last, n)], LOST, zoom)
+    size = max(picture.shape[:2]) / LETTERS
+    margin = np.minimum(size * np.array([len(label) / 3, 1.0]), np.array(picture.shape[1::-1]) / 2)
+    place = np.clip((first + last) / 2 + 3 * np.abs(arm).sum(), margin, picture.shape[1::-1] - margin)
+    return with_texts(picture, place[None], [label], size)

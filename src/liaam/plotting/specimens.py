@@ -6,9 +6,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from liaam.drawing import LANDMARK
 from liaam.errors import LiaamError
-from liaam.plotting.figures import subplots
+from liaam.plotting.figures import INK, subplots
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -32,19 +31,22 @@ def figure_of_specimens(columns: Mapping[str, list]) -> "Figure":
     mean = table.mean(axis=0)
     figure, axes = subplots(1, 2, (11, 5))
     axis = axes[0, 0]
-    axis.plot(table[:, ::2].ravel(), table[:, 1::2].ravel(), ".", color="0.6", ms=3)
-    axis.plot(mean[::2], mean[1::2], "o", color=LANDMARK, ms=5)
+    axis.plot(mean[::2], mean[1::2], "+", color="black", ms=12, mew=0.9, label="mean")
+    spots = {"color": INK, "mew": 0, "ms": 4, "alpha": 0.5}
+    axis.plot(table[:, ::2].ravel(), table[:, 1::2].ravel(), "o", label="specimens", **spots)
     for name, point in zip(places[::2], mean.reshape(-1, 2), strict=True):
-        axis.annotate(name[1:], point, (3, 3), textcoords="offset points", fontsize=8)
+        axis.annotate(name[1:], point, (6, 6), textcoords="offset points", fontsize=10, weight="bold")
+    axis.legend(loc="lower right", frameon=False)
+    axis.margins(0.1)
     axis.set(title=f"{len(table)} superimposed shapes, and the mean", aspect="equal")
     axis.set_axis_off()
     _, values, modes = np.linalg.svd(table - mean, full_matrices=False)
     shares = 100 * values**2 / max(np.square(values).sum(), 1e-300)
     scores = np.pad((table - mean) @ modes[:2].T, ((0, 0), (0, max(0, 2 - len(modes)))))
     axis = axes[0, 1]
-    axis.plot(*scores.T, "o", color=LANDMARK, ms=5)
+    axis.plot(*scores.T, "o", color=INK, mec="white", mew=0.6, ms=7)
     for name, score in zip(names, scores, strict=True) if len(names) <= MOST_NAMED else ():
-        axis.annotate(name, score, (3, 3), textcoords="offset points", fontsize=7, parse_math=False)
+        axis.annotate(name, score, (4, 4), textcoords="offset points", fontsize=8, parse_math=False)
     labels = [f"PC {i + 1} ({share:.0f} % of the variance)" for i, share in enumerate([*shares, 0.0][:2])]
     axis.set(title="principal components of shape", xlabel=labels[0], ylabel=labels[1])
     axis.spines[["top", "right"]].set_visible(False)
@@ -94,20 +96,18 @@ def figure_of_asymmetry(
     axis = axes[0, 0]
     factor = _magnification(mean, first - second)
     _draw_shape(axis, mean, numbers, lines)
-    axis.quiver(
-        *mean.T, *(factor * (first - second)).T, angles="xy", scale_units="xy", scale=1, color=LANDMARK, width=0.007
-    )
+    axis.quiver(*mean.T, *(factor * (first - second)).T, angles="xy", scale_units="xy", scale=1, color=INK, width=0.007)
     axis.set_title(f"directional asymmetry, {factor:g} times: {sides[0]} minus {sides[1]}", fontsize=10)
     axis = axes[0, 1]
     apart = fluctuating - mean
     factor = _magnification(mean, apart)
     _draw_shape(axis, mean, numbers, lines)
     moved = mean + factor * apart
-    axis.plot(moved[..., 0].ravel(), moved[..., 1].ravel(), ".", color=LANDMARK, ms=3, alpha=0.6)
+    axis.plot(moved[..., 0].ravel(), moved[..., 1].ravel(), ".", color=INK, ms=3, alpha=0.6)
     axis.set_title(f"fluctuating asymmetry of {len(names)} individuals, {factor:g} times", fontsize=10)
     axis = axes[0, 2]
     order = np.argsort(distances)
-    axis.plot(distances[order], "o", color=LANDMARK, ms=5)
+    axis.plot(distances[order], "o", color=INK, ms=5)
     if np.isfinite(error):
         axis.axhline(error, color="0.5", ls="--", lw=1, label="by error alone")
         axis.legend(frameon=False, loc="lower right")

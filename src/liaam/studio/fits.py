@@ -302,11 +302,11 @@ class Fits:
         for ``relit``.
         """
         if what == "overlay":
-            from liaam.plotting import overlay  # heavy: imported when first needed
+            from liaam.plotting import overlay_of_fit  # heavy: imported when first needed
 
             with self.pictures.at_work(fit.source) as pixels:
                 image = shown(pixels, fit.source.size, fit.source.raw)
-            return overlay(image, fit.result.landmarks, fit.model, covariances=fit.result.landmark_covariances), None
+            return overlay_of_fit(image, fit.result, fit.model, ellipses=True), None
         if what == "residual":
             to = fitted_size(*fit.source.size, size or max(fit.source.size))
             with self.pictures.at_work(fit.source) as image:

@@ -80,6 +80,7 @@ def scaled(result: FitResult, size: tuple[int, int], to: tuple[int, int]) -> Fit
         result,
         landmarks=there(result.landmarks),
         landmark_covariances=result.landmark_covariances * factor**2,
+        shift=None if result.shift is None else there(result.landmarks) - there(result.registered),
         pose=Similarity(result.pose.matrix * factor, there(result.pose.offset[None])[0]),
         history=tuple(replace(step, landmarks=there(step.landmarks)) for step in result.history),
         found=None if result.found is None else moved(result.found),

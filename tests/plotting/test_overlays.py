@@ -1,0 +1,104 @@
+"""Overlays: seen on any ground, with the status in colour and words, for landmarks anywhere."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from liaam.datasets import load_heads
+from liaam.datasets.label_faults import find_label_faults
+from liaam.drawing import DOUBTFUL, LANDMARK, LOST, rgb
+from liaam.fitting import FitResult, FitStatus, Fitter
+from liaam.plotting import enlarged, overlay, overlay_of_faults, overlay_of_fit
+from liaam.plotting.overlays import LARGE, caption_of
+from liaam.plotting.scales import overlay_of_scale
+from liaam.scale import Bar
+
+SHAPE = np.array([[60.0, 60], [140, 60], [100, 100], [60, 140], [140, 140]])
+
+
+@pytest.fixture(scope="module")
+def fitted(head_model) -> tuple[np.ndarray, FitResult]:
+    """Give an image of a head, and the fit to it."""
+    sample = load_heads()[1][0]
+    image = sample.read_image()
+    return image, Fitter(head_model).fit(image, sample.landmarks)
+
+
+def is_there(picture: np.ndarray, colour: str, most: int = 12) -> bool:
+    """Return whether a picture has pixels of nearly a colour."""
+    return bool((np.abs(picture.astype(int) - rgb(colour)).max(axis=2) <= most).any())
+
+
+@pytest.mark.parametrize("ground", [0, 128, 255, LANDMARK, "#ffffff"])
+def test_landmarks_and_ellipses_are_seen_on_any_ground(head_model, ground):
+    colour = (ground,) * 3 if isinstance(ground, int) else rgb(ground)
+    image = np.broadcast_to(np.array(colour, np.uint8), (200, 200, 3))
+    shape = head_model.shape_model.mean
+    shape = 40 + 120 * (shape - shape.min(axis=0)) / np.ptp(shape)
+    plain = overlay(image, shape, head_model)
+    rich = overlay(image, shape, head_model, 9.0 * np.ones((58, 1, 1)) * np.eye(2))
+    before = enlarged(image)[0]
+    for picture, base in ((plain, before), (rich, plain)):
+        # A step of a quarter of the range of luminance is seen without effort.
+        steps = np.abs((picture.astype(float) - base) @ [0.21, 0.72, 0.07])
+        assert (steps > 64).sum() > 2000
+
+
+def test_the_status_is_told_by_colour_and_in_words(fitted, head_model):
+    image, result = fitted
+    assert caption_of(result) == f"converged, quality {result.quality:.2f}"
+    colours = {FitStatus.CONVERGED: LANDMARK, FitStatus.DOUBTFUL: DOUBTFUL, FitStatus.DIVERGED: LOST}
+    for status, colour in colours.items():
+        picture = overlay_of_fit(image, replace(result, status=status), head_model)
+        assert [is_there(picture, each) for each in colours.values()] == [each == colour for each in colours.values()]
+    assert caption_of(replace(result, status=FitStatus.DOUBTFUL)).endswith(": check it")
+    assert caption_of(replace(result, status=FitStatus.DIVERGED)) == "failed: diverged"
+    assert caption_of(replace(result, quality=np.nan)) == "converged, quality unknown"
+
+
+def test_mesh_numbers_and_ellipses_are_drawn_on_request_only(fitted, head_model):
+    image, result = fitted
+    plain = overlay_of_fit(image, result, head_model)
+    numbers = tuple(map(str, range(1, 59)))
+    pictures = [
+        overlay_of_fit(image, result, head_model, mesh=True),
+        overlay_of_fit(image, result, head_model, ellipses=True),
+        overlay_of_fit(image, result, head_model, labels=numbers),
+    ]
+    assert all((picture != plain).any() for picture in pictures)
+    lost = replace(result, status=FitStatus.DIVERGED)  # whose ellipses mean nothing
+    plain, rich = (overlay_of_fit(image, lost, head_model, ellipses=each) for each in (False, True))
+    np.testing.assert_array_equal(plain, rich)
+
+
+@pytest.mark.parametrize(
+    "shape", [SHAPE * 0, SHAPE * 1e12, SHAPE * np.nan, SHAPE - 500], ids=["point", "far", "nan", "out"]
+)
+def test_landmarks_may_be_anywhere(head_model, shape):
+    shape = np.resize(shape, (58, 2))
+    labels = tuple(map(str, range(58)))
+    picture = overlay(np.zeros((50, 70), np.uint8), shape, head_model, np.ones((58, 2, 2)), labels=labels, mesh=True)
+    assert picture.shape[1] == pytest.approx(LARGE, abs=40)
+
+
+def test_faults_are_red_and_described_on_a_white_ground(rng):
+    shapes = [SHAPE + rng.normal(0, 0.5, SHAPE.shape) for _ in range(12)]
+    shapes[3] = shapes[3][[1, 0, 2, 3, 4]]
+    (fault,) = find_label_faults(shapes)
+    white = np.full((200, 200, 3), 255, np.uint8)
+    picture = overlay_of_faults(white, shapes[3], [fault])
+    assert is_there(picture, LOST)
+    assert is_there(picture, LANDMARK)
+    caption = picture[-20:, : picture.shape[1] // 2]
+    assert (caption < 80).mean() > 0.5  # a dark band with letters
+    assert (caption > 200).any()
+
+
+def test_the_label_of_a_scale_is_inside_the_picture():
+    white = np.full((400, 900, 3), 255, np.uint8)
+    bar = Bar(ends=np.array([[780.0, 390], [890, 390]]), length=110.0, length_se=0.1)
+    picture = overlay_of_scale(white, bar, "3.1 µm/px")
+    _, across = np.nonzero((picture < 40).all(axis=2)[:370])
+    assert len(across) > 50
+    assert across.max() < 895
