@@ -19,6 +19,7 @@ from liaam.fitting.methods import Method
 from liaam.fitting.quality.uncertainty import fitted_covariances
 from liaam.fitting.search.finder import Finder
 from liaam.fitting.search.templates import is_searchable
+from liaam.io.files import count_of
 from liaam.model import AAM, Reliability
 from liaam.model.contours import contour_turns, outline_errors
 from liaam.model.shape import align, diagonal_of, rotation, shifted_into
@@ -109,6 +110,14 @@ class LeftOutFits:
         """Mean error of the right fits from starts near the object, as a fraction of the diagonal; NaN without any."""
         errors = [fit.error for fit in self.fits if fit.near and fit.right]
         return float(np.mean(errors)) if errors else np.nan
+
+    def describe(self) -> str:
+        """Describe the accuracy of fits from starts near the object, for a model's card; empty if there are none."""
+        if not self.n_near:
+            return ""
+        counts = f"{self.n_near_right} of {count_of(self.n_near, 'fit')} to left-out training images"
+        right = f"{counts}, from starts near the object, have an error of at most {RIGHT:.0%} of its size"
+        return f"{right}; these are off by {self.near_error:.1%} on average" if self.n_near_right else right
 
 
 def fit_left_out(model: AAM, pictures: Iterable[LeftOutImage], methods: Sequence[Method]) -> dict[str, LeftOutFits]:
