@@ -9,7 +9,7 @@ RUN LIAAM_REQUIRE_CORE=1 pip wheel --no-cache-dir --no-deps --wheel-dir /wheels 
 
 FROM python:3.13-slim
 COPY --from=build /wheels /wheels
-RUN wheel="$(echo /wheels/liaam-*.whl)" && pip install --no-cache-dir "$wheel[video,batch,pandas]"
+RUN wheel="$(echo /wheels/liaam-*.whl)" && pip install --no-cache-dir "${wheel}[video,batch,pandas]"
 ENV HOME=/tmp MPLBACKEND=Agg
 WORKDIR /data
 ENTRYPOINT ["liaam"]
