@@ -1,4 +1,4 @@
-// The extension module.
+// What an extension module holds, whatever its instruction set.
 #include <atomic>
 #include <chrono>
 #include <optional>
@@ -82,14 +82,13 @@ void Unlocked::end() {
     PyEval_RestoreThread(state);
 }
 
-NB_MODULE(LIAAM_MODULE, module) {
+void bind(nb::module_& module) {
     nb::set_leak_warnings(false);
     bind_level(module);
     bind_fit(module);
     bind_images(module);
     bind_parts(module);
     nb::module_::import_("atexit").attr("register")(nb::cpp_function(&Unlocked::end));
-    module.attr("SOURCES") = LIAAM_DIGEST;
     module.def("_set_encoding_constants", set_encoding_constants, "constants"_a);
     module.def("best_instruction_set", [] { return runs_x86_64_v3() ? "avx2" : "baseline"; });
 }

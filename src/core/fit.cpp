@@ -63,7 +63,8 @@ double block_size(Encoding encoding, double scale, double blur) {
 // At least three blocks between two corners.
 double limited(double size, const Region& region) {
     const auto side = std::min(region.high.x - region.low.x, region.high.y - region.low.y);
-    return std::max(1.0, std::min(size, static_cast<double>(side / 3)));
+    const auto third = side / 3;  // whole pixels
+    return std::max(1.0, std::min(size, static_cast<double>(third)));
 }
 
 // The grid of blocks does not depend on the margin, so that training and fitting use the same blocks.

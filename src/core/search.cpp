@@ -40,10 +40,10 @@ std::vector<Peak> best_peaks(const Plane& image, std::size_t count, float least,
         const std::ptrdiff_t step = image.by_pixel;
         for (std::ptrdiff_t begin = 0; begin < image.width; begin += kChunk) {
             const auto end = std::min(begin + kChunk, image.width);
-            float largest = row[begin * step];
-#pragma omp simd reduction(max : largest)
-            for (std::ptrdiff_t x = begin; x < end; ++x) largest = row[x * step] > largest ? row[x * step] : largest;
-            if (!(largest > limit)) continue;
+            int is_any = 0;
+#pragma omp simd reduction(| : is_any)
+            for (std::ptrdiff_t x = begin; x < end; ++x) is_any |= row[x * step] > limit;
+            if (!is_any) continue;
             for (std::ptrdiff_t x = begin; x < end; ++x) {
                 const float value = row[x * step];
                 if (!(value > limit) || !is_peak(image, y, x, reach)) continue;

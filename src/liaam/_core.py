@@ -23,6 +23,23 @@ TIMES_SLOWER = 20
 """How many times slower a fit is in NumPy (``benchmarks fit``)."""
 
 
+def _warn_without_core() -> None:
+    """Say how to get the core, once and not in each worker. No line of code is to blame, so that none is named."""
+    import multiprocessing  # only here: it takes a while
+
+    if multiprocessing.parent_process() is not None:
+        return
+    warnings.warn_explicit(
+        f"liaam was installed without its compiled core, so that fits take about {TIMES_SLOWER} times as long. "
+        "Install a C++ compiler (Debian, Ubuntu: apt install g++; macOS: xcode-select --install; Windows: Build Tools for "
+        "Visual Studio), and then liaam again, with 'pip install --no-cache-dir --force-reinstall --no-deps' in place of "
+        "'pip install'",
+        CoreWarning,
+        filename="liaam",
+        lineno=0,
+    )
+
+
 def _extension(name: str) -> ModuleType | None:
     try:
         return importlib.import_module(f"liaam._core_{name}")
@@ -57,12 +74,7 @@ if _module is None:
     if os.environ.get("LIAAM_REQUIRE_CORE"):
         raise ImportError("LIAAM_REQUIRE_CORE is set, but liaam was installed without its compiled core")
     if os.environ.get("LIAAM_CPU") != NUMPY:
-        warnings.warn(
-            f"liaam was installed without its compiled core, so that fits take about {TIMES_SLOWER} times as long; "
-            "install a C++ compiler, and then liaam again with 'pip install --no-cache-dir --force-reinstall'",
-            CoreWarning,
-            stacklevel=2,
-        )
+        _warn_without_core()
     INSTRUCTION_SET = NUMPY
     _module = importlib.import_module("liaam.image_reference")
 

@@ -59,6 +59,20 @@ def test_compact_writes_a_small_model_and_says_what_it_fits_with(run, model_file
     assert "grey-norm" in run("show", small)[1]
 
 
+def test_a_card_is_written_into_the_model_and_shown(run, model_file, tmp_path):
+    model = tmp_path / "m.liaam"
+    model.write_bytes(model_file.read_bytes())
+    code, out, _ = run("card", model, "--licence", "CC BY 4.0", "--data", "six heads of one person")
+    assert code == 0 and "not stated  purpose, limits, credit (add them with 'liaam card')" in out
+    assert run("card", model, "--credit", "the makers", "--data", "")[0] == 0
+    shown = run("show", model, "-o", tmp_path / "m.json")[1]
+    card = json.loads((tmp_path / "m.json").read_text())["card"]
+    assert {**card, "accuracy": ""} == {"licence": "CC BY 4.0", "credit": "the makers", "accuracy": ""}
+    assert all(text in shown for text in card.values())
+    code, _, err = run("card", "face", "--licence", "mine")
+    assert code == 1 and "face comes with liaam, and its card stays as it is" in err
+
+
 def box_around(points):
     return ",".join(f"{v:.0f}" for v in [*points.min(0) - 3, *points.max(0) + 3])
 

@@ -269,8 +269,8 @@ void draw_once(Rng& rng) {
     const std::size_t n = integer(rng, 3, 8), height = integer(rng, 1, 20), width = integer(rng, 1, 20);
     std::vector<double> points = normals<double>(rng, 3 * n, 20.0), values = normals<double>(rng, 2 * n);
     points[0] = odd(rng, points[0]);
-    std::vector<std::int32_t> triangles;
-    for (int i = 0; i < 12; ++i) triangles.push_back(integer(rng, 0, static_cast<int>(n) - 1));
+    std::vector<std::int32_t> triangles(12);
+    for (std::int32_t& corner : triangles) corner = integer(rng, 0, static_cast<int>(n) - 1);
     std::vector<std::int32_t> owner(height * width, -1);
     std::vector<double> drawn(2 * height * width);
     draw_triangles({points.data(), n, 3}, {triangles.data(), 4, 3}, {values.data(), n, 2}, {owner.data(), height, width}, drawn.data());

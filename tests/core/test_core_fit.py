@@ -291,6 +291,20 @@ main()
     assert re.fullmatch(r"liaam was installed without its compiled core, .*\n", ran.stderr)
 
 
+def test_without_a_core_one_message_without_a_path_says_how_to_get_it():
+    code = """
+import sys
+sys.modules["liaam._core_baseline"] = sys.modules["liaam._core_avx2"] = None  # as if they were not installed
+from liaam.cli.main import app
+import liaam.fitting
+"""
+    environment = {name: value for name, value in os.environ.items() if name not in ("LIAAM_CPU", "LIAAM_REQUIRE_CORE")}
+    ran = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, env=environment, check=True)
+    (message,) = ran.stderr.splitlines()
+    assert "without its compiled core" in message and "Install a C++ compiler" in message
+    assert "/" not in message and "\\" not in message and ".py" not in message
+
+
 def test_threads_that_are_still_at_work_do_not_abort_the_end_of_python():
     code = """
 import threading

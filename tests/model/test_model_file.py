@@ -16,7 +16,8 @@ from safetensors.numpy import save
 from liaam.errors import MethodError, ModelFileError
 from liaam.fitting import Fitter
 from liaam.fitting.loop.objective import THINNING
-from liaam.model import AAM, MESH, SURROUNDINGS, cost, load_model
+from liaam.model import AAM, MESH, SURROUNDINGS, ModelCard, cost, load_model
+from liaam.model.file_format import LONGEST_OF_CARD
 from liaam.model.shape import diagonal_of, similarity_modes
 from liaam.model.views import Reliability, View
 from liaam.models import model_file as model_file_of
@@ -98,6 +99,32 @@ def test_a_model_of_the_mesh_alone_is_kept(model, tmp_path, lit_scene):
     assert Fitter(loaded, "li").fit(lit_scene.image, disturb(lit_scene.landmarks)).status.ok
     with pytest.raises(MethodError, match=r"soft-li: the model has no view surroundings; train it again, or .*'li'"):
         Fitter(loaded)
+
+
+def test_the_card_is_kept(model, tmp_path):
+    card = ModelCard(data="eight heads, häd 7", licence="CC0", limits="only heads")
+    replace(model, card=card).save(tmp_path / "card.liaam")
+    assert load_model(tmp_path / "card.liaam").card == card
+    assert card.missing == ["purpose", "accuracy", "credit"]
+
+
+def test_older_files_have_the_credit_alone(model_file, tmp_path):
+    header, tensors = parts(model_file)
+    header.pop("card", None)
+    assert load_model(forge(tmp_path / "none.liaam", header, tensors)).card == ModelCard()
+    old = forge(tmp_path / "old.liaam", {**header, "credit": "the makers"}, tensors)
+    assert load_model(old).card == ModelCard(credit="the makers")
+
+
+def test_a_card_is_texts_of_limited_length(model_file, tmp_path):
+    header, tensors = parts(model_file)
+    long = forge(tmp_path / "long.liaam", {**header, "card": {"data": "x" * 10_000, "unknown": 1}}, tensors)
+    assert load_model(long).card == ModelCard(data="x" * LONGEST_OF_CARD)
+    assert_refused(forge(tmp_path / "list.liaam", {**header, "card": ["CC0"]}, tensors), "card .* is not an object")
+    with pytest.raises(ModelFileError, match="data of a card has 4001 characters"):
+        ModelCard(data="x" * (LONGEST_OF_CARD + 1))
+    with pytest.raises(ModelFileError, match="limits of a card: give a text, not list"):
+        ModelCard(limits=["masks"])
 
 
 @pytest.mark.parametrize("freedom", [0.0, -1.0, float("nan"), "many", None])

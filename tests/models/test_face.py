@@ -17,7 +17,7 @@ from liaam.errors import LiaamError
 from liaam.fitting import Fitter
 from liaam.fitting.loop.objective import pixels_for
 from liaam.io import read_image, read_landmarks
-from liaam.models import MODELS, model_file
+from liaam.models import model_file
 from liaam.morphometry import read_specimens
 from liaam.morphometry.schemes import in_scheme
 from liaam.relighting import Relighter
@@ -56,7 +56,8 @@ def far_from_photograph(names, points) -> float:
 def test_it_names_its_landmarks_and_credits_its_sources(face):
     assert face is liaam.load_model("face")  # read once
     assert set(EIGHT) | {"chin"} <= set(face.landmark_names)
-    assert "CC BY 4.0" in face.credit and "10.6084/m9.figshare.5047666" in face.credit
+    assert "CC BY 4.0" in face.card.licence and "10.6084/m9.figshare.5047666" in face.card.credit
+    assert not face.card.missing
     assert model_file("face").stat().st_size <= 8e6
 
 
@@ -177,12 +178,12 @@ def test_show_tells_its_terms(run, face, tmp_path):
         code, out, _ = run(*command)
         assert code == 0 and "CC BY 4.0" in out and "figshare.5047666" in out
     assert (tmp_path / "face.png").exists()
-    assert MODELS["face"].purpose in out and MODELS["face"].accuracy in out
+    assert all(text in out for text in face.card.stated.values())
 
 
-def test_the_credit_is_kept_in_files(face, tmp_path):
+def test_the_card_is_kept_in_files(face, tmp_path):
     liaam.compact(face).save(tmp_path / "other.liaam")
-    assert liaam.load_model(tmp_path / "other.liaam").credit == face.credit
+    assert liaam.load_model(tmp_path / "other.liaam").card == face.card
 
 
 def test_what_makes_it_agrees_with_it(face):
@@ -199,7 +200,7 @@ def test_what_makes_it_agrees_with_it(face):
 def test_its_data_and_terms_are_told(face):
     text = (ROOT / "LICENSE-DATA").read_text(encoding="utf-8")
     for doi in ("5047666.v5", "4220517.v1", "4055130.v1"):
-        assert doi in text and doi in face.credit
+        assert doi in text and doi in face.card.credit
     assert len(list((ROOT / "src/liaam/datasets/pictures/face").glob("*.jpg"))) <= 12
     assert load_face().image.stat().st_size <= 40_000
 

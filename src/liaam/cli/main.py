@@ -14,7 +14,7 @@ from liaam.cli.fit import FitCommand, fit
 from liaam.cli.invariant import invariant, register
 from liaam.cli.lamps import lamps
 from liaam.cli.measure import measure
-from liaam.cli.models import show
+from liaam.cli.models import card, show
 from liaam.cli.relight import relight
 from liaam.cli.scale import scale
 from liaam.cli.studio import studio
@@ -23,7 +23,22 @@ from liaam.cli.train import compact, train
 from liaam.cli.video import track
 
 app = make_app(help="Fit deformable models of faces and other objects to colour images under any light.")
-for command in (train, evaluate, batch, measure, scale, track, relight, studio, check, lamps, show, compact, demo):
+for command in (
+    train,
+    evaluate,
+    batch,
+    measure,
+    scale,
+    track,
+    relight,
+    studio,
+    check,
+    lamps,
+    show,
+    card,
+    compact,
+    demo,
+):
     app.command()(command)
 app.command(cls=FitCommand)(fit)
 for command in (invariant, register):

@@ -1,6 +1,7 @@
 """The command ``liaam show``."""
 
 import json
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -51,11 +52,10 @@ def show(
     from liaam.model import load_model
 
     if file is None:
-        for name, included in MODELS.items():
+        for name in MODELS:
             model = load_model(name)
             trained = f"{model.n_points}, trained on {model.n_all_images} images{count_copies(model)}"
-            rows = {"model": name, "for": included.purpose, "accuracy": included.accuracy, "landmarks": trained}
-            print_rows({**rows, "credit": model.credit})
+            print_rows({"model": name, "landmarks": trained, **model.card.stated})
         say("Give its name as MODEL, as in 'liaam fit face photo.jpg'.")
         return
     lit = file.suffix.lower() == LAMPS_SUFFIX
@@ -89,6 +89,42 @@ def show(
         progress(0, 1, f"drawing {file.name}")
         save_figure(draw(), output)
     say(f"written to {output}")
+
+
+def card(
+    file: Annotated[Path, typer.Argument(metavar="MODEL", readable=False, help="Model file of 'liaam train'.")],
+    purpose: Annotated[str | None, typer.Option(help="Images that the model is for.")] = None,
+    data: Annotated[str | None, typer.Option(help="What the training images show, and where they are from.")] = None,
+    accuracy: Annotated[
+        str | None,
+        typer.Option(help="How accurate fits are, and on which images. 'liaam train' states that of left-out images."),
+    ] = None,
+    limits: Annotated[str | None, typer.Option(help="What the model should not be used for.")] = None,
+    licence: Annotated[str | None, typer.Option(help="Terms of the model, such as 'CC BY 4.0'.")] = None,
+    credit: Annotated[str | None, typer.Option(help="Whom to credit for the model and its images.")] = None,
+) -> None:
+    """State in a model file what its users should know, before you pass it on.
+
+    'liaam show' prints it. What is not given stays as it is, and an empty text removes it.
+    """
+    from liaam.model import load_model
+
+    if file.name in MODELS:
+        raise LiaamError(f"{file} comes with liaam, and its card stays as it is; give the file of a model of your own")
+    model = load_model(file)
+    given = {
+        "purpose": purpose,
+        "data": data,
+        "accuracy": accuracy,
+        "limits": limits,
+        "licence": licence,
+        "credit": credit,
+    }
+    changes = {name: text for name, text in given.items() if text is not None}
+    if changes:
+        model = replace(model, card=replace(model.card, **changes))
+        model.save(file)
+    print_rows({"model": model.name or file.stem, **model.card.stated, **describe_missing_in_card(model)})
 
 
 def print_rows(rows: dict[str, str]) -> None:
@@ -146,7 +182,8 @@ def describe(model: "AAM", path: Path) -> dict[str, str]:
         "reference frame": f"{width}×{height} px, {model.n_pixels} inside the mesh",
         "levels": "blur " + ", ".join(f"{level.blur:g}" for level in model.levels) + " px, coarse to fine",
         "camera": f"response {response}, theta {theta:.1f}° ({error}){calibrated}",
-        **({"credit": model.credit} if model.credit else {}),
+        **model.card.stated,
+        **describe_missing_in_card(model),
         "core": f"compiled, {_core.INSTRUCTION_SET}" if _core.BUILT else "not compiled (NumPy)",
     }
 
@@ -170,6 +207,13 @@ def describe_variation(model: "AAM") -> str:
                 prior += f", shapes at {reliability.expansion:.2f} times their distance from the mean"
             lines.append(prior)
     return "; ".join(lines)
+
+
+def describe_missing_in_card(model: "AAM") -> dict[str, str]:
+    """Describe what the card of a model does not state as a label and a text; nothing if it states all."""
+    if not model.card.missing:
+        return {}
+    return {"not stated": f"{', '.join(model.card.missing)} (add them with 'liaam card')"}
 
 
 def describe_regressor(model: "AAM") -> str:
@@ -222,7 +266,7 @@ def facts_of(model: "AAM") -> dict[str, Any]:
         ],
         "methods": list(methods_of(model)),
         "calibrated": model.calibrated,
-        "credit": model.credit,
+        "card": model.card.stated,
     }
 
 

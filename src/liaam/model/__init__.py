@@ -4,6 +4,7 @@
 """
 
 from liaam.model.aam import AAM, load_model
+from liaam.model.card import ModelCard
 from liaam.model.views import MESH, SURROUNDINGS, VIEWS, Level, Reliability, View
 
-__all__ = ["AAM", "MESH", "SURROUNDINGS", "VIEWS", "Level", "Reliability", "View", "load_model"]
+__all__ = ["AAM", "MESH", "SURROUNDINGS", "VIEWS", "Level", "ModelCard", "Reliability", "View", "load_model"]

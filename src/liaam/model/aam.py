@@ -9,6 +9,7 @@ import numpy as np
 
 from liaam.errors import ModelFileError
 from liaam.io.files import count_of
+from liaam.model.card import EMPTY_CARD, ModelCard
 from liaam.model.file import read_fields
 from liaam.model.file_bytes import file_bytes
 from liaam.model.light_basis import LightBasis
@@ -63,8 +64,8 @@ class AAM:
         of the mean shape (:mod:`liaam.training.search_filter`); older files have none.
     is_colour : bool
         Whether the model was trained on colour images.
-    credit : str
-        Whom to credit for the training images, and their licences, for display.
+    card : ModelCard
+        What users should know: data, licence, accuracy, limits, and whom to credit.
     others : tuple of AAM
         Models of further shapes of the object, of which one Gaussian would not do (such as left and right wings). All
         other attributes are those of the model of the most frequent shape; see :attr:`parts`.
@@ -94,7 +95,7 @@ class AAM:
     features: Features | None = None
     search_filter: np.ndarray | None = None
     is_colour: bool = True
-    credit: str = ""
+    card: ModelCard = EMPTY_CARD
     others: tuple["AAM", ...] = ()
     same_images: bool = False
     failing_methods: tuple[str, ...] = ()

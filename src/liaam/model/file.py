@@ -12,10 +12,12 @@ from liaam.errors import LiaamError, ModelFileError, shortened
 from liaam.io.files import json_object
 from liaam.model import cost
 from liaam.model.appearance import CHANNELS
+from liaam.model.card import CARD_FIELDS, ModelCard
 from liaam.model.file_checks import checked_tensor, finite, text_of
 from liaam.model.file_format import (
     FORMAT,
     LAMPS_FORMAT,
+    LONGEST_OF_CARD,
     MAX_DIAGONAL,
     MAX_IMAGES,
     MAX_POINTS,
@@ -122,7 +124,7 @@ def _fields(header: dict, tensors: dict[str, np.ndarray]) -> dict[str, Any]:
         "contours": contours,
         "landmark_names": _names(header.get("landmark_names", []), n),
         "name": text_of(header["name"]),
-        "credit": text_of(header.get("credit", "")),
+        "card": _card(header),
         "scale": _scale(header["scale"]) if "scale" in header else None,
         "failing_methods": _failing_methods(header),
         "same_images": bool(header.get("same_images", False)),
@@ -136,6 +138,14 @@ def _fields(header: dict, tensors: dict[str, np.ndarray]) -> dict[str, Any]:
         "search_filter": search_filter,
         "is_colour": bool(header.get("colour", has_invariant)),
     }
+
+
+def _card(header: dict) -> ModelCard:
+    """Return the card of a model; older files have the credit alone."""
+    stored = header.get("card", {"credit": header.get("credit", "")})
+    if not isinstance(stored, dict):
+        raise ValueError(f"card {shortened(stored)} is not an object")
+    return ModelCard(**{name: text_of(stored.get(name, ""), LONGEST_OF_CARD) for name in CARD_FIELDS})
 
 
 def _scale(stored: Any) -> Length:

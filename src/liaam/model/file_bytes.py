@@ -88,8 +88,8 @@ def _header(model: "AAM") -> dict[str, Any]:
         "name": model.name,
     }
     # The following are written only of models that have them; a reader takes their absence for none.
-    if model.credit:
-        header["credit"] = model.credit
+    if model.card.stated:
+        header["card"] = model.card.stated
     if model.scale is not None:
         header["scale"] = {"value": model.scale.value, "unit": model.scale.unit}
     if model.failing_methods:

@@ -11,9 +11,9 @@ from liaam.model.file_format import LONGEST_NAME
 UNIT = 0.1  # Tolerance of scalar products of orthonormal modes; weak modes have large rounding errors
 
 
-def text_of(value: object) -> str:
+def text_of(value: object, longest: int = LONGEST_NAME) -> str:
     """Return a text of a header in a form that can be shown and written, shortened."""
-    return writable(str(value))[:LONGEST_NAME]
+    return writable(str(value))[:longest]
 
 
 def half_or_single(tensors: dict[str, np.ndarray], key: str, shape: tuple[int | None, ...]) -> np.ndarray:

@@ -15,7 +15,8 @@ MAX_DIAGONAL = 2000.0  # Largest diagonal of a reference frame, pixels
 MAX_POINTS = 4000  # Largest number of landmarks: the ring around a mesh takes memory that grows with its square
 # Largest ratio of a mesh's area to its number of pixels. It exceeds 1 because borders matter in small frames.
 ROOMY = 4.0
-LONGEST_NAME = 1000  # Largest number of characters of a model's name, its credit and the name of a landmark
+LONGEST_NAME = 1000  # Largest number of characters of a model's name and the name of a landmark
+LONGEST_OF_CARD = 4000  # Largest number of characters of each text of a card
 MAX_BLUR = 10.0  # Largest blur of a level, pixels of the reference frame
 MAX_LEVELS = 10  # Largest number of levels of a view
 MAX_LIGHTS = 100  # Largest number of modes of a light basis

@@ -18,7 +18,7 @@ from liaam.photometry.encoding import as_colour
 from liaam.training.entries import Entry, image_of
 from liaam.training.lamps import Copies
 from liaam.training.regressor import Regression, RegressorData
-from liaam.training.reliability import LeftOutImage, calibrate, fit_left_out
+from liaam.training.reliability import LeftOutFits, LeftOutImage, calibrate, fit_left_out
 from liaam.training.textures import FITTED, SOURCES, Sampled, Steps, learning_cost
 
 LEFT_OUT_FOLDS = 5  # Largest number of folds: a model is trained without each, which takes as long as a level
@@ -91,8 +91,8 @@ def calibrated(
     Returns
     -------
     AAM
-        The model, with the calibrations in its views, the methods that could not be calibrated, and a regressor if fits
-        to left-out images need one.
+        The model, with the calibrations in its views, the methods that could not be calibrated, a regressor if fits to
+        left-out images need one, and the accuracy of the first method in its card.
     """
     halves = [np.zeros(0, int)] if copied.lamps is None else copied.lamps.halves()
 
@@ -131,7 +131,9 @@ def calibrated(
             view, reliabilities={name: reliabilities[name] for name in names if name in reliabilities}
         )
     failing = tuple(method.name for method in methods if method.name not in reliabilities)
-    return replace(model, failing_methods=failing)
+    of_first = tried.get(methods[0].name, LeftOutFits())
+    card = replace(model.card, accuracy=of_first.describe())
+    return replace(model, failing_methods=failing, card=card)
 
 
 def can_be_calibrated(method: Method) -> bool:

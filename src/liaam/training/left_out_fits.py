@@ -6,6 +6,7 @@ from functools import cached_property
 import numpy as np
 
 from liaam.fitting.quality.uncertainty import expanded_covariance, fitted_covariances
+from liaam.io.files import count_of
 from liaam.model.contours import Contours, contour_turns
 from liaam.model.shape import ShapeModel
 from liaam.training.covariances import surprise
@@ -141,3 +142,11 @@ class LeftOutFits:
         """Return the fits with shapes at as many times their distance from the mean."""
         fits = [replace(fit, expansion=expansion) for fit in self.fits]
         return replace(self, fits=fits, expansion=expansion)
+
+    def describe(self) -> str:
+        """Describe the accuracy of fits from starts near the object, for a model's card; empty if there are none."""
+        if not self.n_near:
+            return ""
+        counts = f"{self.n_near_right} of {count_of(self.n_near, 'fit')} to left-out training images"
+        right = f"{counts}, from starts near the object, have an error of at most {RIGHT:.0%} of its size"
+        return f"{right}; these are off by {self.near_error:.1%} on average" if self.n_near_right else right

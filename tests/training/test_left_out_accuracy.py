@@ -1,0 +1,23 @@
+"""What training states about the accuracy of fits to left-out images."""
+
+import numpy as np
+
+from liaam.training.reliability import LeftOutFit, LeftOutFits
+
+
+def fit_off_by(error: float, near: bool = True) -> LeftOutFit:
+    return LeftOutFit(near, error, np.ones(2), np.zeros((3, 2)), np.zeros((3, 2, 2)), 1.0, 1.0)
+
+
+def test_the_accuracy_counts_fits_from_near_starts_alone():
+    fits = LeftOutFits([fit_off_by(0.01), fit_off_by(0.02), fit_off_by(0.2), fit_off_by(0.2, near=False)], n_near=4)
+    assert fits.describe() == (
+        "2 of 4 fits to left-out training images, from starts near the object, have an error of at most 3% of its "
+        "size; these are off by 1.5% on average"
+    )
+
+
+def test_the_accuracy_is_not_stated_where_nothing_was_fitted_or_nothing_was_right():
+    assert LeftOutFits().describe() == ""
+    none_right = LeftOutFits([fit_off_by(0.2)], n_near=1).describe()
+    assert none_right.startswith("0 of 1 fit ") and "average" not in none_right
