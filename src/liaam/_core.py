@@ -31,9 +31,9 @@ def _warn_without_core() -> None:
         return
     warnings.warn_explicit(
         f"liaam was installed without its compiled core, so that fits take about {TIMES_SLOWER} times as long. "
-        "Install a C++ compiler (Debian, Ubuntu: apt install g++; macOS: xcode-select --install; Windows: Build Tools for "
-        "Visual Studio), and then liaam again, with 'pip install --no-cache-dir --force-reinstall --no-deps' in place of "
-        "'pip install'",
+        "Install a C++ compiler (Debian, Ubuntu: apt install g++; macOS: xcode-select --install; Windows: Build Tools "
+        "for Visual Studio), and then liaam again, with 'pip install --no-cache-dir --force-reinstall --no-deps' in "
+        "place of 'pip install'",
         CoreWarning,
         filename="liaam",
         lineno=0,
