@@ -37,7 +37,7 @@ FITTING_LAYERS = (
     ("many", "single", "solution"),
     ("fitter",),
     ("search",),
-    ("one_shape_fitter",),
+    ("fallback", "one_shape_fitter"),
     ("quality",),
     ("result",),
     ("loop",),

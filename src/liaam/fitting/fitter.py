@@ -9,12 +9,13 @@ import numpy as np
 
 from liaam.errors import ImageError, StartError, check_options
 from liaam.fitting.detection import DOUBTFUL, Detection
+from liaam.fitting.fallback import start_if_failed_far
 from liaam.fitting.loop.encoded_image import MARGIN
 from liaam.fitting.loop.levels import LinearImage, Target
 from liaam.fitting.loop.options import SolverOptions
 from liaam.fitting.methods import DEFAULT_METHOD, Method
 from liaam.fitting.one_shape_fitter import OneShapeFitter
-from liaam.fitting.result import LEAST_QUALITY, FitResult, likeliness, with_prior
+from liaam.fitting.result import LEAST_QUALITY, FitResult, FitStatus, likeliness, with_prior
 from liaam.fitting.search.finder import Finder
 from liaam.fitting.search.other_places import PlacedFit, likeliest
 from liaam.fitting.search.restarts import fit_again
@@ -237,6 +238,7 @@ class Fitter(OneShapeFitter):
     def _completed(self, fit: PlacedFit, init) -> FitResult:
         """Look elsewhere and start again if a first fit has low quality; see :meth:`fit`."""
         prior = 1.0  # factor on the odds that the fit is right, by its place
+        given = None if init is None else fit.target.start
         region = region_of(init, fit.target.image)
         may_look_elsewhere = init is None or self.restarts
         if region is not None and may_look_elsewhere and self.reliability_for(fit.result) is not None:
@@ -245,6 +247,8 @@ class Fitter(OneShapeFitter):
         if self.restarts and self.falls_short(with_prior(result, prior)):
             result = fit_again(self, fit.target, result)
         result = with_prior(result, prior)
+        if result.status.lost or result.status is FitStatus.DOUBTFUL or self.falls_short(result):
+            result = start_if_failed_far(result, fit.target.start if given is None else given, self.shapes)
         if fit.detection is None or not fit.detection.doubtful:  # the start is near the object
             result = self._with_prior_near(result)
         return replace(

@@ -116,6 +116,9 @@ _NOTHING_SAYS_SO = (
 )
 
 
+_AT_START = "It ended far from its start, so that the landmarks are those of the start."
+
+
 @dataclass(frozen=True, eq=False)
 class Iteration:
     """One accepted state of a fit.
@@ -220,6 +223,9 @@ class FitResult:
         (:attr:`liaam.model.Reliability.expansion`). :attr:`registered` is without it.
     shift : (n, 2) float64, optional
         What that factor added to the landmarks, image pixels; None if it is 1.
+    at_start : bool
+        Whether the landmarks are those of the start, since the fit may not be used and ended far from there
+        (:mod:`liaam.fitting.fallback`). ``history`` then ends with the start.
     contours : tuple of (indices, closed)
         Lines through landmarks, for drawing, and along which landmarks are less certain than across.
     landmark_names : tuple of str
@@ -251,6 +257,7 @@ class FitResult:
     n_starts: int = 1
     expansion: float = 1.0
     shift: np.ndarray | None = None
+    at_start: bool = False
     contours: Contours = ()
     landmark_names: tuple[str, ...] = ()
     image: np.ndarray | Path | None = None
@@ -269,9 +276,9 @@ class FitResult:
         """What happened, and what to do."""
         if self.status.ok and not self.calibrated:
             return f"{self.status.message} {_NO_QUALITY}"
-        if self.status is FitStatus.DOUBTFUL and not self.calibrated:
-            return _NOTHING_SAYS_SO
-        return self.status.message
+        has_no_ground = self.status is FitStatus.DOUBTFUL and not self.calibrated
+        message = _NOTHING_SAYS_SO if has_no_ground else self.status.message
+        return f"{message} {_AT_START}" if self.at_start else message
 
     @property
     def quality_text(self) -> str:
@@ -348,6 +355,7 @@ class FitResult:
             "cost": self.cost if np.isfinite(self.cost) else None,
             "iterations": self.n_iterations,
             "expansion": round(self.expansion, 4),
+            "at_start": self.at_start,
             "quality": round(self.quality, 4) if self.calibrated else None,
             "calibrated": self.calibrated,
             "sd": finite_list(np.round(self.sd, 3)),

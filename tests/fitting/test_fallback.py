@@ -1,0 +1,77 @@
+"""Fits that failed far from their start are replaced by it: no fit is worse than the start for want of a limit."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from liaam.fitting import FitStatus, Fitter
+from liaam.fitting.fallback import LEAST_OVERLAP, overlap, start_if_failed_far
+from liaam.model import SURROUNDINGS
+from setups import disturb
+
+SQUARE = np.array([[0.0, 0.0], [10.0, 0.0], [10.0, 10.0], [0.0, 10.0]])
+
+
+@pytest.mark.parametrize(
+    ("shape", "expected"),
+    [
+        (SQUARE, 1.0),
+        (SQUARE + np.array([5.0, 0.0]), 1 / 3),
+        (SQUARE + 10, 0.0),
+        (SQUARE + 1e9, 0.0),
+        (3 * SQUARE, 1 / 9),
+        (SQUARE * np.nan, 0.0),
+        (SQUARE * np.array([1.0, 0.0]), 0.0),
+    ],
+)
+def test_the_overlap_of_boxes(shape, expected):
+    assert overlap(shape, SQUARE) == overlap(SQUARE, shape) == pytest.approx(expected)
+
+
+@pytest.fixture(scope="module")
+def fit(calibrated, lit_scene):
+    return Fitter(calibrated).fit(lit_scene.image, disturb(lit_scene.landmarks))
+
+
+@pytest.mark.parametrize(
+    "status", [FitStatus.DOUBTFUL, FitStatus.MAX_ITERATIONS, FitStatus.DIVERGED, FitStatus.LEFT_IMAGE]
+)
+def test_a_failed_fit_far_from_its_start_is_replaced_by_that(calibrated, fit, status):
+    shapes = calibrated.views[SURROUNDINGS].shape_model
+    start = fit.landmarks + 0.5 * np.ptp(fit.landmarks, axis=0)
+    failed = replace(fit, status=status)
+    result = start_if_failed_far(failed, start, shapes)
+    np.testing.assert_array_equal(result.landmarks, start)
+    np.testing.assert_array_equal(result.registered, start)
+    np.testing.assert_array_equal(result.history[-1].landmarks, start)
+    assert result.at_start and result.to_dict()["at_start"]
+    assert result.status is status and "the landmarks are those of the start" in result.message
+    np.testing.assert_allclose(result.pose(shapes.shape(result.p)), start, atol=0.2 * fit.sd.max() + 1.0)
+
+
+@pytest.mark.parametrize(
+    "status", [FitStatus.CONVERGED, FitStatus.LIGHT_UNOBSERVABLE, FitStatus.TOO_DARK, FitStatus.NO_TEXTURE]
+)
+def test_fits_that_may_be_used_stay_wherever_they_are(calibrated, fit, status):
+    shapes = calibrated.views[SURROUNDINGS].shape_model
+    far = replace(fit, status=status)
+    assert start_if_failed_far(far, fit.landmarks + 1e4, shapes) is far
+
+
+def test_a_doubtful_fit_near_its_start_stays(calibrated, fit):
+    shapes = calibrated.views[SURROUNDINGS].shape_model
+    doubtful = replace(fit, status=FitStatus.DOUBTFUL)
+    start = disturb(fit.landmarks)
+    assert overlap(start, fit.landmarks) > LEAST_OVERLAP
+    assert start_if_failed_far(doubtful, start, shapes) is doubtful
+
+
+def test_a_fit_to_something_else_is_where_it_was_started(calibrated, rng):
+    """On a wall of noise, a box is all that is known."""
+    wall = (255 * rng.random((180, 240, 3))).astype(np.uint8)
+    fitter = Fitter(calibrated)
+    result = fitter.fit(wall, (60, 40, 180, 150))
+    assert not result.status.ok
+    start = fitter.target(wall, (60, 40, 180, 150))[0].start
+    assert overlap(result.landmarks, start) >= LEAST_OVERLAP
