@@ -20,7 +20,7 @@ from liaam.morphometry.pairs import checked_twins, parse_pairs
 from liaam.morphometry.sides import are_unreflected, object_name, structure_name
 from liaam.morphometry.specimens import Specimen
 from liaam.morphometry.symmetry import ERROR, FEWEST, PERMUTATIONS, Asymmetry, matching_asymmetry, object_asymmetry
-from liaam.morphometry.table import scales_in, sizes_in
+from liaam.morphometry.table import comparable, size_column
 from liaam.progress import Progress
 from liaam.tables import Columns
 
@@ -241,7 +241,7 @@ def asymmetry(
         analysis = object_asymmetry(shapes[order[:, 0]], twins, of_object, **options)
         sides = ("original", "mirrored")
     else:
-        sizes = _sizes_to_compare(columns)[order]
+        sizes = comparable(columns, size_column(columns))[order]
         analysis = matching_asymmetry(shapes[order], covariances, sizes=sizes, **options)
     return AsymmetryResult(
         analysis,
@@ -347,13 +347,6 @@ def _twins(
         if twin != i and i not in place:
             raise LiaamError(f"the pair {i + 1}-{twin + 1} has an end of the scale bar, which is no part of the shape")
     return tuple(place[twins[number - 1]] for number in numbers)
-
-
-def _sizes_to_compare(columns: Columns) -> np.ndarray:
-    """Return the centroid sizes; NaN without a scale where others have one, as pixels do not compare with units."""
-    sizes = np.array(sizes_in(columns))
-    scales = scales_in(columns)
-    return sizes if scales is None else np.where(np.isfinite(scales), sizes, np.nan)
 
 
 def _covariances(
