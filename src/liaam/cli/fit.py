@@ -3,7 +3,7 @@
 from collections import defaultdict
 from collections.abc import Iterator
 from contextlib import closing, contextmanager
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -21,9 +21,14 @@ from liaam.io.files import count_of
 from liaam.io.fit_files import FIT_SUFFIXES, corrected_file, read_fit, write_fit
 from liaam.morphometry.schemes import in_scheme
 from liaam.scale.choice import facts_of, length_for
+from liaam.scale.lengths import Length
+from liaam.trays.crops import crop_box
+from liaam.trays.naming import POSITION, check_name_by
 
 if TYPE_CHECKING:
     from liaam.fitting import FitResult, Fitter
+    from liaam.fitting.specimens import FittedSpecimens
+    from liaam.model import AAM
 
 # Facts of a fit on its own landmarks, which are not written with those of another scheme
 OF_LANDMARKS = ("landmark_names", "sd", "covariance")
@@ -64,6 +69,10 @@ def fit(
     every: Annotated[
         bool, typer.Option("--all", help="Fit every object that the search finds; results are NAME_1, NAME_2 ...")
     ] = False,
+    name_by: inputs.NameByOption = "position",
+    crops: Annotated[
+        bool, typer.Option("--crops", help="Also write the part of the image around each object, NAME_crop.png.")
+    ] = False,
     method: Annotated[str, typer.Option("--method", "-m", help="Fitting method; they are listed below.")] = "soft-li",
     output: Annotated[
         Path,
@@ -100,7 +109,9 @@ def fit(
     model_file, images = inputs.model_and_inputs(files, "fit")
     if folder := next((image for image in images if image.is_dir()), None):
         raise LiaamError(f"{folder} is a folder; give its images, such as {folder}/*.png, or use 'liaam batch'")
+    check_name_by(name_by)
     outputs = Outputs.asked(output, formats, ellipses=ellipses, scheme=scheme, several=len(images) > 1 or every)
+    outputs = replace(outputs, name_by=name_by, crops=crops)
     inputs.refuse_inputs([output], images)
     model = load_model(model_file)
     camera = inputs.camera_for(images, given_camera, model.camera)
@@ -109,7 +120,7 @@ def fit(
         in_scheme(model.shape_model.mean, model.landmark_names, scheme)  # its errors come before any work
     make_folder(outputs.folder)
 
-    def fit_or_error(image_and_stem: tuple[Path, str]) -> "dict[str, FitResult] | LiaamError":
+    def fit_or_error(image_and_stem: tuple[Path, str]) -> "tuple[FittedSpecimens, list[str]] | LiaamError":
         """Fit an image file. An error is returned, so that the other images are fitted all the same."""
         image, stem = image_and_stem
         try:
@@ -127,7 +138,7 @@ def fit(
             for i, (image, outcome) in enumerate(zip(images, outcomes, strict=True), 1):
                 progress(i, len(images), image.name)
                 if not isinstance(outcome, LiaamError):
-                    report.add_results(image, outcome)
+                    report.add_results(image, *outcome)
                     continue
                 report.add_error(outcome)
                 if is_disk_full(outcome):  # the others would end like this
@@ -158,9 +169,11 @@ class FitReport:
         self.failed = True
         complain(f"error: {error}")
 
-    def add_results(self, image: Path, results: "dict[str, FitResult]") -> None:
-        """Add the fits of an image, by the names of their files."""
-        for stem, result in results.items():
+    def add_results(self, image: Path, fitted: "FittedSpecimens", stems: list[str]) -> None:
+        """Add the fits of an image, whose files have these names."""
+        for fault in fitted.faults:
+            self.advice[fault].append(image.name)
+        for stem, result in zip(stems, fitted.results, strict=True):
             # The only object of an image is named as the image. Of several, each is named as its files.
             name = image.name if stem == image.stem else stem
             self.table.add_row(cell(name), *row_of(result))
@@ -222,6 +235,10 @@ class Outputs:
         Whether the overlay image shows the ellipses of landmarks.
     scheme : str, optional
         Scheme of the landmarks in the files; that of the model by default.
+    name_by : str
+        What names the specimens (:data:`liaam.trays.NAME_BY`).
+    crops : bool
+        Whether the part of the image around each object is written.
     """
 
     folder: Path
@@ -230,6 +247,8 @@ class Outputs:
     stem: str | None = None
     ellipses: bool = False
     scheme: str | None = None
+    name_by: str = POSITION
+    crops: bool = False
 
     @classmethod
     def asked(cls, output: Path, formats: str, *, ellipses: bool, scheme: str | None, several: bool) -> "Outputs":
@@ -260,48 +279,62 @@ class Outputs:
 
 def fit_file(
     fitter: "Fitter", image: Path, stem: str, *, init: str | None, every: bool, outputs: Outputs
-) -> "dict[str, FitResult]":
+) -> "tuple[FittedSpecimens, list[str]]":
     """Fit an image file from `init`, from the start that the search finds, or from `every` start it finds.
 
-    Return the results by the name of their files, which is ``stem``, or begins with it if `every` object is fitted.
+    Also return the names of the files: ``stem``, or ``stem_1``, ``stem_2``, ... in reading order if `every` object is
+    fitted.
     """
+    from liaam.fitting.specimens import fit_specimens
+
     pixels, start = inputs.read_with_start(image, init)
-    if every:
-        detections = fitter.find_all(pixels, name=image.name)
-        starts = {f"{stem}_{i}": detection for i, detection in enumerate(detections, 1)}
-    else:
-        starts = {stem: start}
-    for name in starts:
+    if not every:
+        refuse_to_overwrite([outputs.path_of(stem, suffix) for suffix in outputs.suffixes])
+    names = {"name": image.name, "stem": stem, "name_by": outputs.name_by}
+    fitted = fit_specimens(fitter, pixels, start, every=every, **names)
+    stems = [f"{stem}_{i}" for i in range(1, len(fitted.results) + 1)] if every else [stem]
+    for name in stems if every else []:
         refuse_to_overwrite([outputs.path_of(name, suffix) for suffix in outputs.suffixes])
-    return {name: fit_object(fitter, image, pixels, start, name, outputs) for name, start in starts.items()}
+    length = length_for(image, start, fitter.model.scale)
+    for i, (name, result, specimen) in enumerate(zip(stems, fitted.results, fitted.named, strict=True)):
+        facts = result.to_dict() | {"image": image.name, "specimen": specimen.name}
+        facts |= {"object": i + 1} if every else {}
+        facts |= {"code": specimen.code} if specimen.code else {}
+        facts["message"] = fitted.message(i)
+        write_object(fitter.model, pixels, result, name, facts, length, outputs)
+    return fitted, stems
 
 
-def fit_object(
-    fitter: "Fitter", image: Path, pixels: np.ndarray, start: Any, name: str, outputs: Outputs
-) -> "FitResult":
-    """Fit one object of an image file, and write the results to files of a name."""
+def write_object(
+    model: "AAM",
+    pixels: np.ndarray,
+    result: "FitResult",
+    name: str,
+    facts: dict[str, Any],
+    length: Length | None,
+    outputs: Outputs,
+) -> None:
+    """Write the fit of one object of an image to files of a name."""
+    from liaam.drawing import as_picture
     from liaam.plotting import overlay
 
-    model = fitter.model
-    result = fitter.fit(pixels, start, image.name)
-    length = length_for(image, start, model.scale)
-    scale = None if length is None else length.value
-    unit = "" if length is None else length.unit
-    facts = result.to_dict() | {"image": image.name} | facts_of(length)
+    of_image = {
+        "image_name": facts["image"],
+        "label": facts["specimen"],
+        "scale": None if length is None else length.value,
+        "unit": "" if length is None else length.unit,
+    }
+    facts = facts | facts_of(length)
+    height, width = pixels.shape[:2]
+    box = crop_box(result.place, (width, height)) if outputs.crops else None
+    facts |= {"crop": box} if box is not None else {}
     if outputs.scheme is None:
-        landmarks = Landmarks(
-            points=result.landmarks,
-            contours=Contour.all_of(model.contours),
-            names=result.landmark_names,
-            image_name=image.name,
-            scale=scale,
-            unit=unit,
-        )
+        lines = Contour.all_of(model.contours)
+        landmarks = Landmarks(result.landmarks, contours=lines, names=result.landmark_names, **of_image)
     else:
         points = in_scheme(result.landmarks, result.landmark_names, outputs.scheme)
-        landmarks = Landmarks(points, image_name=image.name, scale=scale, unit=unit)
+        landmarks = Landmarks(points, **of_image)
         facts = {key: value for key, value in facts.items() if key not in OF_LANDMARKS}
-    height, width = pixels.shape[:2]
     with all_or_none([outputs.path_of(name, suffix) for suffix in outputs.suffixes]) as paths:
         for path in paths:
             write_fit(path, landmarks, facts, (width, height))
@@ -309,7 +342,10 @@ def fit_object(
             covariances = result.landmark_covariances if outputs.ellipses else None
             picture = overlay(pixels, result.landmarks, model, covariances=covariances)
             write_image(outputs.path_of(name, outputs.picture), picture)
-    return result
+        if box is not None:
+            left, top, right, bottom = box
+            crop = pixels[top:bottom, left:right]
+            write_image(outputs.path_of(name, "_crop.png"), crop if crop.dtype.kind == "u" else as_picture(crop))
 
 
 @contextmanager

@@ -1,6 +1,6 @@
 """Fitting a model to an image: the check of image and start, the search, and what follows a fit of low quality."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, fields, replace
 from functools import cached_property
 from inspect import signature
@@ -8,7 +8,7 @@ from inspect import signature
 import numpy as np
 
 from liaam.errors import ImageError, StartError, check_options
-from liaam.fitting.detection import DOUBTFUL, Detection
+from liaam.fitting.detection import DOUBTFUL, Detection, are_apart
 from liaam.fitting.loop.encoded_image import MARGIN
 from liaam.fitting.loop.levels import LinearImage, Target
 from liaam.fitting.loop.options import SolverOptions
@@ -26,6 +26,7 @@ from liaam.photometry import CameraModel, is_grey
 from liaam.photometry.camera import check_camera
 from liaam.photometry.encoding import refuse_unscaled, stored_values
 from liaam.photometry.picture import load_picture, path_of
+from liaam.trays.order import reading_order
 
 OWN_SETTINGS = ("camera", "rotations", "restarts", "margin")  # Fields of a fitter that users set by name
 
@@ -133,7 +134,7 @@ class Fitter(OneShapeFitter):
         return LinearImage(self.image_camera.flatten(image), self.image_camera.response)
 
     def find_all(self, image, name: str = "image") -> list[Detection]:
-        """Find all objects in an image, without uncertain detections.
+        """Find all objects in an image, without uncertain detections, the best first.
 
         Raises
         ------
@@ -192,7 +193,7 @@ class Fitter(OneShapeFitter):
         return replace(best, image=path)
 
     def fit_all(self, image, name: str = "image") -> list[FitResult]:
-        """Fit every object that the search finds in an image, the best detection first.
+        """Fit every object that the search finds in an image, in reading order.
 
         Raises
         ------
@@ -201,7 +202,20 @@ class Fitter(OneShapeFitter):
         """
         path = path_of(image)
         image, name = load_picture(image, name)
-        return [replace(self.fit(image, detection, name), image=path) for detection in self.find_all(image, name)]
+        fits = self.fit_each_of(image, self.find_all(image, name), name)
+        return [replace(fit, image=path) for fit in fits]
+
+    def fit_each_of(self, image: np.ndarray, detections: Sequence[Detection], name: str = "image") -> list[FitResult]:
+        """Fit the objects that were found in an image; return the fits in reading order.
+
+        Where several are of one object, as where the search found parts of it, the most likely is kept.
+        """
+        fits = [self.fit(image, detection, name) for detection in detections]
+        kept: list[int] = []
+        for i in sorted(range(len(fits)), key=lambda i: likeliness(fits[i]), reverse=True):
+            if all(are_apart(fits[i].landmarks, fits[j].landmarks) for j in kept):
+                kept.append(i)
+        return [fits[kept[i]] for i in reading_order([fits[j].place for j in kept])]
 
     @property
     def parts(self) -> tuple["Fitter", ...]:

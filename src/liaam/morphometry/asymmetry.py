@@ -17,7 +17,7 @@ from liaam.formatting import short_repr
 from liaam.io.files import natural_key, some_names
 from liaam.model.shape import align
 from liaam.morphometry.pairs import checked_twins, parse_pairs
-from liaam.morphometry.sides import are_unreflected, object_name, structure_name
+from liaam.morphometry.sides import are_unreflected, object_name, refuse_uneven, structure_name
 from liaam.morphometry.specimens import Specimen
 from liaam.morphometry.symmetry import ERROR, FEWEST, PERMUTATIONS, Asymmetry, matching_asymmetry, object_asymmetry
 from liaam.morphometry.table import comparable, size_column
@@ -226,6 +226,7 @@ def asymmetry(
         raise LiaamError("no specimen has a shape whose asymmetry can be measured: landmarks are missing in all")
     sides = _sides(specimens) if kind == MATCHING else ("",)
     shapes = np.array([[columns[f"X{number}"], columns[f"Y{number}"]] for number in numbers]).transpose(2, 0, 1)
+    refuse_uneven(specimens, by)
     groups = _groups(specimens, [bool(np.isfinite(shape).all()) for shape in shapes], by, sides)
     chosen, left_out = _chosen(groups, sides)
     if len(chosen) < FEWEST:
