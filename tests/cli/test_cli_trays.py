@@ -24,9 +24,8 @@ def leaf_model(trained_once, tmp_path_factory):
     def made():
         rng = np.random.default_rng(7)
         photographs = [draw_leaf_on_paper(random_leaf(rng), rng) for _ in range(12)]
-        marks = [Landmarks(each.landmarks[0], names=NAMES) for each in photographs]
         shown = [
-            Sample(f"{i}", each.image, mark) for i, (each, mark) in enumerate(zip(photographs, marks, strict=True))
+            Sample(f"{i}", each.image, Landmarks(each.landmarks[0], names=NAMES)) for i, each in enumerate(photographs)
         ]
         return train(shown, diagonal=70, lamps=None, prior="sample")
 
@@ -115,7 +114,7 @@ def test_photographs_with_other_counts_are_no_replicates_by_position(run, leaf_m
         write_image(tmp_path / f"trays/t_{i}.png", drawn.image)
     code, _, _ = run("batch", leaf_model, "trays", "--all", "--name-by", "code", "-o", "fits.csv")
     assert code == 0
-    code, out, err = run("measure", "fits.csv", "--replicates", "code", "-o", "table.csv")
+    code, _, err = run("measure", "fits.csv", "--replicates", "code", "-o", "table.csv")
     assert code == 0
     assert "the code L1 names t_0#2, t_1#1: their positions name them" in err
     counts = pd.read_csv("table_replicates.csv").iloc[0]
@@ -123,7 +122,7 @@ def test_photographs_with_other_counts_are_no_replicates_by_position(run, leaf_m
     rows = pd.read_csv("fits.csv").assign(code="")
     rows.to_csv("positions.csv", index=False)
     code, _, err = run("measure", "positions.csv", "--replicates", "_", "-o", "table.csv")
-    assert code == 1 and "t_0 has 4 specimens and t_1 3, so that their positions do not tell" in err
+    assert code == 1 and "t_0 has 4 specimens and t_1 3, so that positions do not identify replicates" in err
 
 
 def test_what_is_not_clear_is_said(run, leaf_model, rng, tmp_path, monkeypatch):

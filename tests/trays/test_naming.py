@@ -14,7 +14,7 @@ def codes_at(places, texts) -> list[Code]:
 
 def below(shapes, gap: float) -> list[np.ndarray]:
     """Give places of codes of 20 pixels below shapes of 60."""
-    return [shape.min(axis=0) + (20, 60 + gap) for shape in shapes]
+    return [shape.min(axis=0) + np.array([20, 60 + gap]) for shape in shapes]
 
 
 def names(named) -> list[str]:

@@ -53,7 +53,7 @@ def test_gaps_of_polygons(shift, right):
 
 
 def test_half_of_a_shape_inside():
-    assert is_inside(SQUARE, SQUARE + (0.4, 0))
-    assert not is_inside(SQUARE, SQUARE + (0.6, 0))
+    assert is_inside(SQUARE, SQUARE + np.array([0.4, 0]))
+    assert not is_inside(SQUARE, SQUARE + np.array([0.6, 0]))
     assert not is_inside(3 * SQUARE - 1, SQUARE)
     assert not is_inside(np.full((4, 2), np.nan), SQUARE)

@@ -176,7 +176,7 @@ def image_and_number(specimen: Specimen, by: str) -> tuple[str, str]:
 
 
 def refuse_uneven(specimens: Iterable[Specimen], by: str | None) -> None:
-    """Raise if photographs of the same specimens have different numbers of them, so that positions do not identify them.
+    """Raise if photographs of the same specimens have different numbers of them.
 
     Parameters
     ----------

@@ -71,7 +71,7 @@ def _next_in_row(i: int, middles: np.ndarray, heights: np.ndarray) -> int | None
 
 
 def touching(shapes: Sequence[np.ndarray]) -> list[tuple[int, int]]:
-    """Return the pairs of objects whose convex hulls overlap, touch or nearly touch: the fit of one may have points on the other.
+    """Return the pairs of objects whose convex hulls overlap or nearly touch: a fit may have points on the other.
 
     Parameters
     ----------
