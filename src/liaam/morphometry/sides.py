@@ -167,7 +167,7 @@ def object_name(specimen: Specimen, by: str | None) -> str:
 def image_and_number(specimen: Specimen, by: str) -> tuple[str, str]:
     """Return the name of the image of a specimen, and its number there with ``#``, or "" if it has none.
 
-    What is behind ``#`` is no number if the text before numbers of replicates is in it, or the specimen is of no image.
+    A number that has the text before numbers of replicates in it is part of the name, as it is if the image is unknown.
     """
     name = specimen.replicate_of or specimen.name
     image, mark, number = name.rpartition("#")
