@@ -4,7 +4,7 @@ import cv2
 import numpy as np
 
 from liaam.plotting.overlays import FRACTION_BITS, GREEN, ONE, RED, enlarged
-from liaam.scale.bars import Bar
+from liaam.scale.bar import Bar
 from liaam.scale.rulers import Ruler
 
 _MOST_MARKS = 2000  # ticks that are drawn
