@@ -35,7 +35,7 @@ def scale(
     scale_bar: Annotated[
         str | None,
         typer.Option(
-            help="Find the scale bar in each image: its length, such as '5 mm'; numbers beside it are not read."
+            help="Find the scale bar in each image: its length, such as '5 mm'. The number beside it is not read."
         ),
     ] = None,
 ) -> None:

@@ -31,6 +31,19 @@ from liaam.trays.order import reading_order
 OWN_SETTINGS = ("camera", "rotations", "restarts", "margin")  # Fields of a fitter that users set by name
 
 
+NEARLY = 0.9
+"""Score of a detection, of the best one in the image, from which it counts although it is slightly uncertain."""
+
+AS_LARGE = 1.4
+"""Greatest ratio of its size to that of the best one."""
+
+
+def _is_like(detection: Detection, best: Detection) -> bool:
+    """Return whether a detection scores nearly as high as the best one, and is about as large."""
+    ratio = detection.scale / best.scale
+    return detection.score >= NEARLY * best.score and 1 / AS_LARGE < ratio < AS_LARGE
+
+
 @dataclass(frozen=True, eq=False)
 class _FirstFit:
     """A fit from the first start, before other places and starts are tried."""
@@ -134,7 +147,10 @@ class Fitter(OneShapeFitter):
         return LinearImage(self.image_camera.flatten(image), self.image_camera.response)
 
     def find_all(self, image, name: str = "image") -> list[Detection]:
-        """Find all objects in an image, without uncertain detections, the best first.
+        """Find all objects in an image, the best first, without uncertain detections.
+
+        Those that score nearly as high as the best, and are about as large, are kept even if they are slightly
+        uncertain: objects of one photograph score alike.
 
         Raises
         ------
@@ -150,7 +166,7 @@ class Fitter(OneShapeFitter):
                 "give a start (--init), search for rotated objects (--rotations all), or fit the best place anyway "
                 "(without --all)"
             )
-        return certain
+        return [detection for detection in detections if detection in certain or _is_like(detection, certain[0])]
 
     def fit(self, image, init=None, name: str = "image") -> FitResult:
         """Fit the model to one image.
@@ -208,9 +224,11 @@ class Fitter(OneShapeFitter):
     def fit_each_of(self, image: np.ndarray, detections: Sequence[Detection], name: str = "image") -> list[FitResult]:
         """Fit the objects that were found in an image; return the fits in reading order.
 
-        Where several are of one object, as where the search found parts of it, the most likely is kept.
+        Where several are of one object, as where the search found parts of it, the most likely is kept. Uncertain
+        detections count if their fits are right.
         """
-        fits = [self.fit(image, detection, name) for detection in detections]
+        tried = [(detection, self.fit(image, detection, name)) for detection in detections]
+        fits = [fit for detection, fit in tried if fit.status.ok or not detection.doubtful]
         kept: list[int] = []
         for i in sorted(range(len(fits)), key=lambda i: likeliness(fits[i]), reverse=True):
             if all(are_apart(fits[i].landmarks, fits[j].landmarks) for j in kept):
