@@ -9,8 +9,9 @@ import cv2
 import numpy as np
 
 IN_ROW = 0.5
-"""Greatest difference in height of neighbours in a row, of their mean height. Rows of objects of one size that do not
-overlap are a whole height apart."""
+"""Greatest vertical distance of neighbours in a row, of the height of the lower one.
+
+Rows of objects of one size that do not overlap are a whole height apart."""
 
 NEAR = 0.03
 """Gap below which two objects touch, of the smaller one's diagonal: they end a little beyond their landmarks."""
@@ -63,7 +64,7 @@ def _rows(middles: np.ndarray, heights: np.ndarray) -> list[list[int]]:
 def _next_in_row(i: int, middles: np.ndarray, heights: np.ndarray) -> int | None:
     """Return the nearest object to the right of one, at about its height; None if there is none."""
     across, down = (middles - middles[i]).T
-    height = (heights + heights[i]) / 2
+    height = np.minimum(heights, heights[i])  # a fit that went astray may be of any height
     is_beside = (across > 0) & (np.abs(down) < np.minimum(IN_ROW * height, across))
     if not is_beside.any():
         return None
