@@ -206,10 +206,10 @@ def _draw_bar(
         thick *= 0.5
     fill(canvas, _placed(_box(-half, -thick / 2, half, thick / 2), centre, angle), level)
     if number:
-        _draw_number(canvas, number, _placed(np.array([0.0, -22.0 * FINE]), centre, angle), angle, level)
+        write(canvas, number, _placed(np.array([0.0, -22.0 * FINE]), centre, angle), angle, level)
 
 
-def _draw_number(canvas: np.ndarray, text: str, middle: np.ndarray, angle: float, level: float) -> None:
+def write(canvas: np.ndarray, text: str, middle: np.ndarray, angle: float, level: float) -> None:
     """Draw a text along a bar, around its middle."""
     size = 0.45 * FINE
     (width, height), _ = cv2.getTextSize(text, cv2.FONT_HERSHEY_SIMPLEX, size, FINE)

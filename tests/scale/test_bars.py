@@ -8,7 +8,7 @@ import pytest
 
 from liaam.errors import LiaamError
 from liaam.scale import Bar, Length, find_bar
-from scenes.ruler import BARS, GROUNDS, draw, fill
+from scenes.ruler import BARS, GROUNDS, draw, fill, write
 
 
 @pytest.mark.parametrize("kind", BARS)
@@ -49,6 +49,23 @@ def test_numbers_of_all_lengths_are_seen(number: str, rng: np.random.Generator) 
 def test_a_line_of_text_is_no_number(rng: np.random.Generator) -> None:
     with pytest.raises(LiaamError, match="none has a number beside it"):
         find_bar(draw("black", rng, size=250.0, number="Baikal, leg. Dybowski").image)
+
+
+@pytest.mark.parametrize("angle", [0.0, 14.0])
+def test_a_bar_with_its_number_in_a_gap_is_one_bar(angle: float, rng: np.random.Generator) -> None:
+    fine = 4
+    canvas = np.full((300 * fine, 500 * fine), 200, np.uint8)
+    turn = np.deg2rad(angle)
+    axis = np.array([np.cos(turn), np.sin(turn)])
+    across = np.array([-axis[1], axis[0]])
+    middle = np.array([250.0, 150.0]) * fine
+    for left, right in ((-150, -40), (40, 150)):
+        corners = ((left, -2), (right, -2), (right, 2), (left, 2))
+        fill(canvas, np.array([middle + fine * (along * axis + down * across) for along, down in corners]), 20.0)
+    write(canvas, "0.5 mm", middle, turn, 20.0)
+    small = cv2.GaussianBlur(cv2.resize(canvas, (500, 300), interpolation=cv2.INTER_AREA).astype(float), (0, 0), 0.7)
+    bar = find_bar(np.clip(small + rng.normal(0, 2, small.shape), 0, 255).astype(np.uint8))
+    assert abs(bar.length - 300) < 4 * bar.length_se < 1.5
 
 
 def test_strokes_of_a_comb_are_no_bar(rng: np.random.Generator) -> None:

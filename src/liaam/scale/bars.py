@@ -6,7 +6,7 @@ Or a row of equal blocks, dark and light in turn (:mod:`liaam.scale.blocks`).
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 
 import cv2
 import numpy as np
@@ -44,6 +44,7 @@ _WITHOUT_NUMBER = (
     "strokes of {} pixels could be a scale bar, but none has a number beside it: if one is the bar, give its length "
     "divided by these pixels with --scale"
 )
+_IN_LINE = 3.0  # greatest distance in pixels of one half of a bar from the line of the other
 _BESIDE = 12.0  # greatest distance in pixels of a stroke in a bar of blocks from its middle line and its ends
 _MOST_ALIKE = 2  # strokes of one length and direction: one bar that is printed twice
 _HEAD = 0.5  # greatest share of a bar that its two arrowheads take
@@ -74,6 +75,7 @@ def find_bar(image: np.ndarray) -> Bar:
     strokes = [stroke for sign in (1.0, -1.0) for stroke in _bars_in(sign * grey)]
     bars = [bar for bar, has_number in strokes if has_number]
     bars = [bar for bar in bars if sum(_are_alike(bar, other) for other in bars) <= _MOST_ALIKE]
+    bars = _joined(bars)
     blocks = find_blocks(grey)
     bars = [bar for bar in bars if not any(_is_part(bar, whole) for whole in blocks)] + blocks
     if not bars:
@@ -110,6 +112,30 @@ def _bars_in(grey: np.ndarray) -> Iterator[tuple[Bar, bool]]:
                 found.append(bar)
     for bar in found:
         yield bar, has_number(depth, bar.ends)
+
+
+def _joined(bars: Sequence[Bar]) -> list[Bar]:
+    """Return bars, of which two halves in one line, with the number between them, are joined."""
+    joined = []
+    for bar in bars:
+        half = next((other for other in bars if other is not bar and _are_halves(bar, other)), None)
+        if half is None:
+            joined.append(bar)
+            continue
+        ends = np.concatenate([bar.ends, half.ends])
+        order = np.argsort(ends @ (bar.ends[1] - bar.ends[0]))
+        outer = ends[order[[0, -1]]]
+        joined.append(Bar(float(np.hypot(*(outer[1] - outer[0]))), math.hypot(bar.length_se, half.length_se), outer))
+    return joined
+
+
+def _are_halves(bar: Bar, other: Bar) -> bool:
+    """Whether two strokes of one length are in one line, one after the other."""
+    axis = (bar.ends[1] - bar.ends[0]) / bar.length
+    away = other.ends - bar.ends.mean(axis=0)
+    across = np.abs(away @ np.array([-axis[1], axis[0]]))
+    is_apart = bool((np.abs(away @ axis) > 0.5 * bar.length).all())
+    return _are_alike(bar, other) and bool((across < _IN_LINE).all()) and is_apart
 
 
 def _is_part(bar: Bar, whole: Bar) -> bool:
