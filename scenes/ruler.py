@@ -55,6 +55,7 @@ def draw(
     blur: float = 0.6,
     noise: float = 2.0,
     shape: tuple[int, int] = (480, 640),
+    number: str = "5 mm",
 ) -> RulerScene:
     """Draw a scene.
 
@@ -75,14 +76,18 @@ def draw(
         Standard deviation of the noise, levels of 255.
     shape : tuple of int
         Height and width, pixels.
+    number : str
+        Printed beside a bar; "" for none.
     """
     height, width = shape
     canvas = _ground(ground, (height * FINE, width * FINE), rng)
     is_bar = kind in BARS
     size = size or float(rng.uniform(60, 250) if is_bar else rng.uniform(6, 22))
     centre = np.array([width * rng.uniform(0.45, 0.55), height * rng.uniform(0.35, 0.65)]) * FINE
-    if kind != "none":
-        (_draw_bar if is_bar else _draw_ruler)(canvas, kind, size * FINE, centre, np.deg2rad(angle), rng)
+    if is_bar:
+        _draw_bar(canvas, kind, size * FINE, centre, np.deg2rad(angle), rng, number)
+    elif kind != "none":
+        _draw_ruler(canvas, kind, size * FINE, centre, np.deg2rad(angle), rng)
     small = cv2.resize(canvas.astype(np.float32), (width, height), interpolation=cv2.INTER_AREA)
     if blur > 0:
         small = cv2.GaussianBlur(small, (0, 0), blur)
@@ -115,7 +120,7 @@ def _ground(kind: str, shape: tuple[int, int], rng: np.random.Generator) -> np.n
     return canvas
 
 
-def _quad(canvas: np.ndarray, corners: np.ndarray, level: float) -> None:
+def fill(canvas: np.ndarray, corners: np.ndarray, level: float) -> None:
     """Fill a convex polygon given by corners (k, 2) in fine pixels; pixels at its edges are mixed by their share in it.
 
     The share is that of a straight edge at its distance. Functions of OpenCV draw polygons half a pixel too large.
@@ -157,18 +162,18 @@ def _draw_ruler(
     dark, light = (90.0, 190.0) if kind == "steel" else (25.0, 240.0)
     body = _box(start - 2 * period, -8 * FINE, -start + 2 * period, 3.2 * tall)
     if kind not in ("clear",):
-        _quad(canvas, _placed(body, centre, angle), 130.0 if kind == "steel" else light)
+        fill(canvas, _placed(body, centre, angle), 130.0 if kind == "steel" else light)
     for i in range(n + 1):
         at = start + i * period
         if kind == "blocks":
             if i < n:
-                _quad(canvas, _placed(_box(at, 0, at + period / 2, tall), centre, angle), dark)
+                fill(canvas, _placed(_box(at, 0, at + period / 2, tall), centre, angle), dark)
             continue
         longer = 1.0
         if kind in ("hierarchical", "numbered", "steel"):
             longer = 1.9 if i % 10 == 0 else 1.4 if i % 5 == 0 else 1.0
         level = 215.0 if kind == "steel" else dark
-        _quad(canvas, _placed(_box(at - thick / 2, 0, at + thick / 2, tall * longer), centre, angle), level)
+        fill(canvas, _placed(_box(at - thick / 2, 0, at + thick / 2, tall * longer), centre, angle), level)
     if kind == "numbered":
         for i in range(0, n + 1, 10):
             at = _placed(np.array([start + i * period, 2.6 * tall]), centre, angle)
@@ -177,7 +182,13 @@ def _draw_ruler(
 
 
 def _draw_bar(
-    canvas: np.ndarray, kind: str, length: float, centre: np.ndarray, angle: float, rng: np.random.Generator
+    canvas: np.ndarray,
+    kind: str,
+    length: float,
+    centre: np.ndarray,
+    angle: float,
+    rng: np.random.Generator,
+    number: str,
 ) -> None:
     thick = rng.uniform(3, 7) * FINE
     half = length / 2
@@ -185,15 +196,27 @@ def _draw_bar(
     if kind == "white":
         canvas[:] = (canvas * 0.45).astype(np.uint8)
     if kind == "boxed":
-        _quad(canvas, _placed(_box(-half * 1.3, -7 * thick, half * 1.3, 4 * thick), centre, angle), 250.0)
+        fill(canvas, _placed(_box(-half * 1.3, -7 * thick, half * 1.3, 4 * thick), centre, angle), 250.0)
     if kind == "ended":
         for end in (-1, 1):
             outer = end * half
             inner = end * (half - 0.4 * thick)
             corners = _box(min(outer, inner), -1.5 * thick, max(outer, inner), 1.5 * thick)
-            _quad(canvas, _placed(corners, centre, angle), level)
+            fill(canvas, _placed(corners, centre, angle), level)
         thick *= 0.5
-    _quad(canvas, _placed(_box(-half, -thick / 2, half, thick / 2), centre, angle), level)
-    at = _placed(np.array([-0.2 * half, -30.0 * FINE]), centre, angle)
-    place = (int(at[0]), int(at[1]))
-    cv2.putText(canvas, "5 mm", place, cv2.FONT_HERSHEY_SIMPLEX, 0.4 * FINE, level, FINE, cv2.LINE_AA)
+    fill(canvas, _placed(_box(-half, -thick / 2, half, thick / 2), centre, angle), level)
+    if number:
+        write(canvas, number, _placed(np.array([0.0, -22.0 * FINE]), centre, angle), angle, level)
+
+
+def write(canvas: np.ndarray, text: str, middle: np.ndarray, angle: float, level: float) -> None:
+    """Draw a text along a bar, around its middle."""
+    size = 0.45 * FINE
+    (width, height), _ = cv2.getTextSize(text, cv2.FONT_HERSHEY_SIMPLEX, size, FINE)
+    pad = 2 * FINE
+    patch = np.zeros((height + 2 * pad, width + 2 * pad), np.uint8)
+    cv2.putText(patch, text, (pad, height + pad), cv2.FONT_HERSHEY_SIMPLEX, size, 255, FINE + 2, cv2.LINE_AA)
+    turn = np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]])
+    shift = middle - turn @ (np.array(patch.shape[::-1]) / 2)
+    inked = cv2.warpAffine(patch, np.column_stack([turn, shift]), canvas.shape[::-1]) / 255
+    canvas[:] = np.rint(canvas + inked * (level - canvas)).astype(np.uint8)

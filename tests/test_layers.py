@@ -25,7 +25,7 @@ LAYERS = (
     ("fitting",),
     ("datasets", "drawing"),
     ("model",),
-    ("photometry", "scale"),
+    ("photometry", "scale", "trays"),
     ("io",),
     ("error_measures", "models", "progress", "tables", "workers"),
     ("_core", "distance_transform", "encoding_constants", "formatting", "image_reference"),
@@ -34,7 +34,7 @@ LAYERS = (
 """Packages and modules of liaam from high to low. Those of one row do not import each other in a circle."""
 
 FITTING_LAYERS = (
-    ("many", "single", "solution"),
+    ("many", "single", "solution", "specimens"),
     ("fitter",),
     ("search",),
     ("fallback", "one_shape_fitter"),

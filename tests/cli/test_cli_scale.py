@@ -74,6 +74,15 @@ def test_bars_are_found_too(run, tmp_path, rng):
     assert pd.read_csv(tmp_path / "s.csv")["scale"].tolist() == pytest.approx([0.025], rel=2e-3)
 
 
+@pytest.mark.parametrize("how", [[], ["--ruler", "1 mm"]])
+def test_a_missing_file_is_named_once(run, tmp_path, monkeypatch, how):
+    monkeypatch.chdir(tmp_path)
+    code, _, err = run("scale", "x.png", "y.tif", *how)
+    assert code == 1
+    assert err.count("x.png") == 1 and "x.png: does not exist" in err
+    assert err.count("y.tif") == 1 and "y.tif: does not exist" in err
+
+
 @pytest.mark.parametrize(
     ("arguments", "words"),
     [

@@ -1,6 +1,7 @@
 """Measurement error from replicates: published figures, known noise, and unbalanced replicates."""
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 import pandas as pd
@@ -174,3 +175,16 @@ def test_estimated_landmarks_are_no_observations() -> None:
     assert found["sd"][at] < 0.4
     at = found["measure"].index("distance_1_3")
     assert found["replicates"][at] == 14
+
+
+def test_pixels_are_not_compared_with_units() -> None:
+    found = [each for i in range(4) for each in replicates(f"s{i}_{{1}}", (3,))]
+    scaled = [replace(each, scale=0.01) for each in found]
+    measures = ["distance:1-2", "angle:1-2-3"]
+    error = measurement_error([*found[:3], *scaled[3:]], measure([*found[:3], *scaled[3:]], measures), "_")
+    right = measurement_error(scaled[3:], measure(scaled[3:], measures), "_")
+    counts = dict(zip(error["measure"], error["specimens"], strict=True))
+    assert (counts["centroid_size"], counts["distance_1_2"]) == (3, 3)
+    assert (counts["shape"], counts["angle_1_2_3"]) == (4, 4)
+    of_distance = error["measure"].index("distance_1_2")
+    assert error["sd"][of_distance] == pytest.approx(right["sd"][of_distance])

@@ -1,11 +1,14 @@
 """Scale bars in generated scenes: found with their length and its error, and refused where it is not clear."""
 
+from itertools import pairwise
+
+import cv2
 import numpy as np
 import pytest
 
 from liaam.errors import LiaamError
 from liaam.scale import Bar, Length, find_bar
-from scenes.ruler import BARS, GROUNDS, draw
+from scenes.ruler import BARS, GROUNDS, draw, fill, write
 
 
 @pytest.mark.parametrize("kind", BARS)
@@ -30,6 +33,107 @@ def test_two_bars_that_disagree_are_refused_and_one_printed_twice_is_not(rng: np
     with pytest.raises(LiaamError, match=r"several strokes may be the scale bar, of 150\.\d and 90\.\d pixels: crop"):
         find_bar(np.concatenate([above, draw("black", rng, size=90.0, shape=(200, 640)).image]))
     assert find_bar(np.concatenate([above, above])).length == pytest.approx(150, abs=0.3)
+
+
+def test_a_bar_without_a_number_is_refused_with_its_length(rng: np.random.Generator) -> None:
+    with pytest.raises(LiaamError, match=r"strokes of 150\.\d pixels could be a scale bar, but none has a"):
+        find_bar(draw("black", rng, size=150.0, angle=3.0, number="").image)
+
+
+@pytest.mark.parametrize("number", ["1 cm", "100 um", "0.5 mm", "5mm"])
+def test_numbers_of_all_lengths_are_seen(number: str, rng: np.random.Generator) -> None:
+    scene = draw("white", rng, size=140.0, angle=-7.0, number=number)
+    assert find_bar(scene.image).length == pytest.approx(140, abs=0.4)
+
+
+def test_a_line_of_text_is_no_number(rng: np.random.Generator) -> None:
+    with pytest.raises(LiaamError, match="none has a number beside it"):
+        find_bar(draw("black", rng, size=250.0, number="Baikal, leg. Dybowski").image)
+
+
+@pytest.mark.parametrize("angle", [0.0, 14.0])
+def test_a_bar_with_its_number_in_a_gap_is_one_bar(angle: float, rng: np.random.Generator) -> None:
+    fine = 4
+    canvas = np.full((300 * fine, 500 * fine), 200, np.uint8)
+    turn = np.deg2rad(angle)
+    axis = np.array([np.cos(turn), np.sin(turn)])
+    across = np.array([-axis[1], axis[0]])
+    middle = np.array([250.0, 150.0]) * fine
+    for left, right in ((-150, -40), (40, 150)):
+        corners = ((left, -2), (right, -2), (right, 2), (left, 2))
+        fill(canvas, np.array([middle + fine * (along * axis + down * across) for along, down in corners]), 20.0)
+    write(canvas, "0.5 mm", middle, turn, 20.0)
+    small = cv2.GaussianBlur(cv2.resize(canvas, (500, 300), interpolation=cv2.INTER_AREA).astype(float), (0, 0), 0.7)
+    bar = find_bar(np.clip(small + rng.normal(0, 2, small.shape), 0, 255).astype(np.uint8))
+    assert abs(bar.length - 300) < 4 * bar.length_se < 1.5
+
+
+def test_strokes_of_a_comb_are_no_bar(rng: np.random.Generator) -> None:
+    above = draw("black", rng, size=150.0, shape=(150, 640)).image
+    with pytest.raises(LiaamError, match="could be a scale bar"):
+        find_bar(np.concatenate([above] * 3))
+
+
+@pytest.mark.parametrize("angle", [0.0, 12.0, -40.0])
+@pytest.mark.parametrize("outline", [True, False])
+@pytest.mark.parametrize("blocks", [2, 4, 5])
+def test_bars_of_blocks_are_found(blocks: int, outline: bool, angle: float, rng: np.random.Generator) -> None:
+    image = draw_blocks(200.0, blocks, angle, outline, rng)
+    bar = find_bar(image)
+    assert abs(bar.length - 200) < max(4 * bar.length_se, 0.5) and bar.length_se < 1.5
+    assert abs((bar.angle - angle + 90) % 180 - 90) < 1
+
+
+def draw_blocks(length: float, blocks: int, angle: float, outline: bool, rng: np.random.Generator) -> np.ndarray:
+    """Draw blocks, dark and light in turn, of a thickness of 10 pixels, on grey."""
+    fine = 4
+    canvas = np.full((300 * fine, 400 * fine), 150, np.uint8)
+    turn = np.deg2rad(angle)
+    axis = np.array([np.cos(turn), np.sin(turn)])
+    across = np.array([-axis[1], axis[0]])
+    middle = np.array([200.0, 150.0]) * fine
+
+    def corners(left: float, right: float, half: float) -> np.ndarray:
+        ends = ((left, -half), (right, -half), (right, half), (left, half))
+        points = [middle + fine * (along * axis + down * across) for along, down in ends]
+        return np.rint(np.array(points) * 16).astype(np.int32)
+
+    if outline:
+        cv2.fillPoly(canvas, [corners(-length / 2, length / 2, 6.0)], 15, cv2.LINE_8, 4)
+    edges = np.linspace(-length / 2, length / 2, blocks + 1)
+    for i, (left, right) in enumerate(pairwise(edges)):
+        inset = 1.0 if outline else 0.0
+        first = left + (inset if i == 0 else 0)
+        last = right - (inset if i == blocks - 1 else 0)
+        cv2.fillPoly(canvas, [corners(first, last, 5.0)], 15 if i % 2 else 245, cv2.LINE_8, 4)
+    small = cv2.GaussianBlur(cv2.resize(canvas, (400, 300), interpolation=cv2.INTER_AREA).astype(float), (0, 0), 0.8)
+    return np.clip(small + rng.normal(0, 2, small.shape), 0, 255).astype(np.uint8)
+
+
+@pytest.mark.parametrize("angle", [0.0, 25.0])
+def test_arrows_are_measured_to_their_tips(angle: float, rng: np.random.Generator) -> None:
+    canvas = np.full((1000, 1600), 220, np.uint8)
+    axis = np.array([np.cos(np.deg2rad(angle)), np.sin(np.deg2rad(angle))])
+    across = np.array([-axis[1], axis[0]])
+    middle = np.array([800.0, 500.0])
+    for side in (-1, 1):
+        tip = middle + side * 4 * 75 * axis
+        back = middle + side * 4 * 62 * axis
+        head = np.array([tip, back + 4 * 4 * across, back - 4 * 4 * across])
+        fill(canvas, head, 20)
+    ends = np.rint([(middle - 4 * 64 * axis) * 16, (middle + 4 * 64 * axis) * 16]).astype(int)
+    cv2.line(canvas, ends[0].tolist(), ends[1].tolist(), 20, 8, cv2.LINE_8, 4)
+    number = np.rint(middle - 4 * 20 * across - (90, 0)).astype(int)
+    if angle == 0:
+        cv2.putText(canvas, "2 mm", number.tolist(), cv2.FONT_HERSHEY_SIMPLEX, 1.8, 20, 6)
+    small = cv2.GaussianBlur(cv2.resize(canvas, (400, 250), interpolation=cv2.INTER_AREA).astype(float), (0, 0), 1.0)
+    image = np.clip(small + rng.normal(0, 1, small.shape), 0, 255).astype(np.uint8)
+    if angle:  # its number would have to be turned, too
+        with pytest.raises(LiaamError, match=r"strokes of (149|150)\.\d pixels could be a scale bar"):
+            find_bar(image)
+        return
+    bar = find_bar(image)
+    assert abs(bar.length - 150) < max(4 * bar.length_se, 0.5) and bar.length_se < 1
 
 
 def test_a_stroke_that_is_cut_by_the_border_is_no_bar(rng: np.random.Generator) -> None:

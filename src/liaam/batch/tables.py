@@ -28,6 +28,8 @@ COLUMNS = {
     "message": "string",
     "quality": "float32",
     "object": "int32",
+    "specimen": "string",
+    "code": "string",
     "score": "float32",
     "n_found": "int32",
     "theta_deg": "float32",
@@ -36,6 +38,9 @@ COLUMNS = {
     "expansion": "float32",
     "landmarks": "list<float32>",
     "covariance": "list<float32>",
+    "scale": "float64",
+    "scale_unit": "string",
+    "scale_from": "string",
     "seconds": "float32",
 }
 NAMES = "landmark_names"  # Entry of rows, and of the metadata of Parquet, with the names of the landmarks

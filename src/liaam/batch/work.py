@@ -19,12 +19,14 @@ from liaam.fitting import FitResult, Fitter, SolverOptions
 from liaam.fitting.many import refuse_one_start
 from liaam.fitting.methods import DEFAULT_METHOD
 from liaam.fitting.search.starts import check_start, read_start, start_file
+from liaam.fitting.specimens import fit_specimens
 from liaam.formatting import finite_or_none
 from liaam.io import is_raw, read_image
 from liaam.model import AAM, load_model
 from liaam.photometry import CameraModel
-from liaam.scale.choice import facts_of, length_for
+from liaam.scale.choice import columns_of, length_for
 from liaam.scale.lengths import Length
+from liaam.trays.naming import POSITION, check_name_by
 
 BESIDE = "beside"  # Start from the landmark file beside each image
 ERROR = "error"  # Status of an image that could not be fitted, in addition to those of FitStatus
@@ -59,6 +61,8 @@ class Settings:
         Whether rows hold the covariance of each landmark.
     every : bool
         Whether to fit every object that the search finds in an image, with a row for each.
+    name_by : str
+        What names the specimens (:data:`liaam.trays.NAME_BY`).
     rotations : str
         Orientations to search (:attr:`liaam.fitting.Fitter.rotations`).
     """
@@ -71,9 +75,11 @@ class Settings:
     covariance: bool = True
     rotations: str = "upright"
     every: bool = False
+    name_by: str = POSITION
 
     def __post_init__(self) -> None:
         refuse_one_start(self.every, self.init)
+        check_name_by(self.name_by)
         if isinstance(self.init, os.PathLike):
             object.__setattr__(self, "init", os.fspath(self.init))
         elif self.init is not None and not isinstance(self.init, str):
@@ -179,12 +185,17 @@ class FitJob:
         if start is not None:
             start = read_start(start, picture, size)
         fitter = self.fitter(is_raw(picture))
-        if not self.settings.every:
-            length = length_for(picture, start, fitter.model.scale)
-            return [fit_row(fitter.fit(pixels, start, picture.name), path, size, length)]
-        length = length_for(picture, None, fitter.model.scale)
-        fits = fitter.fit_all(pixels, picture.name)
-        return [fit_row(fit, path, size, length) | {"object": i} for i, fit in enumerate(fits, 1)]
+        every = self.settings.every
+        names = {"name": picture.name, "stem": _printable(picture.stem), "name_by": self.settings.name_by}
+        fitted = fit_specimens(fitter, pixels, start, every=every, **names)
+        length = length_for(picture, start, fitter.model.scale)
+        rows = []
+        for i, (result, specimen) in enumerate(zip(fitted.results, fitted.named, strict=True)):
+            row = fit_row(result, path, size, length)
+            number = i + 1 if every else None
+            named = {"object": number, "specimen": specimen.name, "code": specimen.code, "message": fitted.message(i)}
+            rows.append(row | named)
+        return rows
 
     def _start(self, path: str) -> str | None:
         """Return the start of an image in a form that :func:`liaam.fitting.search.starts.read_start` accepts."""
@@ -210,6 +221,8 @@ def fit_row(result: FitResult, path: str, size: tuple[int, int], length: Length 
         "message": result.message,
         "quality": _short(result.quality),
         "object": None,
+        "specimen": "",
+        "code": "",
         "score": None if result.found is None else _short(result.found.score),
         "n_found": result.n_found,
         "theta_deg": _short(result.theta_degrees),
@@ -219,7 +232,7 @@ def fit_row(result: FitResult, path: str, size: tuple[int, int], length: Length 
         "landmarks": _shorts(result.landmarks),
         "covariance": _shorts(result.landmark_covariances[:, (0, 0, 1), (0, 1, 1)]),
         "size": size,
-        **facts_of(length),
+        **columns_of(length),
     }
 
 
@@ -227,7 +240,9 @@ def failed_row(path: str, message: str) -> FitRow:
     """Return the row of an image that could not be fitted."""
     numbers = ("quality", "object", "score", "n_found", "theta_deg", "cost", "iterations", "expansion")
     row = dict.fromkeys((*numbers, "landmarks", "covariance", "seconds"))
-    return {"path": _printable(path), "status": ERROR, "message": _printable(message), **row}
+    name = _printable(Path(path).stem)
+    texts = {"path": _printable(path), "status": ERROR, "message": _printable(message), "specimen": name, "code": ""}
+    return texts | columns_of(None) | row
 
 
 def _printable(text: str) -> str:

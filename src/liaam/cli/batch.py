@@ -8,7 +8,7 @@ from typing import Annotated
 
 import typer
 
-from liaam.cli.inputs import TURNED, CameraOption, RotationsOption, camera_in, model_and_inputs
+from liaam.cli.inputs import TURNED, CameraOption, NameByOption, RotationsOption, camera_in, model_and_inputs
 from liaam.cli.terminal import complain, progress_bar, say
 from liaam.errors import LiaamError
 from liaam.io.files import count_of
@@ -38,6 +38,7 @@ def batch(
     every: Annotated[
         bool, typer.Option("--all", help="Fit every object that the search finds in an image, with a row for each.")
     ] = False,
+    name_by: NameByOption = "position",
     method: Annotated[str, typer.Option("--method", "-m", help="Fitting method; see 'liaam fit --help'.")] = "soft-li",
     rotations: RotationsOption = "upright",
     given_camera: CameraOption = None,
@@ -59,7 +60,8 @@ def batch(
     from liaam.fitting import FitStatus
 
     camera, response = camera_in(given_camera)
-    settings = Settings(method, init, camera=camera, response=response, rotations=rotations, every=every)
+    how = {"rotations": rotations, "every": every, "name_by": name_by}
+    settings = Settings(method, init, camera=camera, response=response, **how)
     model_file, pictures = model_and_inputs(sources or [], "batch")
     closed: list[str] = []
     with progress_bar() as progress:

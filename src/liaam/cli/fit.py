@@ -24,9 +24,13 @@ from liaam.io.files import count_of, natural_key
 from liaam.io.fit_files import FIT_SUFFIXES, corrected_file, read_fit, write_fit
 from liaam.morphometry.schemes import in_scheme
 from liaam.scale.choice import facts_of, length_for
+from liaam.scale.lengths import Length
+from liaam.trays.crops import crop_box
+from liaam.trays.naming import POSITION, check_name_by
 
 if TYPE_CHECKING:
     from liaam.fitting import FitResult, Fitter
+    from liaam.fitting.specimens import FittedSpecimens
     from liaam.model import AAM
 
 OVERLAYS = ("_fit.png", "_fit.jpg")
@@ -74,6 +78,10 @@ def fit(
     every: Annotated[
         bool, typer.Option("--all", help="Fit every object that the search finds; results are NAME_1, NAME_2 ...")
     ] = False,
+    name_by: inputs.NameByOption = "position",
+    crops: Annotated[
+        bool, typer.Option("--crops", help="Also write the part of the image around each object, NAME_crop.png.")
+    ] = False,
     method: Annotated[str, typer.Option("--method", "-m", help="Fitting method; they are listed below.")] = "soft-li",
     output: Annotated[
         Path,
@@ -117,7 +125,9 @@ def fit(
         raise LiaamError("--all searches for every object and --init gives the place of one; use only one of them")
     model_file, given = inputs.model_and_inputs(files, "fit")
     images = [image for path in given for image in images_in(path)]
+    check_name_by(name_by)
     outputs = Outputs.asked(output, formats, scheme=scheme, several=len(images) > 1 or every)
+    outputs = replace(outputs, name_by=name_by, crops=crops)
     inputs.refuse_inputs([output], images)
     model = load_model(model_file)
     outputs = replace(outputs, look=look_of(model, ellipses=ellipses, numbers=numbers, names=names, mesh=mesh))
@@ -127,7 +137,7 @@ def fit(
         in_scheme(model.shape_model.mean, model.landmark_names, scheme)  # its errors come before any work
     make_folder(outputs.folder)
 
-    def fit_or_error(image_and_stem: tuple[Path, str]) -> "dict[str, FitResult] | LiaamError":
+    def fit_or_error(image_and_stem: tuple[Path, str]) -> "tuple[FittedSpecimens, list[str]] | LiaamError":
         """Fit an image file. An error is returned, so that the other images are fitted all the same."""
         image, stem = image_and_stem
         try:
@@ -145,7 +155,7 @@ def fit(
             for i, (image, outcome) in enumerate(zip(images, outcomes, strict=True), 1):
                 progress(i, len(images), image.name)
                 if not isinstance(outcome, LiaamError):
-                    report.add_results(image, outcome)
+                    report.add_results(image, *outcome)
                     continue
                 report.add_error(outcome)
                 outputs.add_error(outcome, image)
@@ -197,9 +207,11 @@ class FitReport:
         self.statuses[ERROR] += 1
         complain(f"error: {error}")
 
-    def add_results(self, image: Path, results: "dict[str, FitResult]") -> None:
-        """Add the fits of an image, by the names of their files."""
-        for stem, result in results.items():
+    def add_results(self, image: Path, fitted: "FittedSpecimens", stems: list[str]) -> None:
+        """Add the fits of an image, whose files have these names."""
+        for fault in fitted.faults:
+            self.advice[fault].append(image.name)
+        for stem, result in zip(stems, fitted.results, strict=True):
             # The only object of an image is named as the image. Of several, each is named as its files.
             name = image.name if stem == image.stem else stem
             self.rows.append({"image": name, **row_of(result)})
@@ -290,6 +302,10 @@ class Outputs:
         Web page with all fits, instead of a file for each.
     entries : list of Entry
         Its fits and errors, in the order in which they are done.
+    name_by : str
+        What names the specimens (:data:`liaam.trays.NAME_BY`).
+    crops : bool
+        Whether the part of the image around each object is written.
     """
 
     folder: Path
@@ -300,6 +316,8 @@ class Outputs:
     scheme: str | None = None
     report: Path | None = None
     entries: list[Entry] = field(default_factory=list)
+    name_by: str = POSITION
+    crops: bool = False
 
     @classmethod
     def asked(cls, output: Path, formats: str, *, scheme: str | None, several: bool) -> "Outputs":
@@ -337,6 +355,15 @@ class Outputs:
         write_image(wanted, picture)
         other.unlink(missing_ok=True)  # that of an earlier fit, to a copy of another size
 
+    def add_fit(
+        self, result: "FitResult", pixels: np.ndarray, image: Path, facts: dict[str, Any], length: Length | None
+    ) -> None:
+        """Keep the fit of a specimen for the report, with its facts as in the landmark file."""
+        if self.report is not None:
+            entry = entry_of_fit(result, pixels, str(image), image.name, facts.get("object"), length)
+            named = {name: facts[name] for name in ("specimen", "code", "message") if name in facts}
+            self.entries.append(replace(entry, row=entry.row | named))
+
     def add_error(self, error: LiaamError, image: Path) -> None:
         """Keep an image that could not be fitted for the report."""
         if self.report is not None:
@@ -352,60 +379,72 @@ class Outputs:
 
 def fit_file(
     fitter: "Fitter", image: Path, stem: str, *, init: str | None, every: bool, outputs: Outputs
-) -> "dict[str, FitResult]":
+) -> "tuple[FittedSpecimens, list[str]]":
     """Fit an image file from `init`, from the start that the search finds, or from `every` start it finds.
 
-    Return the results by the name of their files, which is ``stem``, or begins with it if `every` object is fitted.
+    Also return the names of the files: ``stem``, or ``stem_1``, ``stem_2``, ... in reading order if `every` object is
+    fitted.
     """
+    from liaam.fitting.specimens import fit_specimens
+
     pixels, start = inputs.read_with_start(image, init)
-    if every:
-        detections = fitter.find_all(pixels, name=image.name)
-        starts = {f"{stem}_{i}": detection for i, detection in enumerate(detections, 1)}
-    else:
-        starts = {stem: start}
-    for name in starts:
+    if not every:
+        refuse_to_overwrite([outputs.path_of(stem, suffix) for suffix in outputs.suffixes])
+    names = {"name": image.name, "stem": stem, "name_by": outputs.name_by}
+    fitted = fit_specimens(fitter, pixels, start, every=every, **names)
+    stems = [f"{stem}_{i}" for i in range(1, len(fitted.results) + 1)] if every else [stem]
+    for name in stems if every else []:
         refuse_to_overwrite([outputs.path_of(name, suffix) for suffix in outputs.suffixes])
-    numbers = range(1, len(starts) + 1) if every else (None,)
-    return {
-        name: fit_object(fitter, image, pixels, start, name, number, outputs)
-        for (name, start), number in zip(starts.items(), numbers, strict=True)
-    }
+    length = length_for(image, start, fitter.model.scale)
+    for i, (name, result, specimen) in enumerate(zip(stems, fitted.results, fitted.named, strict=True)):
+        facts = result.to_dict() | {"image": image.name, "specimen": specimen.name}
+        facts |= {"object": i + 1} if every else {}
+        facts |= {"code": specimen.code} if specimen.code else {}
+        facts["message"] = fitted.message(i)
+        write_object(fitter.model, pixels, result, name, facts, length, outputs)
+        outputs.add_fit(result, pixels, image, facts, length)
+    return fitted, stems
 
 
-def fit_object(
-    fitter: "Fitter", image: Path, pixels: np.ndarray, start: Any, name: str, number: int | None, outputs: Outputs
-) -> "FitResult":
-    """Fit one object of an image file, perhaps one of several with its number, and write the results to files."""
+def write_object(
+    model: "AAM",
+    pixels: np.ndarray,
+    result: "FitResult",
+    name: str,
+    facts: dict[str, Any],
+    length: Length | None,
+    outputs: Outputs,
+) -> None:
+    """Write the fit of one object of an image to files of a name."""
+    from liaam.drawing import as_picture
     from liaam.plotting import overlay_of_fit
 
-    model = fitter.model
-    result = fitter.fit(pixels, start, image.name)
-    length = length_for(image, start, model.scale)
-    scale = None if length is None else length.value
-    unit = "" if length is None else length.unit
-    facts = result.to_dict() | {"image": image.name} | facts_of(length)
+    of_image = {
+        "image_name": facts["image"],
+        "label": facts["specimen"],
+        "scale": None if length is None else length.value,
+        "unit": "" if length is None else length.unit,
+    }
+    facts = facts | facts_of(length)
+    height, width = pixels.shape[:2]
+    box = crop_box(result.place, (width, height)) if outputs.crops else None
+    facts |= {"crop": box} if box is not None else {}
     if outputs.scheme is None:
-        landmarks = Landmarks(
-            points=result.landmarks,
-            contours=Contour.all_of(model.contours),
-            names=result.landmark_names,
-            image_name=image.name,
-            scale=scale,
-            unit=unit,
-        )
+        lines = Contour.all_of(model.contours)
+        landmarks = Landmarks(result.landmarks, contours=lines, names=result.landmark_names, **of_image)
     else:
         points = in_scheme(result.landmarks, result.landmark_names, outputs.scheme)
-        landmarks = Landmarks(points, image_name=image.name, scale=scale, unit=unit)
+        landmarks = Landmarks(points, **of_image)
         facts = {key: value for key, value in facts.items() if key not in OF_LANDMARKS}
-    height, width = pixels.shape[:2]
     with all_or_none([outputs.path_of(name, suffix) for suffix in outputs.suffixes]) as paths:
         for path in paths:
             write_fit(path, landmarks, facts, (width, height))
-        if outputs.report is not None:
-            outputs.entries.append(entry_of_fit(result, pixels, str(image), image.name, number, length))
         if outputs.picture:
             outputs.write_picture(name, overlay_of_fit(pixels, result, model, **outputs.look))
-    return result
+        if box is not None:
+            left, top, right, bottom = box
+            crop = pixels[top:bottom, left:right]
+            write_image(outputs.path_of(name, "_crop.png"), crop if crop.dtype.kind == "u" else as_picture(crop))
 
 
 @contextmanager

@@ -97,6 +97,15 @@ RotationsOption = Annotated[
     ),
 ]
 
+NameByOption = Annotated[
+    str,
+    typer.Option(
+        "--name-by",
+        help="What names specimens: position (IMAGE#1, IMAGE#2, ... in reading order), code (the QR or bar code beside "
+        "each), or label (the only code of the photograph: CODE#1, CODE#2, ...).",
+    ),
+]
+
 
 LEAST_ANGLE = 60  # Angle theta in degrees from which a number of --camera is an angle; smaller numbers are a gamma
 AUTO = "auto"  # Value of options that liaam chooses itself

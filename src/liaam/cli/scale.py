@@ -13,7 +13,7 @@ from liaam.cli.terminal import cell, complain, progress_bar, say, show_table, ta
 from liaam.errors import LiaamError
 from liaam.io import make_folder, read_image, write_columns, write_image
 from liaam.io.atomic import check_output
-from liaam.io.files import count_of, some_names
+from liaam.io.files import count_of, existing_file, some_names
 from liaam.io.landmarks.matching import unique_names
 from liaam.scale.choice import tagged_length
 from liaam.scale.lengths import Length, parse_length, unlike
@@ -35,7 +35,7 @@ def scale(
     scale_bar: Annotated[
         str | None,
         typer.Option(
-            help="Find the scale bar in each image: its length, such as '5 mm'; numbers beside it are not read."
+            help="Find the scale bar in each image: its length, such as '5 mm'. The number beside it is not read."
         ),
     ] = None,
 ) -> None:
@@ -95,19 +95,26 @@ def _row(image: Path, known: Length | None, find: Callable[[np.ndarray], Any] | 
     """Return the row of an image without its name, and write its overlay. What is wrong is its message."""
     row: Row = {"scale": math.nan, "unit": "", "scale_se": math.nan, "how": "", "message": ""}
     try:
+        existing_file(image, LiaamError, "image")
         if find is None or known is None:
             length, fault = tagged_length(image)
-            row["message"] = fault or ("" if length else "no tag states the scale: give --ruler or --scale-bar")
+            lacking = "" if length else "no tag states the scale: give --ruler or --scale-bar"
+            row["message"] = _without_name(fault, image) or lacking
         else:
             pixels = read_image(image)
             found = find(pixels)
             length = found.pixel(known)
             _draw(pixels, found, length, overlay)
     except LiaamError as fault:
-        return row | {"message": str(fault)}
+        return row | {"message": _without_name(str(fault), image)}
     if length is None:
         return row
     return row | {"scale": length.value, "unit": length.unit, "scale_se": length.se, "how": length.source}
+
+
+def _without_name(message: str, image: Path) -> str:
+    """Return a message without the name of an image at its start, as the row has it."""
+    return message.removeprefix(str(image)).lstrip(": ")
 
 
 def _draw(pixels: np.ndarray, found: Any, length: Length, path: Path) -> None:

@@ -1,6 +1,6 @@
 """Fitting a model to an image: the check of image and start, the search, and what follows a fit of low quality."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, fields, replace
 from functools import cached_property
 from inspect import signature
@@ -8,7 +8,7 @@ from inspect import signature
 import numpy as np
 
 from liaam.errors import ImageError, StartError, check_options
-from liaam.fitting.detection import DOUBTFUL, Detection
+from liaam.fitting.detection import DOUBTFUL, Detection, are_apart
 from liaam.fitting.fallback import start_if_failed_far
 from liaam.fitting.loop.encoded_image import MARGIN
 from liaam.fitting.loop.levels import LinearImage, Target
@@ -27,8 +27,22 @@ from liaam.photometry import CameraModel, is_grey
 from liaam.photometry.camera import check_camera
 from liaam.photometry.encoding import refuse_unscaled, stored_values
 from liaam.photometry.picture import load_picture, path_of
+from liaam.trays.order import reading_order
 
 OWN_SETTINGS = ("camera", "rotations", "restarts", "margin")  # Fields of a fitter that users set by name
+
+
+NEARLY = 0.9
+"""Score of a detection, of the best one in the image, from which it counts although it is slightly uncertain."""
+
+AS_LARGE = 1.4
+"""Greatest ratio of its size to that of the best one."""
+
+
+def _is_like(detection: Detection, best: Detection) -> bool:
+    """Return whether a detection scores nearly as high as the best one, and is about as large."""
+    ratio = detection.scale / best.scale
+    return detection.score >= NEARLY * best.score and 1 / AS_LARGE < ratio < AS_LARGE
 
 
 @dataclass(frozen=True, eq=False)
@@ -134,7 +148,10 @@ class Fitter(OneShapeFitter):
         return LinearImage(self.image_camera.flatten(image), self.image_camera.response)
 
     def find_all(self, image, name: str = "image") -> list[Detection]:
-        """Find all objects in an image, without uncertain detections.
+        """Find all objects in an image, the best first, without uncertain detections.
+
+        Those that score nearly as high as the best, and are about as large, are kept even if they are slightly
+        uncertain: objects of one photograph score alike.
 
         Raises
         ------
@@ -150,7 +167,7 @@ class Fitter(OneShapeFitter):
                 "give a start (--init), search for rotated objects (--rotations all), or fit the best place anyway "
                 "(without --all)"
             )
-        return certain
+        return [detection for detection in detections if detection in certain or _is_like(detection, certain[0])]
 
     def fit(self, image, init=None, name: str = "image") -> FitResult:
         """Fit the model to one image.
@@ -193,7 +210,7 @@ class Fitter(OneShapeFitter):
         return replace(best, image=path)
 
     def fit_all(self, image, name: str = "image") -> list[FitResult]:
-        """Fit every object that the search finds in an image, the best detection first.
+        """Fit every object that the search finds in an image, in reading order.
 
         Raises
         ------
@@ -202,7 +219,22 @@ class Fitter(OneShapeFitter):
         """
         path = path_of(image)
         image, name = load_picture(image, name)
-        return [replace(self.fit(image, detection, name), image=path) for detection in self.find_all(image, name)]
+        fits = self.fit_each_of(image, self.find_all(image, name), name)
+        return [replace(fit, image=path) for fit in fits]
+
+    def fit_each_of(self, image: np.ndarray, detections: Sequence[Detection], name: str = "image") -> list[FitResult]:
+        """Fit the objects that were found in an image; return the fits in reading order.
+
+        Where several are of one object, as where the search found parts of it, the most likely is kept. Uncertain
+        detections count if their fits are right.
+        """
+        tried = [(detection, self.fit(image, detection, name)) for detection in detections]
+        fits = [fit for detection, fit in tried if fit.status.ok or not detection.doubtful]
+        kept: list[int] = []
+        for i in sorted(range(len(fits)), key=lambda i: likeliness(fits[i]), reverse=True):
+            if all(are_apart(fits[i].landmarks, fits[j].landmarks) for j in kept):
+                kept.append(i)
+        return [fits[kept[i]] for i in reading_order([fits[j].place for j in kept])]
 
     @property
     def parts(self) -> tuple["Fitter", ...]:

@@ -324,6 +324,11 @@ class FitResult:
         return self.history[0].landmarks
 
     @property
+    def place(self) -> np.ndarray:
+        """Where the object is, (n, 2): the landmarks, or those of the search if the fit is lost."""
+        return self.found.landmarks if self.status.lost and self.found is not None else self.landmarks
+
+    @property
     def theta_degrees(self) -> float | None:
         """Estimated angle of the image's camera, degrees; None if the method does not estimate it."""
         estimated = self.method.free_angles != "none" and np.isfinite(self.theta)

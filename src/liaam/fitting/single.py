@@ -101,7 +101,7 @@ def fit_all(
     Returns
     -------
     list of FitResult
-        The best detection first, at most 20.
+        In reading order: by rows from the top, in each from the left. At most 20.
 
     Raises
     ------

@@ -17,10 +17,10 @@ from liaam.formatting import short_repr
 from liaam.io.files import natural_key, some_names
 from liaam.model.shape import align
 from liaam.morphometry.pairs import checked_twins, parse_pairs
-from liaam.morphometry.sides import are_unreflected, object_name, structure_name
+from liaam.morphometry.sides import are_unreflected, object_name, refuse_uneven, structure_name
 from liaam.morphometry.specimens import Specimen
 from liaam.morphometry.symmetry import ERROR, FEWEST, PERMUTATIONS, Asymmetry, matching_asymmetry, object_asymmetry
-from liaam.morphometry.table import scales_in, sizes_in
+from liaam.morphometry.table import comparable, size_column
 from liaam.progress import Progress
 from liaam.tables import Columns
 
@@ -226,6 +226,7 @@ def asymmetry(
         raise LiaamError("no specimen has a shape whose asymmetry can be measured: landmarks are missing in all")
     sides = _sides(specimens) if kind == MATCHING else ("",)
     shapes = np.array([[columns[f"X{number}"], columns[f"Y{number}"]] for number in numbers]).transpose(2, 0, 1)
+    refuse_uneven(specimens, by)
     groups = _groups(specimens, [bool(np.isfinite(shape).all()) for shape in shapes], by, sides)
     chosen, left_out = _chosen(groups, sides)
     if len(chosen) < FEWEST:
@@ -241,7 +242,7 @@ def asymmetry(
         analysis = object_asymmetry(shapes[order[:, 0]], twins, of_object, **options)
         sides = ("original", "mirrored")
     else:
-        sizes = _sizes_to_compare(columns)[order]
+        sizes = comparable(columns, size_column(columns))[order]
         analysis = matching_asymmetry(shapes[order], covariances, sizes=sizes, **options)
     return AsymmetryResult(
         analysis,
@@ -347,13 +348,6 @@ def _twins(
         if twin != i and i not in place:
             raise LiaamError(f"the pair {i + 1}-{twin + 1} has an end of the scale bar, which is no part of the shape")
     return tuple(place[twins[number - 1]] for number in numbers)
-
-
-def _sizes_to_compare(columns: Columns) -> np.ndarray:
-    """Return the centroid sizes; NaN without a scale where others have one, as pixels do not compare with units."""
-    sizes = np.array(sizes_in(columns))
-    scales = scales_in(columns)
-    return sizes if scales is None else np.where(np.isfinite(scales), sizes, np.nan)
 
 
 def _covariances(

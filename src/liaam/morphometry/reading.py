@@ -24,7 +24,7 @@ from liaam.io.landmarks.formats import ALSO_OTHER, name_of
 from liaam.io.landmarks.matching import shared_folder, unique_names
 from liaam.io.landmarks.reading import USUAL, Reading, UnrecognisedError
 from liaam.io.landmarks.tables import is_of_imagej, parse_long
-from liaam.morphometry.records import Record, doubts_about, objects_of_records
+from liaam.morphometry.records import Record, doubts_about, objects_of_records, with_unique_codes
 from liaam.morphometry.sides import folder_side, side_of_text
 from liaam.morphometry.specimens import MOST, Specimen
 from liaam.scale.choice import length_of, tagged_length
@@ -73,6 +73,7 @@ def read_specimens(
     complain = on_fault or partial(warnings.warn, stacklevel=2)
     if not path.is_dir():
         records = list(_of_file(existing_file(path, LiaamError, "file of results"), complain, reading))
+        records = with_unique_codes(records, complain)
         for line in doubts_about(records):
             complain(line)
         return tuple(objects_of_records(records))
@@ -91,6 +92,7 @@ def read_specimens(
             f"{path} holds no results that can be read: name a folder of 'liaam fit', a table of 'liaam batch', or "
             f"landmark files ({', '.join(LANDMARK_SUFFIXES)})"
         )
+    read = with_unique_codes(read, complain)
     for line in doubts_about(read):
         complain(line)
     specimens = objects_of_records(read) if replicates else _of_first_files(read, complain)
@@ -145,15 +147,19 @@ def _chosen(folder: Path) -> list[Path]:
 def _of_file(path: Path, complain: Callable[[str], object], reading: Reading) -> Iterator[Record]:
     fit = read_fit(path) if path.suffix.lower() == ".json" else None
     if fit:  # other .json files hold landmarks only
-        fitted = _specimen(path, path.stem, fit, fit.get("covariance"))
-        yield Record(path.stem, _corrected(path, fit, fitted, complain))
+        number = fit.get("object")
+        place = f"{path.stem.removesuffix(f'_{number}')}#{number}" if number else path.stem
+        name = str(fit.get("specimen") or "") if fit.get("code") else place
+        fitted = _specimen(path, name or place, fit, fit.get("covariance"))
+        yield Record(place, _corrected(path, fit, fitted, complain))
     elif is_table(path):
         rows = list(read_rows(path))
         names = unique_names(row["path"] for row in rows)
         for row in rows:
-            name = names[row["path"]] + (f"#{row['object']}" if row.get("object") else "")
+            place = names[row["path"]] + (f"#{row['object']}" if row.get("object") else "")
+            name = str(row["specimen"]) if row.get("code") else place
             specimen = _specimen(path, name, row, row.get("covariance"))
-            yield Record(name, replace(specimen, side=folder_side(row["path"])))
+            yield Record(place, replace(specimen, side=folder_side(row["path"]), image=row["path"]))
     else:
         yield from _of_landmarks(path, reading, complain)
 
@@ -165,18 +171,20 @@ def _specimen(path: Path, name: str, facts: dict[str, Any], covariances: Any) ->
         if covariances:
             xx, xy, yy = _numbers(covariances).reshape(len(points), 3).T
             spread = np.stack([xx, xy, xy, yy], axis=1).reshape(-1, 2, 2)
-        scale = facts.get("scale")
+        scale = facts.get("scale") or None
         return Specimen(
             name,
             points,
             covariances=spread,
             names=tuple(map(str, facts.get("landmark_names") or ())),
-            scale=scale and float(scale),
+            scale=None if scale is None else float(scale),
             status=str(facts["status"]),
             curves=Contour.all_of(facts.get("contours") or ()),
             file=path.name,
             unit=unit_of(str(facts.get("scale_unit") or "")),
             scale_source=str(facts.get("scale_from") or ""),
+            image=str(facts.get("image") or ""),
+            code=str(facts.get("code") or ""),
         )
     except (TypeError, ValueError, OverflowError, LandmarkError) as fault:
         raise LandmarkError(f"{path}: the landmarks of {name} are damaged ({fault}): fit the image again") from fault

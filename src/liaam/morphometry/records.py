@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter, defaultdict
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from itertools import groupby
 from typing import NamedTuple
@@ -87,6 +87,23 @@ def objects_of_records(records: Sequence[Record]) -> list[Specimen]:
                 wanted = f"{name}#{_stem(file)}" if is_known else specimen.name
                 specimens.append(replace(specimen, name=_free(wanted, taken), replicate_of=name))
     return specimens
+
+
+def with_unique_codes(records: Sequence[Record], complain: Callable[[str], object]) -> list[Record]:
+    """Return records of which no two specimens in different places are named by one code; their places name these."""
+    places: dict[str, list[str]] = defaultdict(list)
+    for record in records:
+        if record.specimen.code and record.image not in places[record.specimen.name]:
+            places[record.specimen.name].append(record.image)
+    doubled = {name: images for name, images in places.items() if len(images) > 1}
+    for name, images in doubled.items():
+        complain(f"the code {name} names {some_names(images)}: their positions name them")
+    return [
+        record._replace(specimen=replace(record.specimen, name=record.image))
+        if record.specimen.code and record.specimen.name in doubled
+        else record
+        for record in records
+    ]
 
 
 def _stem(file: str) -> str:

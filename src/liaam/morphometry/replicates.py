@@ -12,9 +12,9 @@ from liaam.errors import LiaamError
 from liaam.fitting.result import USABLE
 from liaam.io.files import some_names
 from liaam.morphometry.curves import semilandmarks
-from liaam.morphometry.sides import object_name, structure_name
+from liaam.morphometry.sides import object_name, refuse_uneven, structure_name
 from liaam.morphometry.specimens import Specimen
-from liaam.morphometry.table import scale_column, scales_in, sizes_in, unit_of_table
+from liaam.morphometry.table import comparable, scale_column, scales_in, sizes_in, unit_of_table
 from liaam.tables import Columns
 
 _FEWEST_PAIRS = 2  # objects that two files share, to compare the orders of their landmarks
@@ -32,11 +32,12 @@ def measurement_error(specimens: Sequence[Specimen], columns: Columns, by: str, 
         All replicates, as :func:`liaam.morphometry.alike` gives them. Specimens may differ in their number.
     columns : dict of str to list
         What :func:`liaam.measure` made of them. Specimens with estimated landmarks do not count: an estimate is no
-        observation.
+        observation. Nor do sizes without a scale where others have one: pixels do not compare with units.
     by : str
         ``"image"``: records of one object of an image are replicates, as :func:`liaam.read_specimens` found
         (`Specimen.replicate_of`); where that is unknown, those of one name before a ``#`` (``wing1``, ``wing1#2``).
-        Otherwise the text before the number of a replicate in names, such as ``"_"`` in ``wing1_1`` and ``wing1_2``.
+        ``"code"``: specimens of one code are. Otherwise the text before the number of a replicate in names, such as
+        ``"_"`` in ``wing1_1`` and ``wing1_2``; of objects ``tray_1#3`` and ``tray_2#3`` of images, those of one number.
         Then, where specimens state their individual, those of one individual and side are replicates.
     slid : bool
         Whether semilandmarks slid. Each then has one degree of freedom instead of two.
@@ -51,8 +52,9 @@ def measurement_error(specimens: Sequence[Specimen], columns: Columns, by: str, 
     Raises
     ------
     LiaamError
-        If no specimen has replicates.
+        If no specimen has replicates, or images of the same objects have different numbers of them.
     """
+    refuse_uneven(specimens, by)
     groups = _groups(specimens, by)
     if len(set(groups)) == len(groups):
         raise LiaamError(
@@ -79,7 +81,7 @@ def measurement_error(specimens: Sequence[Specimen], columns: Columns, by: str, 
     others = {"specimen", "side", "status", "estimated", scale_column(unit_of_table(columns))}
     others |= {f"{name}_se" for name in columns}
     for name in (name for name in columns if name not in others and not re.fullmatch(r"[XY]\d+", name)):
-        values = np.array(columns[name])
+        values = comparable(columns, name)
         rows.append({"measure": name} | anova(observed(values[:, None]), groups, values))
     names = next((specimen.names for specimen in specimens if specimen.names), ())
     usable = {"", *USABLE}

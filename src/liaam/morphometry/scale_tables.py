@@ -57,8 +57,8 @@ def _length_in(row: Mapping[str, str]) -> Length | None:
 def with_lengths(specimens: Sequence[Specimen], lengths: Mapping[str, Length | None]) -> tuple[Specimen, ...]:
     """Return specimens with the lengths of a pixel of their images, by name with or without folder and ending.
 
-    All objects of an image (``tray#1``, ``tray_2`` of ``liaam fit --all``) have its length. A specimen of an image that
-    is not in the table, or whose scale was refused, has none.
+    All objects of an image have its length: those of fits state their image, others are named ``tray#1``. A specimen
+    of an image that is not in the table, or whose scale was refused, has none.
 
     Raises
     ------
@@ -102,8 +102,9 @@ def _images_of(specimens: Sequence[Specimen], images: Sequence[str]) -> list[str
             by_end[end].append(image)
 
     def image_of(specimen: Specimen) -> str | None:
-        *folders, name = _key_of(f"{specimen.name}.png")
-        for own in (name, name.rpartition("#")[0], name.rpartition("_")[0]):
+        *folders, name = _key_of(specimen.image or f"{specimen.name}.png")
+        of_name = (name.rpartition("#")[0], name.rpartition("_")[0])
+        for own in (name,) if specimen.image else (name, *of_name):
             key = (*folders, own)
             found = by_end.get(key) or next((by_key[end] for end in _ends_of(key) if end in by_key), [])
             if len(found) > 1:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from collections import defaultdict
 from collections.abc import Iterable, Sequence
 from dataclasses import replace
 from itertools import accumulate
@@ -157,7 +158,48 @@ def object_name(specimen: Specimen, by: str | None) -> str:
         return specimen.name
     if by == "image":
         return specimen.replicate_of or specimen.name.rpartition("#")[0] or specimen.name
-    return (by and specimen.name.rpartition(by)[0]) or specimen.name
+    if by == "code":
+        return specimen.code or specimen.name
+    image, number = image_and_number(specimen, by)
+    return ((by and image.rpartition(by)[0]) or image) + number
+
+
+def image_and_number(specimen: Specimen, by: str) -> tuple[str, str]:
+    """Return the name of the image of a specimen, and its number there with ``#``, or "" if it has none.
+
+    A number that has the text before numbers of replicates in it is part of the name, as it is if the image is unknown.
+    """
+    name = specimen.replicate_of or specimen.name
+    image, mark, number = name.rpartition("#")
+    is_number = mark and by not in f"#{number}" and (specimen.image or specimen.replicate_of)
+    return (image, f"#{number}") if is_number else (name, "")
+
+
+def refuse_uneven(specimens: Iterable[Specimen], by: str | None) -> None:
+    """Raise if photographs of the same specimens have different numbers of them.
+
+    Parameters
+    ----------
+    specimens : iterable of Specimen
+    by : str, optional
+        As for :func:`liaam.morphometry.measurement_error`.
+    """
+    if by in (None, "", "image", "code"):
+        return
+    numbers: dict[str, dict[str, set[str]]] = defaultdict(lambda: defaultdict(set))
+    for specimen in specimens:
+        if not specimen.code:
+            image, number = image_and_number(specimen, by)
+            numbers[image.rpartition(by)[0] or image][image].add(number)
+    for images in numbers.values():
+        first, *others = images
+        for other in others:
+            if images[other] != images[first]:
+                counts = f"{first} has {len(images[first])} specimens and {other} {len(images[other])}"
+                raise LiaamError(
+                    f"{counts}, so that positions do not identify replicates: name them by codes "
+                    "('liaam fit --all --name-by code', and --replicates code), or leave out these images"
+                )
 
 
 def structure_name(specimen: Specimen, by: str | None) -> str:

@@ -57,6 +57,10 @@ class Specimen:
         Standard error of the scale; 0 if it is taken as exact.
     scale_source : str
         Where the scale is from if nobody gave it, for messages, or empty.
+    image : str
+        Name or path of the image that it is in, if a fit states it, or empty.
+    code : str
+        The QR or bar code that names it, or empty.
 
     Raises
     ------
@@ -80,6 +84,8 @@ class Specimen:
     unit: str = ""
     scale_se: float = 0.0
     scale_source: str = ""
+    image: str = ""
+    code: str = ""
 
     __repr__ = short_repr
 

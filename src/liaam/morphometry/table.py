@@ -132,9 +132,14 @@ def unit_of_table(columns: Columns) -> str:
     return next((unit for unit in UNITS if in_unit(_SIZE, unit) in columns), "")
 
 
+def size_column(columns: Columns) -> str:
+    """Return the name of the column of centroid sizes in a table of measurements."""
+    return in_unit(_SIZE, unit_of_table(columns))
+
+
 def sizes_in(columns: Columns) -> list[float]:
     """Return the centroid sizes in a table of measurements."""
-    return columns[in_unit(_SIZE, unit_of_table(columns))]
+    return columns[size_column(columns)]
 
 
 def scale_column(unit: str) -> str:
@@ -145,6 +150,17 @@ def scale_column(unit: str) -> str:
 def scales_in(columns: Columns) -> list[float] | None:
     """Return the lengths of a pixel in a table of measurements; None if it has none."""
     return columns.get(scale_column(unit_of_table(columns)))
+
+
+def comparable(columns: Columns, name: str) -> np.ndarray:
+    """Return a column of measures (n,); where some specimens have a scale, NaN for sizes of those that have none.
+
+    Pixels do not compare with units; angles do.
+    """
+    values = np.array(columns[name], np.float64)
+    scales = scales_in(columns)
+    is_angle = name.startswith("angle_")
+    return values if scales is None or is_angle else np.where(np.isfinite(scales), values, np.nan)
 
 
 def _in_one_unit(

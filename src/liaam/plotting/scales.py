@@ -4,7 +4,7 @@ import numpy as np
 
 from liaam.drawing import LANDMARK, LOST
 from liaam.plotting.overlays import draw_lines, enlarged, with_texts
-from liaam.scale.bars import Bar
+from liaam.scale.bar import Bar
 from liaam.scale.rulers import Ruler
 
 _MOST_MARKS = 2000  # ticks that are drawn

@@ -1,22 +1,23 @@
-"""Find a printed scale bar: the one long, straight and even stroke of an image, with sharp ends."""
+"""Find a printed scale bar: a long, straight and even stroke with sharp ends or arrowheads and a number beside it.
+
+Or a row of equal blocks, dark and light in turn (:mod:`liaam.scale.blocks`).
+"""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
-from dataclasses import dataclass
+from collections.abc import Iterator, Sequence
 
 import cv2
 import numpy as np
 
 from liaam.errors import LiaamError
-from liaam.formatting import short_repr
-from liaam.scale.lengths import Length
+from liaam.io.files import some_names
+from liaam.scale.bar import SHORTEST, Bar, axes_of, sampled
+from liaam.scale.blocks import find_blocks
+from liaam.scale.numbers import has_number
 
-SHORTEST = 40.0
-"""Shortest bar in pixels. Strokes of letters, and bristles, are shorter."""
-
-SLENDER = 8.0
+SLENDER = 5.0
 """Least ratio of a bar's length to its thickness."""
 
 _GROUND = 51  # side of the median filter that gives the ground of strokes; thicker ones are none of ours
@@ -39,40 +40,18 @@ _NOT_FOUND = (
     "no even, straight stroke with sharp ends is found that could be a scale bar: give the scale with --scale, or crop "
     "the image to its bar"
 )
+_WITHOUT_NUMBER = (
+    "strokes of {} pixels could be a scale bar, but none has a number beside it: if one is the bar, give its length "
+    "divided by these pixels with --scale"
+)
+_IN_LINE = 3.0  # greatest distance in pixels of one half of a bar from the line of the other
+_BESIDE = 12.0  # greatest distance in pixels of a stroke in a bar of blocks from its middle line and its ends
+_MOST_ALIKE = 2  # strokes of one length and direction: one bar that is printed twice
+_HEAD = 0.5  # greatest share of a bar that its two arrowheads take
+_HEAD_WIDER = 1.6  # least width of an arrowhead, of the shaft's
+_POINTED = 0.3  # standard error of a tip in pixels: a line around an arrowhead moves it by more than its own width
+_TAPER = (0.25, 0.75)  # shares of the width of an arrowhead between which its sides are straight
 _SAME = 0.01  # greatest relative difference of the lengths of one bar that is printed twice
-
-
-@dataclass(frozen=True, eq=False, repr=False)
-class Bar:
-    """A scale bar in an image.
-
-    Attributes
-    ----------
-    length : float
-        From one outer end to the other, pixels.
-    length_se : float
-        Its standard error.
-    ends : (2, 2) float64
-        x and y of the ends, in pixels.
-    """
-
-    length: float
-    length_se: float
-    ends: np.ndarray
-
-    __repr__ = short_repr
-
-    @property
-    def angle(self) -> float:
-        """Tilt against the horizontal, -90 to 90 degrees; downwards is positive."""
-        across, down = self.ends[1] - self.ends[0]
-        return (math.degrees(math.atan2(down, across)) + 90) % 180 - 90
-
-    def pixel(self, bar: Length) -> Length:
-        """Return the length of a pixel, given that of the bar."""
-        value = bar.value / self.length
-        error = value * math.hypot(self.length_se / self.length, bar.se / bar.value)
-        return Length(value, bar.unit, error, "a scale bar in the image")
 
 
 def find_bar(image: np.ndarray) -> Bar:
@@ -93,9 +72,15 @@ def find_bar(image: np.ndarray) -> Bar:
         If there is no such bar, or several of different lengths; the message says what to do.
     """
     grey = _levels(image)
-    bars = [bar for sign in (1.0, -1.0) for bar in _bars_in(sign * grey)]
+    strokes = [stroke for sign in (1.0, -1.0) for stroke in _bars_in(sign * grey)]
+    bars = [bar for bar, has_number in strokes if has_number]
+    bars = [bar for bar in bars if sum(_are_alike(bar, other) for other in bars) <= _MOST_ALIKE]
+    bars = _joined(bars)
+    blocks = find_blocks(grey)
+    bars = [bar for bar in bars if not any(_is_part(bar, whole) for whole in blocks)] + blocks
     if not bars:
-        raise LiaamError(_NOT_FOUND)
+        lengths = sorted({f"{bar.length:.1f}" for bar, _ in strokes})
+        raise LiaamError(_WITHOUT_NUMBER.format(some_names(lengths)) if lengths else _NOT_FOUND)
     bars.sort(key=lambda bar: -bar.length)
     other = next((bar for bar in bars[1:] if abs(bar.length / bars[0].length - 1) > _SAME), None)
     if other is not None:
@@ -115,8 +100,8 @@ def _levels(image: np.ndarray) -> np.ndarray:
     return ((grey - grey.min()) * (255 / span)).astype(np.float32)
 
 
-def _bars_in(grey: np.ndarray) -> Iterator[Bar]:
-    """Yield the dark bars of an image; a negative image has the light ones."""
+def _bars_in(grey: np.ndarray) -> Iterator[tuple[Bar, bool]]:
+    """Yield the dark bars of an image, and whether each has a number; a negative image has the light ones."""
     shifted = grey - float(grey.min())
     ground = cv2.medianBlur(np.rint(shifted).astype(np.uint8), _GROUND).astype(np.float32)
     depth = ground - shifted
@@ -125,7 +110,49 @@ def _bars_in(grey: np.ndarray) -> Iterator[Bar]:
         for bar in _bars_above(shifted, depth, contrast):
             if not any(_are_one(bar, other) for other in found):
                 found.append(bar)
-    yield from found
+    for bar in found:
+        yield bar, has_number(depth, bar.ends)
+
+
+def _joined(bars: Sequence[Bar]) -> list[Bar]:
+    """Return bars, of which two halves in one line, with the number between them, are joined."""
+    joined = []
+    for bar in bars:
+        half = next((other for other in bars if other is not bar and _are_halves(bar, other)), None)
+        if half is None:
+            joined.append(bar)
+            continue
+        ends = np.concatenate([bar.ends, half.ends])
+        order = np.argsort(ends @ (bar.ends[1] - bar.ends[0]))
+        outer = ends[order[[0, -1]]]
+        joined.append(Bar(float(np.hypot(*(outer[1] - outer[0]))), math.hypot(bar.length_se, half.length_se), outer))
+    return joined
+
+
+def _are_halves(bar: Bar, other: Bar) -> bool:
+    """Whether two strokes of one length are in one line, one after the other."""
+    axis = (bar.ends[1] - bar.ends[0]) / bar.length
+    away = other.ends - bar.ends.mean(axis=0)
+    across = np.abs(away @ np.array([-axis[1], axis[0]]))
+    is_apart = bool((np.abs(away @ axis) > 0.5 * bar.length).all())
+    return _are_alike(bar, other) and bool((across < _IN_LINE).all()) and is_apart
+
+
+def _is_part(bar: Bar, whole: Bar) -> bool:
+    """Whether a stroke lies in a bar of blocks, as one of these or their outline."""
+    axis = (whole.ends[1] - whole.ends[0]) / whole.length
+    away = bar.ends - whole.ends[0]
+    along = away @ axis
+    across = away @ np.array([-axis[1], axis[0]])
+    return bool(
+        (np.abs(across) < _BESIDE).all() and (along > -_BESIDE).all() and (along < whole.length + _BESIDE).all()
+    )
+
+
+def _are_alike(bar: Bar, other: Bar) -> bool:
+    """Whether two strokes are of one length and direction, as those of a bar code or a comb are."""
+    is_parallel = abs((bar.angle - other.angle + 90) % 180 - 90) < 3
+    return is_parallel and abs(bar.length / other.length - 1) < 3 * _SAME
 
 
 def _are_one(bar: Bar, other: Bar) -> bool:
@@ -154,7 +181,7 @@ def _bar_of(grey: np.ndarray, depth: np.ndarray, pixels: np.ndarray) -> Bar | No
     strong = pixels[depth[pixels[:, 1], pixels[:, 0]] > 0.5 * contrast]
     if len(strong) < SHORTEST:
         return None
-    along, across, centre, axis = _axes(strong)
+    along, across, centre, axis = axes_of(strong)
     length = float(np.ptp(along)) + 1
     begin = float(along.min()) - 0.5
     n = int(length / _SLICE)
@@ -165,22 +192,76 @@ def _bar_of(grey: np.ndarray, depth: np.ndarray, pixels: np.ndarray) -> Bar | No
     if length < SHORTEST or length < SLENDER * thickness or thickness <= 0:
         return None
     uneven = np.abs(counts - thickness) > max(_EVEN * thickness, 1.2)
+    is_arrow = _has_heads(counts, thickness)
     middles = np.bincount(slices, across, n) / np.maximum(n_pixels, 1)
     bend = float(np.sqrt(np.mean(np.square(middles[~uneven] - middles[~uneven].mean())))) if (~uneven).any() else np.inf
-    if uneven.mean() > _MOST_UNEVEN or bend > max(_STRAIGHT * thickness, _LEAST_STRAIGHT):
+    if uneven.mean() > (_HEAD if is_arrow else _MOST_UNEVEN) or bend > max(_STRAIGHT * thickness, _LEAST_STRAIGHT):
         return None
     middle = centre + float(middles[~uneven].mean()) * np.array([-axis[1], axis[0]])
-    return _with_ends(grey, middle, axis, (begin, begin + length), thickness)
+    rough = (begin, begin + length)
+    if is_arrow:
+        return _with_tips(grey, middle, axis, rough, float(counts.max()))
+    return _with_ends(grey, middle, axis, rough, thickness)
 
 
-def _axes(pixels: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-    """Return the places of pixels along and across their main axis, their centre, and the axis."""
-    centre = pixels.mean(axis=0)
-    away = pixels - centre
-    _, vectors = np.linalg.eigh(away.T @ away)
-    axis = vectors[:, 1]
-    axis = axis if axis[0] >= 0 else -axis
-    return away @ axis, away @ np.array([-axis[1], axis[0]]), centre, axis
+def _has_heads(counts: np.ndarray, thickness: float) -> bool:
+    """Whether a stroke with these widths along it has arrowheads: both ends taper from well above its width."""
+    half = len(counts) // 2
+    for side in (counts[:half], counts[::-1][:half]):
+        widest = int(side.argmax())
+        is_wide = side[widest] >= max(_HEAD_WIDER * thickness, thickness + 2)
+        if not is_wide or widest < 1 or widest > _HEAD * half or (np.diff(side[: widest + 1]) < -1).any():
+            return False
+    return True
+
+
+def _with_tips(
+    grey: np.ndarray, middle: np.ndarray, axis: np.ndarray, rough: tuple[float, float], width: float
+) -> Bar | None:
+    """Return a bar between two arrowheads, whose tips are where their straight sides meet."""
+    margin = _BEYOND[1] + 2
+    along = np.arange(rough[0] - margin, rough[1] + margin, _STEP)
+    half = math.ceil(width / 2) + 3
+    levels = sampled(grey, middle, axis, along, np.arange(-half, half + 1.0))
+    tips = [_tip(along * side, levels, rough[1] if side > 0 else -rough[0]) for side in (-1, 1)]
+    if None in tips:
+        return None
+    (first, error), (last, other_error) = (tip or (0.0, 0.0) for tip in tips)
+    ends = np.array([middle - first * axis, middle + last * axis])
+    return Bar(first + last, math.hypot(error, other_error, math.sqrt(2) * _SHARED), ends)
+
+
+def _tip(outwards: np.ndarray, levels: np.ndarray, end: float) -> tuple[float, float] | None:
+    """Return where the darkness across an arrowhead, which its sides change in proportion, falls to 0; and the error.
+
+    Blur keeps a straight slope, so that the extrapolation of its middle part is not shortened by it.
+    """
+    order = np.argsort(outwards)
+    outwards = outwards[order]
+    levels = levels[order]
+    beyond = levels[(outwards > end + _BEYOND[0]) & (outwards < end + _BEYOND[1])]
+    if not len(beyond):
+        return None
+    darkness = (np.median(beyond) - levels).sum(axis=1)
+    inside = (outwards < end + 4) & (outwards > end - 6 * levels.shape[1])
+    widest = int(np.where(inside, darkness, -np.inf).argmax())
+    slope = np.arange(widest, len(outwards))
+    shares = darkness[slope] / darkness[widest]
+    low = np.flatnonzero(shares < _TAPER[0])
+    if not len(low) or darkness[widest] <= 0:
+        return None
+    used = slope[: low[0]][shares[: low[0]] < _TAPER[1]]
+    if len(used) < 3 / _STEP:
+        return None
+    (steepness, start), scatter = np.polyfit(outwards[used], darkness[used], 1, cov=True)
+    if steepness >= 0:
+        return None
+    tip = -start / steepness
+    stray = float(np.std(darkness[used] - start - steepness * outwards[used]))
+    error = math.hypot(
+        stray / abs(steepness), math.sqrt(max(scatter[0, 0], 0.0)) / abs(steepness) * (tip - outwards[used].mean())
+    )
+    return (float(tip), math.hypot(float(error), _POINTED)) if abs(tip - end) < _SHARP else None
 
 
 def _with_ends(
@@ -190,16 +271,7 @@ def _with_ends(
     margin = _BEYOND[1] + 2
     along = np.arange(rough[0] - margin, rough[1] + margin, _STEP)
     half = max(0.3 * thickness, 0.5)
-    offsets = np.linspace(-half, half, 2 * math.ceil(half) + 1)
-    places = middle + along[:, None, None] * axis + offsets[:, None] * np.array([-axis[1], axis[0]])
-    sampled = cv2.remap(
-        grey.astype(np.float32),
-        places[..., 0].astype(np.float32),
-        places[..., 1].astype(np.float32),
-        cv2.INTER_CUBIC,
-        borderMode=cv2.BORDER_REPLICATE,
-    )
-    profile = sampled.mean(axis=1)
+    profile = sampled(grey, middle, axis, along, np.linspace(-half, half, 2 * math.ceil(half) + 1)).mean(axis=1)
     inside = profile[(along > rough[0] + 4) & (along < rough[1] - 4)]
     if len(inside) < SHORTEST:
         return None

@@ -50,9 +50,13 @@ def shared_length(lengths: Sequence[Length | None]) -> Length | None:
     return Length(first.value, first.unit, source=TRAINING) if alike else None
 
 
-def facts_of(length: Length | None) -> dict[str, object]:
-    """Return the entries of a length in a file of results."""
+def columns_of(length: Length | None) -> dict[str, float | str | None]:
+    """Return the entries of a length in a table of results."""
     if length is None:
-        return {"scale": None}
-    entries = {"scale": length.value, "scale_unit": length.unit, "scale_from": length.source}
-    return {key: value for key, value in entries.items() if value}
+        return {"scale": None, "scale_unit": "", "scale_from": ""}
+    return {"scale": length.value, "scale_unit": length.unit, "scale_from": length.source}
+
+
+def facts_of(length: Length | None) -> dict[str, float | str | None]:
+    """Return the entries of a length in a file of results, without those that are unknown."""
+    return {key: value for key, value in columns_of(length).items() if value or key == "scale"}

@@ -8,7 +8,7 @@ the phase of the period, and each tick is measured. What does not look like a ru
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
 
@@ -31,11 +31,15 @@ FEWEST_TICKS = 10
 LARGEST = 2000
 """Longer side in pixels to which larger images are reduced. The millimetres of a ruler of 20 cm are then 10 pixels."""
 
+_OUTSTANDING = 4.0  # least ratio of the power of a harmonic to that of those beside it
+_ZOOMS = (1.0, 0.5, 0.25)  # to which an image is reduced in turn, until a ruler is found: for long periods and ticks
 _CYCLES = (6, 24)  # fewest and most periods in a tile
 _ANGLES = 180  # directions that are looked at, of 180 degrees
 _HARMONICS = 3  # of the period whose power is summed
 _CONTRAST = 2.2  # least mean logarithm of the power at harmonics over that between them
-_MOST_TILES = 12  # proposals that are refined
+_MOST_TILES = 16  # proposals that are refined
+_MOST_ALIKE = 3  # of them on one line
+_AGREE = 0.08  # greatest difference of the logarithms of periods, and of directions in radians, of proposals in line
 _REACH = 40  # pixels across the ruler that are looked at, to both sides
 _COHERENT = 0.33  # least share of the variation that has the period, of 0.5 for a sine and less for thin ticks
 _LONG = 3.0  # least ratio of the length of a ruler to that of its ticks
@@ -49,6 +53,9 @@ _SHARED = 0.012
 On generated rulers errors are larger than the scatter of the ticks alone suggests, by about this: with it, 95 % are
 within 1.96 standard errors."""
 _STRAY = 0.05  # greatest root mean square distance of ticks from their places, of the period
+_STRAY_TICKS = (0.2, 0.015)
+"""And the greatest in pixels, or of the period if that is more, by perspective. That of rulers is about 0.1 pixels."""
+_SHORT = 0.25  # length of a second ruler, of the longer one's, below which it is taken for a texture, such as a QR code
 _SAME = 0.02  # greatest relative difference of periods of one ruler
 _MOST_LEVEL = 1e9  # of an image
 _NOT_FOUND = (
@@ -114,29 +121,98 @@ def find_ruler(image: np.ndarray) -> Ruler:
     """
     grey, factor = _reduced(_grey(image))
     found: list[Ruler] = []
-    for proposal in _proposals(grey):
-        if any(_is_on(proposal, ruler) for ruler in found):
-            continue
-        ruler = _refined(grey, proposal)
-        if ruler is not None and not any(_are_one(ruler, other) for other in found):
-            found.append(ruler)
+    for zoom in _ZOOMS:
+        found = found or _rulers_in(grey, zoom)
     if not found:
         raise LiaamError(_NOT_FOUND)
-    best = max(found, key=lambda ruler: ruler.n_ticks * ruler.period)
-    other = next((each for each in found if abs(each.period / best.period - 1) > _SAME), None)
+    best = max(found, key=_length)
+    long = [each for each in found if _length(each) > _SHORT * _length(best)]
+    other = next((each for each in long if abs(each.period / best.period - 1) > _SAME), None)
     if other is not None:
         both = f"{best.period / factor:.4g} and {other.period / factor:.4g} pixels"
         raise LiaamError(f"two rulers, or two sides of one, have ticks every {both}: crop the image to one of them")
-    ends = (best.ends + 0.5) / factor - 0.5
-    return replace(best, period=best.period / factor, period_se=best.period_se / factor, ends=ends)
+    return _enlarged(best, 1 / factor)
+
+
+def _length(ruler: Ruler) -> float:
+    return ruler.n_ticks * ruler.period
+
+
+def _rulers_in(grey: np.ndarray, zoom: float) -> list[Ruler]:
+    """Return the rulers that are found in an image when it is reduced."""
+    small = _shrunk(grey, zoom)
+    found: list[Ruler] = []
+    proposals = _proposals(small)
+    for proposal in proposals:
+        if any(_is_on(proposal, ruler) for ruler in found):
+            continue
+        ruler = _refined(small, proposal) or _of_grid(small, proposal, proposals)
+        if ruler is not None and not any(_are_one(ruler, other) for other in found):
+            found.append(ruler)
+    return [finest for ruler in found if (finest := _finest(grey, _enlarged(ruler, 1 / zoom), zoom)) is not None]
+
+
+def _enlarged(ruler: Ruler, times: float) -> Ruler:
+    """Return a ruler as it is in an image that is so many times as large."""
+    ends = (ruler.ends + 0.5) * times - 0.5
+    return replace(ruler, period=ruler.period * times, period_se=ruler.period_se * times, ends=ends)
+
+
+def _finest(grey: np.ndarray, ruler: Ruler, zoom: float) -> Ruler | None:
+    """Return a ruler that was found in a reduced image; None if the image has ticks between its ticks."""
+    if zoom == 1:
+        return ruler
+    centre = ruler.ends.mean(axis=0)
+    angle = math.radians(ruler.angle)
+    band = _band(grey, centre, angle, _REACH)
+    half = float(np.hypot(*(ruler.ends[1] - ruler.ends[0]))) / 2
+    middle = band.shape[1] // 2
+    part = band[:, max(middle - int(half), 0) : middle + int(half) + 1]
+    finer = [_Proposal(centre, angle, ruler.period / divisor) for divisor in _DIVISORS]
+    is_measured = any(each.period >= SHORTEST and _measured(band, each, is_endless=True) for each in finer)
+    return None if is_measured or any(_stands_out(part, ruler.period, n) for n in _DIVISORS) else ruler
+
+
+def _stands_out(band: np.ndarray, period: float, n: int) -> bool:
+    """Whether the n-th harmonic of a period is clearly above those beside it, as by fainter ticks in n-ths of it."""
+    flat = (band - _smooth(band, 1.5 * period)) * np.hanning(band.shape[1])
+    harmonics = np.array([n - 1, n, n + 1]) / period
+    waves = np.exp(-2j * np.pi * harmonics[:, None] * np.arange(band.shape[1]))
+    below, own, above = (np.abs(flat @ waves.T) ** 2).mean(axis=0).tolist()
+    return n / period <= 0.5 and own > _OUTSTANDING * max(below, above)
+
+
+def _of_grid(grey: np.ndarray, proposal: _Proposal, proposals: Sequence[_Proposal]) -> Ruler | None:
+    """Return the lines of graph paper at a proposal; None if no other is of the same period across its direction."""
+    if not any(_cross(proposal, other) for other in proposals):
+        return None
+    lines = _aligned(grey, proposal)
+    if lines is None:
+        return None
+    return _finest_measured(_band(grey, lines.centre, lines.angle, _REACH), lines, is_endless=True)
+
+
+def _cross(proposal: _Proposal, other: _Proposal) -> bool:
+    """Whether two proposals are of one period, and of directions across each other."""
+    turn = (proposal.angle - other.angle) % math.pi - math.pi / 2
+    return abs(math.log(proposal.period / other.period)) < _AGREE and abs(turn) < _AGREE
+
+
+def _shrunk(grey: np.ndarray, factor: float) -> np.ndarray:
+    """Return an image reduced by exactly a factor: sizes that are rounded would change periods by up to 0.1 %."""
+    if factor == 1:
+        return grey
+    blurred = cv2.GaussianBlur(grey, (0, 0), 0.5 * math.sqrt(factor**-2 - 1))
+    shift = 0.5 * factor - 0.5
+    matrix = np.array([[factor, 0.0, shift], [0.0, factor, shift]])
+    size = (int(grey.shape[1] * factor), int(grey.shape[0] * factor))
+    return cv2.warpAffine(blurred, matrix, size, flags=cv2.INTER_CUBIC, borderMode=cv2.BORDER_REPLICATE)
 
 
 def _reduced(grey: np.ndarray) -> tuple[np.ndarray, float]:
     """Return an image whose longer side has at most `LARGEST` pixels, and by which factor it is reduced."""
     factor = min(1.0, LARGEST / max(grey.shape))
-    if factor == 1.0:
-        return grey, factor
-    return cv2.resize(grey, None, fx=factor, fy=factor, interpolation=cv2.INTER_AREA), factor
+    return _shrunk(grey, factor), factor
 
 
 def _grey(image: np.ndarray) -> np.ndarray:
@@ -174,7 +250,27 @@ def _proposals(grey: np.ndarray) -> list[_Proposal]:
             proposal = _of_tile(grey[top : top + side, left : left + side])
             if proposal is not None:
                 proposals.append(replace(proposal, centre=proposal.centre + np.array([left, top])))
-    return sorted(proposals, key=lambda proposal: -proposal.score)[:_MOST_TILES]
+    return _likeliest(proposals)
+
+
+def _likeliest(proposals: Sequence[_Proposal]) -> list[_Proposal]:
+    """Return the proposals that are most likely to be on a ruler, first those with high scores and others in line."""
+    if not proposals:
+        return []
+    periods = np.array([proposal.period for proposal in proposals])
+    angles = np.array([proposal.angle for proposal in proposals])
+    centres = np.array([proposal.centre for proposal in proposals])
+    away = centres[None] - centres[:, None]
+    across = away[..., 1] * np.cos(angles)[:, None] - away[..., 0] * np.sin(angles)[:, None]
+    turned = (angles[None] - angles[:, None] + np.pi / 2) % np.pi - np.pi / 2
+    is_alike = np.abs(np.log(periods[None] / periods[:, None])) < _AGREE
+    agree = is_alike & (np.abs(turned) < _AGREE) & (np.abs(across) < _REACH)
+    scores = np.array([proposal.score for proposal in proposals]) + np.log(agree.sum(axis=1))
+    chosen: list[int] = []
+    for i in np.argsort(-scores, kind="stable").tolist():
+        if agree[i, chosen].sum() < _MOST_ALIKE:
+            chosen.append(i)
+    return [proposals[i] for i in chosen[:_MOST_TILES]]
 
 
 def _places(shape: tuple[int, ...], side: int) -> Iterator[tuple[int, int]]:
@@ -217,8 +313,9 @@ def _of_tile(tile: np.ndarray) -> _Proposal | None:
     for column, (frequency, n) in enumerate(zip(frequencies, n_harmonics, strict=True)):
         at = frequency * np.arange(1, n + 1)
         between = at - frequency // 2
-        score[:, column] = (rays[:, at] - rays[:, between]).mean(axis=1) + 0.1 * rays[:, at].mean(axis=1)
-        score[:, column] -= 0.1 * rays.max()
+        contrasts = np.cumsum(rays[:, at] - rays[:, between], axis=1) / np.arange(1, n + 1)
+        contrast = contrasts.max(axis=1)  # blur takes the higher harmonics of short periods
+        score[:, column] = contrast + 0.1 * (rays[:, at].mean(axis=1) - rays.max())
     row, column = np.unravel_index(int(score.argmax()), score.shape)
     best = float(score[row, column])
     if best < _CONTRAST:
@@ -273,12 +370,16 @@ def _refined(grey: np.ndarray, proposal: _Proposal) -> Ruler | None:
             break
     else:
         return None
-    band = _band(grey, proposal.centre, proposal.angle, _REACH)
-    for divisor in _DIVISORS:  # ticks between those of the proposal
+    return _finest_measured(_band(grey, proposal.centre, proposal.angle, _REACH), proposal)
+
+
+def _finest_measured(band: np.ndarray, proposal: _Proposal, *, is_endless: bool = False) -> Ruler | None:
+    """Measure the ticks between those of a proposal if there are any, or else those of the proposal."""
+    for divisor in _DIVISORS:
         finer = replace(proposal, period=proposal.period / divisor)
-        if finer.period >= SHORTEST and (ruler := _measured(band, finer)) is not None:
+        if finer.period >= SHORTEST and (ruler := _measured(band, finer, is_endless=is_endless)) is not None:
             return ruler
-    return _measured(band, proposal)
+    return _measured(band, proposal, is_endless=is_endless)
 
 
 def _run(good: np.ndarray, middle: int, gap: int) -> tuple[int, int]:
@@ -342,8 +443,11 @@ def _slope(strength: np.ndarray) -> float:
     return step + float(np.polyfit(rows, np.angle(relative), 1, w=np.abs(relative) + 1e-12)[0])
 
 
-def _measured(band: np.ndarray, proposal: _Proposal) -> Ruler | None:
-    """Measure each tick of a proposal; None if they are too few, too far from their places, or no ruler's."""
+def _measured(band: np.ndarray, proposal: _Proposal, *, is_endless: bool = False) -> Ruler | None:
+    """Measure each tick of a proposal; None if they are too few, too far from their places, or no ruler's.
+
+    Ticks of a ruler end within the reach, and lines of graph paper need not.
+    """
     _, coherence = _demodulated(band, proposal.period)
     middle = band.shape[1] // 2
     room = _room(coherence, proposal.period)
@@ -351,10 +455,11 @@ def _measured(band: np.ndarray, proposal: _Proposal) -> Ruler | None:
         return None
     top, bottom, left, right = room
     is_cut = top == 0 or bottom == len(band)  # stripes go on beyond the reach, and ticks do not
-    if is_cut or right - left < _LONG * (bottom - top) or bottom - top < 3:
+    is_short = right - left < _LONG * (bottom - top)
+    if bottom - top < 3 or (not is_endless and (is_cut or is_short)):
         return None
     profile = band[top:bottom].mean(axis=0)
-    ticks = _ticks(profile, proposal.period, left, right)
+    ticks = _ticks(profile, proposal.period, left, right, 50 if is_endless else 90)
     if ticks is None:
         return None
     numbers, places, error, span = ticks
@@ -365,9 +470,12 @@ def _measured(band: np.ndarray, proposal: _Proposal) -> Ruler | None:
 
 
 def _ticks(
-    profile: np.ndarray, period: float, left: int, right: int
+    profile: np.ndarray, period: float, left: int, right: int, percentile: float
 ) -> tuple[np.ndarray, np.ndarray, float, tuple[int, int]] | None:
-    """Return numbers and places of ticks along a profile, the standard error of their period, and the end numbers."""
+    """Return numbers and places of ticks along a profile, the standard error of their period, and the end numbers.
+
+    The percentile of the strengths is that of usual ticks: some lines of graph paper are stronger than most.
+    """
     flat = profile - _smooth(profile[None], 1.5 * period)[0]
     sign = -1.0 if np.mean(flat[left:right] ** 3) < 0 else 1.0  # ticks take less room than gaps
     lit = np.maximum(sign * flat, 0.0)
@@ -378,7 +486,7 @@ def _ticks(
     places = np.array([place for place, _ in measured])
     if len(numbers) < FEWEST_TICKS:
         return None
-    present = strengths > _PRESENT * np.percentile(strengths, 90)
+    present = strengths > _PRESENT * np.percentile(strengths, percentile)
     first, last = _run(present, len(present) // 2, 1)
     present = present[first:last]
     numbers = numbers[first:last][present]
@@ -422,7 +530,8 @@ def _fitted(numbers: np.ndarray, places: np.ndarray, period: float) -> tuple[np.
     slope, start = np.polyfit(numbers, places, 1)
     away = places - start - slope * numbers
     stray = math.sqrt(float(away @ away) / (len(numbers) - 2))
-    if stray > _STRAY * period:
+    pixels, share = _STRAY_TICKS
+    if stray > min(_STRAY * period, max(pixels, share * period)):
         return None
     spread = math.sqrt(float(np.square(numbers - numbers.mean()).sum()))
     shared = math.sqrt(2) * _SHARED / float(np.ptp(numbers))

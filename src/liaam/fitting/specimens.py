@@ -1,0 +1,125 @@
+"""Fit the specimens of a photograph, and name them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from liaam.errors import StartError
+from liaam.fitting.fitter import Fitter
+from liaam.fitting.result import FitResult
+from liaam.io.files import count_of, some_names
+from liaam.photometry.picture import load_picture
+from liaam.trays.codes import read_codes
+from liaam.trays.naming import POSITION, Named, check_name_by, name_specimens, with_fault
+from liaam.trays.order import diagonal, is_inside, touching
+
+SMALL = 0.7
+"""Size, of the median of fits that are not lost, below which a place with a lost fit is no specimen."""
+
+
+@dataclass(frozen=True)
+class FittedSpecimens:
+    """The specimens of a photograph.
+
+    Attributes
+    ----------
+    results : list of FitResult
+        In reading order.
+    named : list of liaam.trays.Named
+        The name of each.
+    faults : list of str
+        What is not clear about the photograph.
+    """
+
+    results: list[FitResult]
+    named: list[Named]
+    faults: list[str]
+
+    def message(self, i: int) -> str:
+        """Return what is said of a specimen: of its fit, and what is not clear about it."""
+        return with_fault(self.results[i].message, self.named[i].fault)
+
+
+def fit_specimens(
+    fitter: Fitter,
+    image: Any,
+    init: Any = None,
+    *,
+    every: bool = True,
+    name: str = "image",
+    stem: str = "image",
+    name_by: str = POSITION,
+) -> FittedSpecimens:
+    """Fit one or every specimen of a photograph, name them, and say which touch.
+
+    Parameters
+    ----------
+    fitter : Fitter
+    image : (h, w, 3) uint8, uint16 or float array, or path
+    init : start, optional
+        As for :meth:`Fitter.fit`, if only one specimen is fitted.
+    every : bool
+        Whether every specimen that the search finds is fitted. What lies on a code that names specimens is none.
+    name : str
+        Name of the image in errors.
+    stem : str
+        Name of the photograph, which is part of names by position.
+    name_by : str
+        What names specimens, one of `liaam.trays.NAME_BY`; see :func:`liaam.trays.name_specimens`.
+
+    Raises
+    ------
+    LiaamError
+        For invalid input, if no object is found, or if codes cannot be read.
+    """
+    check_name_by(name_by)
+    pixels, name = load_picture(image, name)
+    codes = [] if name_by == POSITION else read_codes(pixels)
+    if every:
+        found = fitter.find_all(pixels, name)
+        objects = [each for each in found if not any(is_inside(each.landmarks, code.corners) for code in codes)]
+        if not objects:
+            raise StartError(f"{name}: nothing but codes was found: give a start (--init), or check the model")
+        fits = fitter.fit_each_of(pixels, objects, name)
+    else:
+        fits = [fitter.fit(pixels, init, name)]
+    results = without_small_lost(fits)
+    shapes = [np.empty((0, 2)) if result.status.lost else result.landmarks for result in results]
+    named, faults = name_specimens(shapes, codes, stem, name_by, single=not every)
+    named, of_touching = with_touching(named, touching(shapes))
+    return FittedSpecimens(results, named, [*faults, *of_touching, *_about_lost(fits, results, named)])
+
+
+def _about_lost(fits: list[FitResult], kept: list[FitResult], named: list[Named]) -> list[str]:
+    """Return what is to be said of lost fits among several, which may be no specimens."""
+    n_left_out = len(fits) - len(kept)
+    where = f"{count_of(n_left_out, 'place')} much smaller than the specimens"
+    lines = [f"{where}, where the fit was lost, left out"] if n_left_out else []
+    numbered = [i for i, each in enumerate(named) if not each.code]
+    lost = [i for i in numbered if kept[i].status.lost]
+    if lost and len(kept) > 1 and lost[0] < numbered[-1]:
+        names = some_names([named[i].name for i in lost])
+        lines.append(f"the fits {names} are lost: if these are no specimens, the numbers after them are too high")
+    return lines
+
+
+def without_small_lost(fits: list[FitResult]) -> list[FitResult]:
+    """Return fits without lost ones at places that are clearly smaller than the others, such as on labels."""
+    sizes = [diagonal(fit.landmarks) for fit in fits if not fit.status.lost]
+    if not sizes:
+        return fits
+    least = SMALL * float(np.median(sizes))
+    return [fit for fit in fits if not (fit.status.lost and diagonal(fit.place) < least)]
+
+
+def with_touching(named: list[Named], pairs: list[tuple[int, int]]) -> tuple[list[Named], list[str]]:
+    """Return named specimens with a fault of those that touch, and a sentence for each pair."""
+    found = list(named)
+    for i, j in pairs:
+        for one, other in ((i, j), (j, i)):
+            fault = f"it touches {named[other].name}, or nearly: check its landmarks"
+            found[one] = found[one].with_fault(fault)
+    return found, [f"{named[i].name} and {named[j].name} touch, or nearly: check their landmarks" for i, j in pairs]
