@@ -36,7 +36,7 @@ LAYERS = (
 FITTING_LAYERS = (
     ("many", "single", "solution"),
     ("fitter",),
-    ("search",),
+    ("damaged", "search"),
     ("one_shape_fitter",),
     ("quality",),
     ("result",),

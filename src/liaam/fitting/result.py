@@ -199,6 +199,9 @@ class FitResult:
         Quality below which a converged fit is doubtful: more likely than not, its image is one of a wrong fit.
     method : Method
         The fitted method.
+    present : (n,) float64, optional
+        Probability that the tissue at each landmark is what the model expects, from how well image and fit agree around
+        it, calibrated on left-out training images; see :attr:`absent`. None for methods and models without that.
     found : Detection, optional
         The detection that the fit started from; None if the start was given.
     part : int
@@ -231,6 +234,7 @@ class FitResult:
     evidence: np.ndarray
     quality: float
     method: Method
+    present: np.ndarray | None = None
     found: Detection | None = None
     least_quality: float = LEAST_QUALITY
     part: int = 0
@@ -269,6 +273,17 @@ class FitResult:
         Meaningful only if ``status.ok``: a fit that failed may have small ones.
         """
         return np.sqrt(0.5 * np.trace(self.landmark_covariances, axis1=1, axis2=2))
+
+    @property
+    def absent(self) -> np.ndarray:
+        """Which landmarks are more likely absent than present, (n,) bool: broken off, covered, or outside the image.
+
+        The fit then goes without the image around them. Their positions are estimates from the other landmarks, and
+        their covariances are large accordingly. None is absent where :attr:`present` is not known.
+        """
+        if self.present is None:
+            return np.zeros(len(self.landmarks), bool)
+        return self.present < 0.5
 
     @property
     def detection_doubtful(self) -> bool:

@@ -7,6 +7,7 @@ import numpy as np
 
 from liaam.io.files import count_of
 from liaam.model.appearance import AppearanceModel
+from liaam.model.presence import Presence
 from liaam.model.shape import ShapeModel
 from liaam.model.warp import PiecewiseAffineWarp, mesh_warp, surrounded_warp
 
@@ -63,6 +64,8 @@ class Reliability:
         5th percentile of the quality, for equal odds, of right fits to left-out images.
     prior : float
         Odds of right to wrong fits from starts near the object, of left-out images.
+    presence : Presence, optional
+        Calibration of whether landmarks are present; older files have none.
     """
 
     landmarks: np.ndarray
@@ -72,6 +75,7 @@ class Reliability:
     variance_factor: float
     typical: float = 0.5
     prior: float = 1.0
+    presence: Presence | None = None
 
     @property
     def low(self) -> float:

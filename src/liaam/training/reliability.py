@@ -24,6 +24,7 @@ from liaam.model.contours import contour_turns, outline_errors
 from liaam.model.shape import align, diagonal_of, rotation, shifted_into
 from liaam.photometry import is_grey
 from liaam.training.covariances import Alike, learn_covariances, surprise, variance_factor, widened
+from liaam.training.presence import AgreementOfFit, agreement_of, can_be_judged, learn_presence
 
 # Mean distance from the landmarks as a fraction of the shape's diagonal, of landmarks on contours from the contours: a
 # fit is right up to the first and wrong beyond the second. Fits in between are not used.
@@ -76,6 +77,8 @@ class LeftOutFit(NamedTuple):
     """(n, 2, 2) float64: covariances of the landmarks by the fit."""
     surprise: float
     unit: float
+    agreement: AgreementOfFit | None = None
+    """Of right fits of methods that say which landmarks are present."""
 
     @property
     def right(self) -> bool:
@@ -176,14 +179,19 @@ def _fit(picture: LeftOutImage, fitter: Fitter, start: np.ndarray | Detection, n
     seen = truth if picture.known is None else np.where(known[:, None], truth, unposed(result.landmarks))
     off = shapes.parameters(seen) - result.p
     errors = np.einsum("nab,nb->na", turns, (picture.points - result.landmarks) @ unposed.matrix.T)
+    share = float(error / diagonal_of(picture.points))
+    agreement = None
+    if near and share <= RIGHT and can_be_judged(result.method):
+        agreement = agreement_of(fitter, picture.image, result, known, has_background=not picture.relit)
     return LeftOutFit(
         near,
-        float(error / diagonal_of(picture.points)),
+        share,
         result.evidence,
         errors if picture.known is None else np.where(known[:, None], errors, np.nan),
         turns @ fitted_covariances(shapes, result.covariance) @ np.swapaxes(turns, 1, 2),
         surprise(off, result.covariance) / float(known.mean()),
         result.residual_variance,
+        agreement,
     )
 
 
@@ -210,7 +218,8 @@ def learnt_from(model: AAM, fits: Sequence[LeftOutFit], view: str) -> Reliabilit
         nothing if unexplained is None else widened(unexplained, _n_known(model), alike),
         alike,
     )
-    made = Reliability(weights=weights, **covariances)
+    presence = learn_presence([fit.agreement for fit in near_fits if fit.agreement is not None])
+    made = Reliability(weights=weights, presence=presence, **covariances)
     qualities = [made.quality(fit.evidence) for fit in judged if fit.right]
     near = [fit.right for fit in fits if fit.near]
     prior = min((sum(near) + 1) / (len(near) - sum(near) + 1), MOST_ODDS)  # as if there were one more of each
