@@ -13,6 +13,7 @@ if TYPE_CHECKING:
 
 LANDMARK = "#40ff8c"  # Colour of landmarks
 ELLIPSE = "#ffdc40"  # Colour of their ellipses
+ABSENT = "#ff2828"  # Colour of landmarks that are not there
 
 
 def as_picture(image: np.ndarray) -> np.ndarray:
@@ -43,12 +44,13 @@ def plot_landmarks(
     *,
     covariances: np.ndarray | None = None,
     contours: Contours = (),
+    absent: np.ndarray | None = None,
     title: str = "",
     ax: "Axes | None" = None,
 ) -> "Axes":
     """Draw landmarks (n, 2), their contours and their 95 % ellipses with Matplotlib, on an image or on white.
 
-    Landmarks that are not finite are left out.
+    Landmarks that are not finite are left out. Of ``absent`` ones (n,), a ring is drawn.
     """
     ax = ax or new_axes()[1]
     if image is None:
@@ -61,10 +63,13 @@ def plot_landmarks(
     for indices, closed in contours:
         line = landmarks[[*indices, indices[0]] if closed else list(indices)]
         ax.plot(line[:, 0], line[:, 1], color=LANDMARK, lw=1.2)
-    ax.plot(landmarks[:, 0], landmarks[:, 1], "o", color=LANDMARK, mec="black", mew=0.4, ms=3.5)
+    is_absent = np.zeros(len(landmarks), bool) if absent is None else absent
+    ax.plot(*landmarks[~is_absent].T, "o", color=LANDMARK, mec="black", mew=0.4, ms=3.5)
     if covariances is not None:
         for outline in ellipses(landmarks, covariances):
             ax.plot(*np.concatenate([outline, outline[:1]]).T, color=ELLIPSE, lw=0.8)
+    if is_absent.any():
+        ax.plot(*landmarks[is_absent].T, "o", mfc="none", mec=ABSENT, mew=1.0, ms=6.0)
     ax.set_title(title, fontsize=10)
     ax.axis("off")
     return ax

@@ -786,7 +786,7 @@ def test_what_is_known_of_fits_is_checked(tiny_file, tmp_path, changes, words):
 PRESENCE = {
     "presence.usual": np.array([1.5, 1.2, 0.9, 0.6]),
     "presence.other": np.array([0.1, 0.0, -0.1, 0.0]),
-    "presence.slopes": np.array([20.0, 10.0, 5.0, 0.0]),
+    "presence.variances": np.array([0.1, 0.1, 0.2, 0.3]),
     "presence.contrasts": np.array([0.0, 0.1, 0.2, 0.3]),
     "presence.spreads": np.full(4, 0.1),
 }
@@ -807,7 +807,7 @@ def test_what_is_known_of_present_landmarks_is_kept(tiny_file, tmp_path):
 @pytest.mark.parametrize(
     ("changes", "words"),
     [
-        ({"presence.slopes": np.array([1.0, 1.0, 1.0, -0.1])}, "presence has values out of range"),
+        ({"presence.variances": np.array([0.1, 0.1, 0.1, 0.0])}, "presence has values out of range"),
         ({"presence.spreads": np.zeros(4)}, "presence has values out of range"),
         ({"presence.other": np.zeros(3)}, "presence.other has type float64 and shape (3,)"),
         ({"presence.contrasts": np.full(4, 1e300)}, "presence.contrasts has values beyond 1e+06"),

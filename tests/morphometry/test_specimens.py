@@ -32,6 +32,7 @@ def row_of(path: str, status: str = "converged") -> dict:
         **dict.fromkeys(
             ("message", "quality", "object", "score", "n_found", "theta_deg", "cost", "iterations", "seconds")
         ),
+        "present": None,
         "path": path,
         "status": status,
         "message": "",

@@ -21,7 +21,11 @@ def test_the_clearer_landmarks_agree_the_steeper_their_odds(rng):
     np.testing.assert_allclose(np.tanh(presence.usual), [0.9, 0.5, 0.0], atol=0.03)
     np.testing.assert_allclose(presence.other, 0.0, atol=0.1)
     np.testing.assert_allclose(presence.contrasts, 0.3)
-    assert presence.slopes[0] > presence.slopes[1] > 5.0 * presence.slopes[2] >= 0.0
+    clear = presence.probabilities(Agreement(np.array([0.85, 0.45, 0.0]), np.full(3, 0.3)))
+    gone = presence.probabilities(Agreement(np.zeros(3), np.full(3, 0.3)))
+    assert clear[0] >= clear[1] > clear[2] > 0.5
+    assert gone[0] <= gone[1] < 0.1
+    np.testing.assert_allclose(gone[2], clear[2], atol=0.01)
 
 
 def test_missing_landmarks_do_not_count(rng):
@@ -30,7 +34,7 @@ def test_missing_landmarks_do_not_count(rng):
     never = learn_presence(some)
     assert presence is not None and never is not None
     np.testing.assert_allclose(np.tanh(presence.usual), [0.9, 0.5], atol=0.03)
-    assert np.isfinite(never.usual).all() and np.isfinite(never.slopes).all()
+    assert np.isfinite(never.usual).all() and np.isfinite(never.variances).all()
 
 
 def test_few_fits_and_relit_ones_alone_are_not_enough(rng):

@@ -18,6 +18,7 @@ from liaam.errors import LiaamError, StartError
 from liaam.fitting import FitResult, Fitter, SolverOptions
 from liaam.fitting.many import refuse_one_start
 from liaam.fitting.methods import DEFAULT_METHOD
+from liaam.fitting.result import check_absent
 from liaam.fitting.search.starts import check_start, read_start, start_file
 from liaam.formatting import finite_or_none
 from liaam.io import is_raw, read_image
@@ -61,6 +62,8 @@ class Settings:
         Whether to fit every object that the search finds in an image, with a row for each.
     rotations : str
         Orientations to search (:attr:`liaam.fitting.Fitter.rotations`).
+    absent : str
+        What rows hold of absent landmarks (:data:`liaam.fitting.result.ABSENT`).
     """
 
     method: str = DEFAULT_METHOD
@@ -71,8 +74,10 @@ class Settings:
     covariance: bool = True
     rotations: str = "upright"
     every: bool = False
+    absent: str = "empty"
 
     def __post_init__(self) -> None:
+        check_absent(self.absent)
         refuse_one_start(self.every, self.init)
         if isinstance(self.init, os.PathLike):
             object.__setattr__(self, "init", os.fspath(self.init))
@@ -185,8 +190,8 @@ class FitJob:
         fits = fitter.fit_all(pixels, picture.name)
         return [self._row_of(fit, path, pixels, length) | {"object": i} for i, fit in enumerate(fits, 1)]
 
-    @staticmethod
-    def _row_of(result: FitResult, path: str, pixels: np.ndarray, length: Length | None) -> FitRow:
+    def _row_of(self, result: FitResult, path: str, pixels: np.ndarray, length: Length | None) -> FitRow:
+        positions, covariances = result.reported(self.settings.absent)
         return {
             "path": _printable(path),
             "status": str(result.status),
@@ -198,8 +203,9 @@ class FitJob:
             "theta_deg": _short(result.theta_degrees),
             "cost": finite_or_none(result.cost),
             "iterations": result.n_iterations,
-            "landmarks": _shorts(result.landmarks),
-            "covariance": _shorts(result.landmark_covariances[:, (0, 0, 1), (0, 1, 1)]),
+            "landmarks": _shorts(positions),
+            "covariance": _shorts(covariances[:, (0, 0, 1), (0, 1, 1)]),
+            "present": None if result.present is None else _shorts(np.round(result.present, 4)),
             "size": pixels.shape[1::-1],
             **facts_of(length),
         }
@@ -223,7 +229,7 @@ class FitJob:
 def failed_row(path: str, message: str) -> FitRow:
     """Return the row of an image that could not be fitted."""
     numbers = ("quality", "object", "score", "n_found", "theta_deg", "cost", "iterations")
-    row = dict.fromkeys((*numbers, "landmarks", "covariance", "seconds"))
+    row = dict.fromkeys((*numbers, "landmarks", "covariance", "present", "seconds"))
     return {"path": _printable(path), "status": ERROR, "message": _printable(message), **row}
 
 

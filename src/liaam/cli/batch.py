@@ -8,7 +8,7 @@ from typing import Annotated
 
 import typer
 
-from liaam.cli.inputs import TURNED, CameraOption, RotationsOption, camera_in, model_and_inputs
+from liaam.cli.inputs import TURNED, AbsentOption, CameraOption, RotationsOption, camera_in, model_and_inputs
 from liaam.cli.terminal import complain, progress_bar, say
 from liaam.errors import LiaamError
 from liaam.io.files import count_of
@@ -40,6 +40,7 @@ def batch(
     ] = False,
     method: Annotated[str, typer.Option("--method", "-m", help="Fitting method; see 'liaam fit --help'.")] = "soft-li",
     rotations: RotationsOption = "upright",
+    absent: AbsentOption = "empty",
     given_camera: CameraOption = None,
     jobs: Annotated[int | None, typer.Option(help="Number of threads. By default one per core.", min=1)] = None,
     scheduler: Annotated[
@@ -59,7 +60,7 @@ def batch(
     from liaam.fitting import FitStatus
 
     camera, response = camera_in(given_camera)
-    settings = Settings(method, init, camera=camera, response=response, rotations=rotations, every=every)
+    settings = Settings(method, init, camera=camera, response=response, rotations=rotations, every=every, absent=absent)
     model_file, pictures = model_and_inputs(sources or [], "batch")
     closed: list[str] = []
     with progress_bar() as progress:

@@ -26,7 +26,7 @@ if TYPE_CHECKING:
     from liaam.fitting import FitResult, Fitter
 
 # Facts of a fit on its own landmarks, which are not written with those of another scheme
-OF_LANDMARKS = ("landmark_names", "sd", "covariance")
+OF_LANDMARKS = ("landmark_names", "sd", "covariance", "present")
 
 
 class FitCommand(TyperCommand):
@@ -88,10 +88,12 @@ def fit(
     ] = None,
     rotations: inputs.RotationsOption = "upright",
     ellipses: inputs.EllipsesOption = False,
+    absent: inputs.AbsentOption = "empty",
     given_camera: inputs.CameraOption = None,
 ) -> None:
     """Fit a model to images. Writes the landmarks and an overlay image for each."""
     from liaam.fitting import Fitter
+    from liaam.fitting.result import check_absent
     from liaam.model import load_model
     from liaam.workers import all_cores, in_order, one_blas_thread, one_thread
 
@@ -100,7 +102,10 @@ def fit(
     model_file, images = inputs.model_and_inputs(files, "fit")
     if folder := next((image for image in images if image.is_dir()), None):
         raise LiaamError(f"{folder} is a folder; give its images, such as {folder}/*.png, or use 'liaam batch'")
-    outputs = Outputs.asked(output, formats, ellipses=ellipses, scheme=scheme, several=len(images) > 1 or every)
+    check_absent(absent)
+    outputs = Outputs.asked(
+        output, formats, ellipses=ellipses, scheme=scheme, absent=absent, several=len(images) > 1 or every
+    )
     inputs.refuse_inputs([output], images)
     model = load_model(model_file)
     camera = inputs.camera_for(images, given_camera, model.camera)
@@ -178,6 +183,8 @@ class FitReport:
             yield f"{others} in the image: add --all to fit each, or --init to choose one"
         if not result.status.ok:
             yield f"{result.status}: {result.message}"
+        elif result.absent.any():
+            yield "absent landmarks, which are empty in the files: see the message in .json, or give --absent estimate"
         if result.detection_doubtful and not result.status.unusable:
             yield inputs.LOW_SCORE + (inputs.TURNED if self.rotations == "upright" else "")
 
@@ -222,6 +229,9 @@ class Outputs:
         Whether the overlay image shows the ellipses of landmarks.
     scheme : str, optional
         Scheme of the landmarks in the files; that of the model by default.
+    absent : str
+        What the files hold of absent landmarks (:data:`liaam.fitting.result.ABSENT`). Those of another scheme are
+        computed from all landmarks, so that none is absent.
     """
 
     folder: Path
@@ -230,9 +240,12 @@ class Outputs:
     stem: str | None = None
     ellipses: bool = False
     scheme: str | None = None
+    absent: str = "empty"
 
     @classmethod
-    def asked(cls, output: Path, formats: str, *, ellipses: bool, scheme: str | None, several: bool) -> "Outputs":
+    def asked(
+        cls, output: Path, formats: str, *, ellipses: bool, scheme: str | None, absent: str, several: bool
+    ) -> "Outputs":
         """Take -o as one file if its suffix is that of one, and else as a folder for files of --format."""
         suffixes = tuple(f".{name.strip().lower().removeprefix('.')}" for name in formats.split(","))
         for suffix in suffixes:
@@ -241,7 +254,7 @@ class Outputs:
         is_picture = output.suffix.lower() in IMAGE_SUFFIXES
         is_landmark_file = output.suffix.lower() in FIT_SUFFIXES
         if output.is_dir() or not (is_picture or is_landmark_file):
-            return cls(folder=output, suffixes=suffixes, picture="_fit.png", ellipses=ellipses, scheme=scheme)
+            return cls(output, suffixes, picture="_fit.png", ellipses=ellipses, scheme=scheme, absent=absent)
         if several:
             raise LiaamError(f"{output} is one file; give a folder with -o, since there may be several results")
         return cls(
@@ -251,6 +264,7 @@ class Outputs:
             stem=output.stem,
             ellipses=ellipses,
             scheme=scheme,
+            absent=absent,
         )
 
     def path_of(self, name: str, ending: str) -> Path:
@@ -287,13 +301,14 @@ def fit_object(
     length = length_for(image, start, model.scale)
     scale = None if length is None else length.value
     unit = "" if length is None else length.unit
-    facts = result.to_dict() | {"image": image.name} | facts_of(length)
+    facts = result.to_dict(outputs.absent) | {"image": image.name} | facts_of(length)
     if outputs.scheme is None:
         landmarks = Landmarks(
-            points=result.landmarks,
+            points=result.reported(outputs.absent)[0],
             contours=Contour.all_of(model.contours),
             names=result.landmark_names,
             image_name=image.name,
+            invisible=tuple(np.flatnonzero(result.absent).tolist()) if outputs.absent == "estimate" else (),
             scale=scale,
             unit=unit,
         )
@@ -307,7 +322,7 @@ def fit_object(
             write_fit(path, landmarks, facts, (width, height))
         if outputs.picture is not None:
             covariances = result.landmark_covariances if outputs.ellipses else None
-            picture = overlay(pixels, result.landmarks, model, covariances=covariances)
+            picture = overlay(pixels, result.landmarks, model, covariances=covariances, absent=result.absent)
             write_image(outputs.path_of(name, outputs.picture), picture)
     return result
 

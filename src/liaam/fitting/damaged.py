@@ -21,6 +21,9 @@ LEAST_SHARE = 0.15
 # Share of the landmarks that must be present: a fit of which most landmarks are absent may as well be elsewhere
 LEAST_PRESENT = 0.5
 PLACES = 4  # Largest number of other places to try if that is not so
+# Share of the landmarks, one at least, by which a first fit may have more present ones than the next: pulled by what is
+# absent, it agrees with its border.
+PULLED = 0.05
 
 
 def without_absent(
@@ -57,11 +60,17 @@ def without_absent(
 def _fitted_without_absent(fitter: OneShapeFitter, target: Target, result: FitResult) -> FitResult:
     """Repeat a fit without the pixels of absent parts, until these no longer change."""
     best = result
+    least = _n_present(result) - max(1, int(PULLED * len(result.landmarks)))
     if is_sane(result.landmarks, target.start):
         for fit in _rounds(fitter, target._replace(start=result.landmarks, mapped=None, pull=None)):
-            if _n_present(fit) >= _n_present(best):
+            if _n_present(fit) >= least:
                 best = fit
-    return best
+                least = _n_present(fit)
+    if best is result or best.absent.any():
+        return best
+    whole = target._replace(start=best.landmarks)  # nothing is absent: the first fit was only in the wrong place
+    fit = fitter.result_of(whole, fitter.coarse_to_fine.fit(whole, fitter.options))
+    return best if fit.absent.any() else fit
 
 
 def _rounds(fitter: OneShapeFitter, start: Target) -> Iterator[FitResult]:
@@ -100,6 +109,7 @@ def _present_pixels(fitter: OneShapeFitter, stage: FittedLevel) -> np.ndarray:
 def _fit_with(fitter: OneShapeFitter, target: Target, used: np.ndarray) -> list[FittedLevel]:
     """Fit all levels with the pixels that are used at the sharpest one."""
     objectives = [
-        objective.with_weights(used[fitter.surroundings.nearest_of(objective)]) for objective in fitter.objectives
+        objective.with_weights(used[nearest])
+        for objective, nearest in zip(fitter.objectives, fitter.nearest_pixels, strict=True)
     ]
     return CoarseToFine(objectives, keeps_samples=True).fit(target, fitter.options)

@@ -88,6 +88,11 @@ class OneShapeFitter:
         return Surroundings(self.objectives[-1])
 
     @cached_property
+    def nearest_pixels(self) -> tuple[np.ndarray, ...]:
+        """The sampled pixel of the sharpest level that is nearest to each of every level, by index."""
+        return tuple(self.surroundings.nearest_of(objective) for objective in self.objectives)
+
+    @cached_property
     def dense(self) -> Objective:
         """The objective of the sharpest level at all pixels of its frame."""
         return make_objectives(self.model, self.objectives[-1].method, thinning=0.0)[-1]

@@ -41,7 +41,7 @@ STORED = {
     "regressor": ("spacings", "weights", "offsets", "variances", "errors", "noise"),
     "shape": ("modes", "eigenvalues", "unexplained"),
     "reliability": ("landmarks", "bias", "unit", "weights", "variance_factor", "typical", "prior"),
-    "presence": ("usual", "other", "slopes", "contrasts", "spreads"),
+    "presence": ("usual", "other", "variances", "contrasts", "spreads"),
 }
 MOST_STEPS = 10  # Largest number of steps of a regressor
 MOST_WEIGHT = 1e6  # Largest weight of another landmarker's point

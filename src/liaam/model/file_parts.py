@@ -302,7 +302,7 @@ def _presence(tensors: dict[str, np.ndarray], prefix: str, n: int) -> Presence |
         key = f"{prefix}.presence.{name}"
         fields[name] = checked_tensor(tensors, key, np.float64, (n,))
         check_magnitude(key, fields[name], MAX_FACTOR)
-    if (fields["slopes"] < 0).any() or not (fields["spreads"] >= 1.0 / MAX_FACTOR).all():
+    if not (np.minimum(fields["variances"], fields["spreads"]) >= 1.0 / MAX_FACTOR).all():
         raise ValueError(f"{prefix}.presence has values out of range")
     return Presence(**fields)
 

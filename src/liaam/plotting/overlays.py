@@ -11,7 +11,7 @@ from liaam.model import AAM
 
 GREEN = (64, 255, 140)  # Colour of landmarks
 YELLOW = (255, 220, 64)  # Colour of their ellipses and expected positions
-RED = (255, 40, 40)  # Colour of faulty landmarks
+RED = (255, 40, 40)  # Colour of faulty and absent landmarks
 
 LARGE = 700  # Larger side of an image from which it is not enlarged, pixels
 # OpenCV draws between pixel centres with fixed-point numbers, of so many bits after the point.
@@ -34,6 +34,7 @@ def overlay(
     shape: np.ndarray,
     model: AAM,
     covariances: np.ndarray | None = None,
+    absent: np.ndarray | None = None,
 ) -> np.ndarray:
     """Draw a fitted shape on its image.
 
@@ -46,6 +47,8 @@ def overlay(
         Model with the mesh (drawn transparent) and the contours (drawn opaque).
     covariances : (n, 2, 2) float, optional
         Covariances of the landmarks in square pixels, drawn as 95 % confidence ellipses.
+    absent : (n,) bool, optional
+        Landmarks that are not there, drawn as red rings.
 
     Returns
     -------
@@ -70,7 +73,11 @@ def overlay(
         rings = np.clip(np.rint(rings * ONE), -(2**30), 2**30).astype(np.int32)
         _draw_lines(picture, rings, True, YELLOW, thick)
     radius = int(ONE * max(1.2, size / 180))
-    for x, y in fixed.tolist():
+    is_absent = np.zeros(len(shape), bool) if absent is None else absent
+    for (x, y), ringed in zip(fixed.tolist(), is_absent.tolist(), strict=True):
+        if ringed:
+            cv2.circle(picture, (x, y), 2 * radius, RED, thick, cv2.LINE_AA, FRACTION_BITS)
+            continue
         cv2.circle(picture, (x, y), radius, (0, 0, 0), -1, cv2.LINE_AA, FRACTION_BITS)
         cv2.circle(picture, (x, y), int(radius * 0.7), GREEN, -1, cv2.LINE_AA, FRACTION_BITS)
     return picture

@@ -89,11 +89,10 @@ def learn_presence(agreements: Sequence[AgreementOfFit]) -> Presence | None:
     present = _Sample.of(fisher_z(np.array([each.here.concordances for each in agreements])))
     absent = _Sample.of(fisher_z(np.array([each.concordances for each in elsewhere])))
     contrast = _Sample.of(np.array([each.here.contrasts for each in agreements]))
-    variance = np.maximum(0.5 * (present.variance + absent.variance), LEAST_VARIANCE)
     return Presence(
         usual=present.mean,
         other=absent.mean,
-        slopes=np.maximum(present.mean - absent.mean, 0.0) / variance,
+        variances=np.maximum(0.5 * (present.variance + absent.variance), LEAST_VARIANCE),
         contrasts=contrast.mean,
         spreads=np.sqrt(np.maximum(contrast.variance, LEAST_VARIANCE)),
     )

@@ -58,17 +58,18 @@ class Surroundings:
             Which of these are in the image and usable. The others agree with nothing.
         """
         k = self.objective.method.n_rows
-        samples = np.reshape(samples, (-1, k))[:, :GRADIENT_ROWS].astype(np.float64)
+        samples = np.reshape(samples, (-1, k))[:, :GRADIENT_ROWS]
         expected = samples - np.reshape(residual, (-1, k))[:, :GRADIENT_ROWS]
         seen = np.where(np.asarray(usable)[:, None] > 0, samples, 0.0)
         weights = self.objective.appearance.usable
-        products = [(seen * expected).sum(axis=1), np.square(seen).sum(axis=1), np.square(expected).sum(axis=1)]
-        finite = np.nan_to_num(np.stack([*products, np.full(len(weights), FLOOR)]), posinf=0.0, neginf=0.0)
-        shared, of_image, of_fit, floor = np.maximum(
-            self._summed(weights * finite), [[-np.inf], *3 * [[LEAST_CONTRAST]]]
-        )
-        concordances = 2.0 * shared / (of_image + of_fit + floor)
-        contrasts = np.log((of_image + floor) / (of_fit + floor))
+        pairs = ((seen, expected), (seen, seen), (expected, expected))
+        products = [np.einsum("nk,nk->n", first, second) for first, second in pairs]
+        finite = np.nan_to_num(np.stack(products), posinf=0.0, neginf=0.0)
+        shared, of_image, of_fit = self._summed(weights * finite)
+        of_image = np.maximum(of_image, 0.0) + self._floor
+        of_fit = np.maximum(of_fit, 0.0) + self._floor
+        concordances = 2.0 * shared / (of_image + of_fit)
+        contrasts = np.log(of_image / of_fit)
         of_landmarks = Agreement(concordances[self._landmarks], contrasts[self._landmarks])
         return Agreements(of_landmarks, Agreement(concordances[self._pixels], contrasts[self._pixels]))
 
@@ -77,27 +78,37 @@ class Surroundings:
         return self.compared(solution.samples, solution.residual, solution.usable)
 
     def _summed(self, values: np.ndarray) -> np.ndarray:
-        """Sum values (c, n_pixels) of the sampled pixels over the window around each cell, (c, n_cells)."""
+        """Sum values (c, n_pixels) of the sampled pixels over the window around each cell, (c, n_cells) float32."""
         import cv2  # heavy: imported when first needed
 
         height, width = self._size
+        grid = np.zeros((height * width, len(values)), np.float32)
+        grid[self._pixels] = values.T
         deviation = WIDTH * self._diagonal / self._step
-        grid = np.stack([np.bincount(self._pixels, each, height * width) for each in values], axis=1)
         picture = grid.reshape(height, width, -1)
-        return (
-            cv2.GaussianBlur(picture, (0, 0), deviation, borderType=cv2.BORDER_CONSTANT).reshape(height * width, -1).T
-        )
+        blurred = cv2.GaussianBlur(picture, (0, 0), deviation, borderType=cv2.BORDER_CONSTANT)
+        return blurred.reshape(height * width, -1).T
+
+    @cached_property
+    def _floor(self) -> np.ndarray:
+        """Contrast that counts everywhere, half of it of the image and half of the fit, (n_cells,) float32."""
+        of_pixels = 0.5 * FLOOR * self.objective.appearance.usable
+        return np.maximum(self._summed(of_pixels[None])[0], LEAST_CONTRAST)
 
     def present_pixels(self, presence: Presence, solution: Any) -> np.ndarray:
         """Return around which sampled pixels a solution's image is what the model expects, (n_pixels,) bool."""
-        weights = _mesh_warp(self.objective).interpolate(np.eye(len(presence.usual)))
-        return presence.agree(self.compared_in(solution).pixels, weights)
+        return presence.agree(self.compared_in(solution).pixels, self._landmarks_around)
 
     def nearest_of(self, objective: Objective) -> np.ndarray:
         """Return the nearest sampled pixel to each pixel of another level on the same frame, (m,) int."""
         from scipy.spatial import KDTree  # heavy: imported when first needed
 
         return np.asarray(KDTree(_places(self.objective)).query(_places(objective))[1])
+
+    @cached_property
+    def _landmarks_around(self) -> np.ndarray:
+        """Weights of the landmarks around each sampled pixel, (n_pixels, n) float64."""
+        return _mesh_warp(self.objective).interpolate(np.eye(len(self.objective.warp.rest)))
 
     @cached_property
     def _diagonal(self) -> float:
