@@ -8,7 +8,7 @@ import numpy as np
 # Odds that a landmark is there before its surroundings are looked at: in collections, few landmarks are lost
 PRIOR_ODDS = 20.0
 # Share of the landmarks up to which those called absent are taken for mistakes: something that covers an object, or is
-# missing, has a size. Of right fits to unseen faces under hard flashes, 11 % have more, and 43 % have one at least.
+# missing, has a size. Of fits to unseen faces under hard flashes, 7 to 11 % have more, and 43 % have one at least.
 # Shadows hide more under light that the model has not seen: the share is doubled if the mean z falls by LOSS_OF_LIGHT.
 BY_CHANCE = 0.03
 LOSS_OF_LIGHT = 0.5
@@ -21,9 +21,8 @@ MOST_LOSS = 4.0
 
 
 # Share of the usual concordance above which a landmark is not called absent, so that those beside a hole are not. Of 24
-# wings and 48 cephalograms with a disc of 15 % of the diagonal, 1.8 % of the landmarks beside it are called absent.
-# With 0.65 it is 1.6 %, but a sixth of the landmarks where an edge is painted in the place of the wing's pass
-# for it (2 %).
+# wings and 48 cephalograms with a disc of 15 % of the diagonal, 1.7 % of the landmarks beside it are called absent.
+# With 0.65 it is somewhat less, but a sixth of the landmarks where an edge is painted in the place of the wing's pass.
 COVERED = 0.7
 
 
