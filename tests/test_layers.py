@@ -36,7 +36,7 @@ LAYERS = (
 FITTING_LAYERS = (
     ("many", "single", "solution", "specimens"),
     ("fitter",),
-    ("search",),
+    ("damaged", "search"),
     ("fallback", "one_shape_fitter"),
     ("quality",),
     ("result",),

@@ -15,6 +15,7 @@ if TYPE_CHECKING:
 LANDMARK = "#40ff8c"  # Colour of landmarks, and of fits that may be used
 DOUBTFUL = "#ffa81f"  # Colour of fits to check
 LOST = "#ff4141"  # Colour of fits that failed, and of faulty landmarks
+ABSENT = "#ff2828"  # Colour of rings at landmarks that are not there
 ELLIPSE = "#ffffff"  # Colour of ellipses
 EDGE = 1.6  # Width of the dark edges around lines in figures, points, with which they are seen on any ground
 
@@ -58,13 +59,14 @@ def plot_landmarks(
     *,
     covariances: np.ndarray | None = None,
     contours: Contours = (),
+    absent: np.ndarray | None = None,
     title: str = "",
     colour: str = LANDMARK,
     ax: "Axes | None" = None,
 ) -> "Axes":
     """Draw landmarks (n, 2), their contours and their 95 % ellipses with Matplotlib, on an image or on white.
 
-    Landmarks that are not finite are left out.
+    Landmarks that are not finite are left out. Of ``absent`` ones (n,), a ring is drawn.
     """
     from matplotlib.patheffects import withStroke
 
@@ -85,7 +87,10 @@ def plot_landmarks(
     if covariances is not None:
         for outline in ellipses(landmarks, covariances):
             draw_line(np.concatenate([outline, outline[:1]]), ELLIPSE, 0.8)
-    ax.plot(landmarks[:, 0], landmarks[:, 1], "o", color=colour, mec="black", mew=0.8, ms=4)
+    is_absent = np.zeros(len(landmarks), bool) if absent is None else absent
+    ax.plot(*landmarks[~is_absent].T, "o", color=colour, mec="black", mew=0.8, ms=4)
+    if is_absent.any():
+        ax.plot(*landmarks[is_absent].T, "o", mfc="none", mec=ABSENT, mew=1.2, ms=6.0)
     ax.set_title(title, fontsize=10)
     ax.axis("off")
     return ax

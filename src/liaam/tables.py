@@ -42,7 +42,7 @@ def landmark_columns(
     }
 
 
-def to_dataframe(results: Any, names: Iterable[str] | None = None) -> "pandas.DataFrame":
+def to_dataframe(results: Any, names: Iterable[str] | None = None, absent: str = "empty") -> "pandas.DataFrame":
     """Convert results to a pandas data frame with one row per landmark.
 
     Parameters
@@ -52,6 +52,8 @@ def to_dataframe(results: Any, names: Iterable[str] | None = None) -> "pandas.Da
         :func:`liaam.measure`, which has one row per specimen.
     names : iterable of str, optional
         Name of each result, instead of the image's file name or ``image 1``, ``image 2``, ...
+    absent : {"empty", "estimate"}
+        What stands for absent landmarks of fits (:attr:`liaam.FitResult.absent`): NaN, or the estimates.
 
     Returns
     -------
@@ -78,10 +80,12 @@ def to_dataframe(results: Any, names: Iterable[str] | None = None) -> "pandas.Da
     if isinstance(results, Mapping):
         return pandas.DataFrame(results)
     single = hasattr(results, "to_columns")
-    return pandas.DataFrame(joined([results] if single else list(results), None if names is None else list(names)))
+    return pandas.DataFrame(
+        joined([results] if single else list(results), None if names is None else list(names), absent)
+    )
 
 
-def joined(results: Sequence[Any], names: Sequence[str] | None = None) -> Columns:
+def joined(results: Sequence[Any], names: Sequence[str] | None = None, absent: str = "empty") -> Columns:
     """Join the tables of several results; see :func:`to_dataframe`."""
     if names is not None and len(names) != len(results):
         raise LiaamError(f"{len(results)} results but {len(names)} names; give one name for each")
@@ -92,7 +96,9 @@ def joined(results: Sequence[Any], names: Sequence[str] | None = None) -> Column
         if isinstance(result, LiaamError):  # of an image that could not be fitted, only its name is known
             tables.append({"image": name or f"image {i + 1}"})
         elif hasattr(result, "to_columns"):
-            tables.append(result.to_columns(name or f"image {i + 1}") if name or unnamed else result.to_columns())
+            options = {"absent": absent} if hasattr(result, "absent") else {}  # only fits say what is absent
+            own_name = [name or f"image {i + 1}"] if name or unnamed else []
+            tables.append(result.to_columns(*own_name, **options))
         else:
             raise LiaamError(f"result {i + 1} is {type(result).__name__}; give fits, tracked frames or specimens")
     filled = [table for table in tables if "landmark" in table]

@@ -37,7 +37,8 @@ def test_fits_from_far_starts_are_saved(calibrated, lit_scene, both):
 
 
 def test_no_fit_ends_with_less_quality(both):
-    assert all(again.quality >= once.quality for once, again in zip(*both, strict=True))
+    # Fits that reach one place from different starts stop within their tolerance of each other.
+    assert all(again.quality >= once.quality - 1e-3 for once, again in zip(*both, strict=True))
     assert all(once.n_starts == 1 for once in both[0])
     assert any(again.n_starts > 1 for again in both[1])
 

@@ -10,7 +10,7 @@ import pytest
 from PIL import Image
 
 import liaam
-from liaam.errors import ImageError
+from liaam.errors import ImageError, LiaamError
 from liaam.fitting import FitStatus, Fitter, fit_many
 from liaam.io import write_image
 from setups import disturb
@@ -55,6 +55,52 @@ def test_a_result_draws_its_image_landmarks_and_ellipses(result, image):
     colours = {status.colour for status in FitStatus}
     assert len(colours) == 3  # may be used, to check, failed
     assert replace(result, status=FitStatus.DOUBTFUL).plot().lines[-1].get_color() == FitStatus.DOUBTFUL.colour
+
+
+@pytest.fixture
+def damaged(result) -> liaam.FitResult:
+    """Give a fit whose second landmark is absent."""
+    present = np.full(len(result.landmarks), 0.99)
+    present[1] = 0.01
+    return replace(result, present=present, status=liaam.FitStatus.CONVERGED, quality=0.9)
+
+
+def test_absent_landmarks_are_empty_in_tables_unless_asked_for(damaged):
+    facts = json.loads(json.dumps(damaged.to_dict(), allow_nan=False))
+    assert facts["landmarks"][1] == [None, None]
+    assert facts["sd"][1] is None
+    assert facts["covariance"][1] == [None, None, None]
+    assert facts["present"][:3] == [0.99, 0.01, 0.99]
+    np.testing.assert_array_equal(facts["landmarks"][2], damaged.landmarks[2])
+    table = damaged.to_dataframe()
+    assert table.x.isna().tolist() == damaged.absent.tolist() == table.sd.isna().tolist()
+    together = liaam.to_dataframe([damaged, damaged])
+    assert together.x.isna().sum() == 2
+    np.testing.assert_array_equal(damaged.to_dict("estimate")["landmarks"], damaged.landmarks)
+    assert not damaged.to_dataframe(absent="estimate").isna().any().any()
+    assert not liaam.to_dataframe([damaged, damaged], absent="estimate").isna().any().any()
+    with pytest.raises(LiaamError, match="absent 'none' is unknown; choose from empty, estimate"):
+        damaged.to_dict("none")
+
+
+def test_a_message_names_the_absent_landmarks(damaged):
+    assert "Absent: 2. The image there" in damaged.message
+    names = tuple(f"p{i}" for i in range(len(damaged.landmarks)))
+    assert "Absent: p1. " in replace(damaged, landmark_names=names).message
+    assert "Absent" not in replace(damaged, present=None).message
+
+
+def test_fits_that_are_not_ok_keep_all_landmarks_for_whom_corrects_them(damaged):
+    doubtful = replace(damaged, status=liaam.FitStatus.DOUBTFUL)
+    np.testing.assert_array_equal(doubtful.to_dict()["landmarks"], damaged.landmarks)
+    assert "Absent" not in doubtful.message
+
+
+def test_absent_landmarks_are_drawn_as_rings(damaged):
+    ax = damaged.plot(ellipses=False)
+    *_, points, rings = ax.lines
+    assert len(points.get_xdata()) == len(damaged.landmarks) - 1
+    np.testing.assert_array_equal(np.transpose(rings.get_data()), damaged.landmarks[1:2])
 
 
 def test_a_notebook_shows_the_object(result):

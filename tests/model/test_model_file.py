@@ -814,6 +814,40 @@ def test_what_is_known_of_fits_is_checked(tiny_file, tmp_path, changes, words):
     assert words in message and bool(message) == bool(words)
 
 
+PRESENCE = {
+    "presence.usual": np.array([1.5, 1.2, 0.9, 0.6]),
+    "presence.other": np.array([0.1, 0.0, -0.1, 0.0]),
+    "presence.variances": np.array([0.1, 0.1, 0.2, 0.3]),
+    "presence.contrasts": np.array([0.0, 0.1, 0.2, 0.3]),
+    "presence.spreads": np.full(4, 0.1),
+}
+
+
+def test_what_is_known_of_present_landmarks_is_kept(tiny_file, tmp_path):
+    first = load_model(forge(tmp_path / "first.liaam", *trusted(tiny_file, **PRESENCE)))
+    first.save(tmp_path / "second.liaam")
+    for path in ("first.liaam", "second.liaam"):
+        presence = load_model(tmp_path / path).views[SURROUNDINGS].reliabilities["soft-li"].presence
+        assert presence is not None
+        for key, value in PRESENCE.items():
+            np.testing.assert_array_equal(getattr(presence, key.removeprefix("presence.")), value)
+    older = load_model(forge(tmp_path / "older.liaam", *trusted(tiny_file)))
+    assert older.views[SURROUNDINGS].reliabilities["soft-li"].presence is None
+
+
+@pytest.mark.parametrize(
+    ("changes", "words"),
+    [
+        ({"presence.variances": np.array([0.1, 0.1, 0.1, 0.0])}, "presence has values out of range"),
+        ({"presence.spreads": np.zeros(4)}, "presence has values out of range"),
+        ({"presence.other": np.zeros(3)}, "presence.other has type float64 and shape (3,)"),
+        ({"presence.contrasts": np.full(4, 1e300)}, "presence.contrasts has values beyond 1e+06"),
+    ],
+)
+def test_what_is_known_of_present_landmarks_is_checked(tiny_file, tmp_path, changes, words):
+    assert words in complaint(tmp_path / "forged.liaam", *trusted(tiny_file, **PRESENCE | changes))
+
+
 def test_quality_is_a_probability_of_the_evidence():
     known = Reliability(**{**RELIABILITY, "unit": 0.25, "variance_factor": 1.5, "typical": 0.8})
     assert known.errors(0.5)[0] == pytest.approx(np.diag([5.0, 7.0]))

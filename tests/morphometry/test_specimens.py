@@ -43,6 +43,7 @@ def row_of(path: str, status: str = "converged") -> dict:
                 "seconds",
             )
         ),
+        "present": None,
         "path": path,
         "status": status,
         "message": "",

@@ -107,6 +107,15 @@ class TestFit:
         assert seen["n_found"] == expected.n_found == 1
         assert (seen["width"], seen["height"]) == (120, 160)
 
+    def test_says_which_landmarks_are_absent(self, fitted):
+        assert fitted.as_json()["absent"] == []
+        present = np.full(len(fitted.result.landmarks), 0.99)
+        present[[2, 5]] = 0.1
+        seen = replace(fitted, result=replace(fitted.result, present=present)).as_json()
+        assert seen["absent"] == [2, 5]
+        assert "Absent: 3, 6." in seen["message"]
+        assert seen["shape"][2] is not None  # drawn as a ring
+
     def test_says_where_further_objects_are(self, fitted):
         result = fitted.result
         assert fitted.as_json()["objects"] == []  # there is only one

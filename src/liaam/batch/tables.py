@@ -41,12 +41,13 @@ COLUMNS = {
     "scale": "float64",
     "scale_unit": "string",
     "scale_from": "string",
+    "present": "list<float32>",
     "seconds": "float32",
 }
 NAMES = "landmark_names"  # Entry of rows, and of the metadata of Parquet, with the names of the landmarks
 
 # Columns that are lists, and what each holds for a landmark, in this order
-_PARTS = {"landmarks": ("x", "y"), "covariance": ("xx", "xy", "yy")}
+_PARTS = {"landmarks": ("x", "y"), "covariance": ("xx", "xy", "yy"), "present": ("present",)}
 
 
 ParsedRow = tuple[str, dict[str, Any]]
@@ -233,8 +234,8 @@ def _read_csv(path: Path) -> Iterator[dict[str, Any]]:
             lists = {}
             for column, flat in headers.items():
                 cells = [row.get(header) or "" for header in flat]
-                if all(cells):  # else the list is absent
-                    lists[column] = [float(cell) for cell in cells]
+                if any(cells):  # else the list is absent
+                    lists[column] = [float(cell) if cell else None for cell in cells]
             yield {**row, NAMES: names, **lists}
 
 

@@ -18,6 +18,7 @@ from liaam.errors import LiaamError, StartError
 from liaam.fitting import FitResult, Fitter, SolverOptions
 from liaam.fitting.many import refuse_one_start
 from liaam.fitting.methods import DEFAULT_METHOD
+from liaam.fitting.result import check_absent
 from liaam.fitting.search.starts import check_start, read_start, start_file
 from liaam.fitting.specimens import fit_specimens
 from liaam.formatting import finite_or_none
@@ -65,6 +66,8 @@ class Settings:
         What names the specimens (:data:`liaam.trays.NAME_BY`).
     rotations : str
         Orientations to search (:attr:`liaam.fitting.Fitter.rotations`).
+    absent : str
+        What rows hold of absent landmarks (:data:`liaam.fitting.result.ABSENT`).
     """
 
     method: str = DEFAULT_METHOD
@@ -76,8 +79,10 @@ class Settings:
     rotations: str = "upright"
     every: bool = False
     name_by: str = POSITION
+    absent: str = "empty"
 
     def __post_init__(self) -> None:
+        check_absent(self.absent)
         refuse_one_start(self.every, self.init)
         check_name_by(self.name_by)
         if isinstance(self.init, os.PathLike):
@@ -191,7 +196,7 @@ class FitJob:
         length = length_for(picture, start, fitter.model.scale)
         rows = []
         for i, (result, specimen) in enumerate(zip(fitted.results, fitted.named, strict=True)):
-            row = fit_row(result, path, size, length)
+            row = fit_row(result, path, size, length, self.settings.absent)
             number = i + 1 if every else None
             named = {"object": number, "specimen": specimen.name, "code": specimen.code, "message": fitted.message(i)}
             rows.append(row | named)
@@ -213,8 +218,14 @@ class FitJob:
         return re.sub(places, lambda match: named[match.group()], message)
 
 
-def fit_row(result: FitResult, path: str, size: tuple[int, int], length: Length | None) -> FitRow:
-    """Return the row of a fit to an image of a size (width, height), whose scale may be known."""
+def fit_row(
+    result: FitResult, path: str, size: tuple[int, int], length: Length | None, absent: str = "empty"
+) -> FitRow:
+    """Return the row of a fit to an image of a size (width, height), whose scale may be known.
+
+    ``absent`` is what it holds of absent landmarks (:data:`liaam.fitting.result.ABSENT`).
+    """
+    positions, covariances = result.reported(absent)
     return {
         "path": _printable(path),
         "status": str(result.status),
@@ -229,8 +240,9 @@ def fit_row(result: FitResult, path: str, size: tuple[int, int], length: Length 
         "cost": finite_or_none(result.cost),
         "iterations": result.n_iterations,
         "expansion": _short(result.expansion),
-        "landmarks": _shorts(result.landmarks),
-        "covariance": _shorts(result.landmark_covariances[:, (0, 0, 1), (0, 1, 1)]),
+        "landmarks": _shorts(positions),
+        "covariance": _shorts(covariances[:, (0, 0, 1), (0, 1, 1)]),
+        "present": None if result.present is None else _shorts(np.round(result.present, 4)),
         "size": size,
         **columns_of(length),
     }
@@ -239,7 +251,7 @@ def fit_row(result: FitResult, path: str, size: tuple[int, int], length: Length 
 def failed_row(path: str, message: str) -> FitRow:
     """Return the row of an image that could not be fitted."""
     numbers = ("quality", "object", "score", "n_found", "theta_deg", "cost", "iterations", "expansion")
-    row = dict.fromkeys((*numbers, "landmarks", "covariance", "seconds"))
+    row = dict.fromkeys((*numbers, "landmarks", "covariance", "present", "seconds"))
     name = _printable(Path(path).stem)
     texts = {"path": _printable(path), "status": ERROR, "message": _printable(message), "specimen": name, "code": ""}
     return texts | columns_of(None) | row

@@ -8,7 +8,15 @@ from typing import Annotated
 
 import typer
 
-from liaam.cli.inputs import TURNED, CameraOption, NameByOption, RotationsOption, camera_in, model_and_inputs
+from liaam.cli.inputs import (
+    TURNED,
+    AbsentOption,
+    CameraOption,
+    NameByOption,
+    RotationsOption,
+    camera_in,
+    model_and_inputs,
+)
 from liaam.cli.terminal import complain, progress_bar, say
 from liaam.errors import LiaamError
 from liaam.io.files import count_of
@@ -41,6 +49,7 @@ def batch(
     name_by: NameByOption = "position",
     method: Annotated[str, typer.Option("--method", "-m", help="Fitting method; see 'liaam fit --help'.")] = "soft-li",
     rotations: RotationsOption = "upright",
+    absent: AbsentOption = "empty",
     given_camera: CameraOption = None,
     jobs: Annotated[int | None, typer.Option(help="Number of threads. By default one per core.", min=1)] = None,
     scheduler: Annotated[
@@ -60,7 +69,7 @@ def batch(
     from liaam.fitting import FitStatus
 
     camera, response = camera_in(given_camera)
-    how = {"rotations": rotations, "every": every, "name_by": name_by}
+    how = {"rotations": rotations, "every": every, "name_by": name_by, "absent": absent}
     settings = Settings(method, init, camera=camera, response=response, **how)
     model_file, pictures = model_and_inputs(sources or [], "batch")
     closed: list[str] = []

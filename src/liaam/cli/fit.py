@@ -40,7 +40,7 @@ MOST_PNG_PIXELS = 2_000_000
 """Pixels of an overlay above which it is a JPEG, of about 1 MB instead of 4 MB."""
 
 # Facts of a fit on its own landmarks, which are not written with those of another scheme
-OF_LANDMARKS = ("landmark_names", "sd", "covariance")
+OF_LANDMARKS = ("landmark_names", "sd", "covariance", "present")
 
 
 class FitCommand(TyperCommand):
@@ -111,6 +111,7 @@ def fit(
         bool, typer.Option("--names", help="Draw the name of each landmark, if the model has any.")
     ] = False,
     mesh: Annotated[bool, typer.Option("--mesh", help="Draw the triangles between the landmarks.")] = False,
+    absent: inputs.AbsentOption = "empty",
     given_camera: inputs.CameraOption = None,
 ) -> None:
     """Fit a model to images, or to those of folders. Writes the landmarks and an overlay image for each.
@@ -118,6 +119,7 @@ def fit(
     Overlays are green if the fit may be used, amber if it is doubtful, and red if it failed.
     """
     from liaam.fitting import Fitter
+    from liaam.fitting.result import check_absent
     from liaam.model import load_model
     from liaam.workers import all_cores, in_order, one_blas_thread, one_thread
 
@@ -126,8 +128,9 @@ def fit(
     model_file, given = inputs.model_and_inputs(files, "fit")
     images = [image for path in given for image in images_in(path)]
     check_name_by(name_by)
+    check_absent(absent)
     outputs = Outputs.asked(output, formats, scheme=scheme, several=len(images) > 1 or every)
-    outputs = replace(outputs, name_by=name_by, crops=crops)
+    outputs = replace(outputs, name_by=name_by, crops=crops, absent=absent)
     inputs.refuse_inputs([output], images)
     model = load_model(model_file)
     outputs = replace(outputs, look=look_of(model, ellipses=ellipses, numbers=numbers, names=names, mesh=mesh))
@@ -230,6 +233,8 @@ class FitReport:
             yield f"{others} in the image: add --all to fit each, or --init to choose one"
         if not result.status.ok:
             yield f"{result.status}: {result.message}"
+        elif result.absent.any():
+            yield "absent landmarks, which are empty in the files: see the message in .json, or give --absent estimate"
         if result.detection_doubtful and not result.status.unusable:
             yield inputs.LOW_SCORE + (inputs.TURNED if self.rotations == "upright" else "")
 
@@ -306,6 +311,9 @@ class Outputs:
         What names the specimens (:data:`liaam.trays.NAME_BY`).
     crops : bool
         Whether the part of the image around each object is written.
+    absent : str
+        What the files hold of absent landmarks (:data:`liaam.fitting.result.ABSENT`). Those of another scheme are
+        computed from all landmarks, so that none is absent.
     """
 
     folder: Path
@@ -318,6 +326,7 @@ class Outputs:
     entries: list[Entry] = field(default_factory=list)
     name_by: str = POSITION
     crops: bool = False
+    absent: str = "empty"
 
     @classmethod
     def asked(cls, output: Path, formats: str, *, scheme: str | None, several: bool) -> "Outputs":
@@ -397,7 +406,7 @@ def fit_file(
         refuse_to_overwrite([outputs.path_of(name, suffix) for suffix in outputs.suffixes])
     length = length_for(image, start, fitter.model.scale)
     for i, (name, result, specimen) in enumerate(zip(stems, fitted.results, fitted.named, strict=True)):
-        facts = result.to_dict() | {"image": image.name, "specimen": specimen.name}
+        facts = result.to_dict(outputs.absent) | {"image": image.name, "specimen": specimen.name}
         facts |= {"object": i + 1} if every else {}
         facts |= {"code": specimen.code} if specimen.code else {}
         facts["message"] = fitted.message(i)
@@ -431,7 +440,13 @@ def write_object(
     facts |= {"crop": box} if box is not None else {}
     if outputs.scheme is None:
         lines = Contour.all_of(model.contours)
-        landmarks = Landmarks(result.landmarks, contours=lines, names=result.landmark_names, **of_image)
+        landmarks = Landmarks(
+            points=result.reported(outputs.absent)[0],
+            contours=lines,
+            names=result.landmark_names,
+            invisible=tuple(np.flatnonzero(result.absent).tolist()) if outputs.absent == "estimate" else (),
+            **of_image,
+        )
     else:
         points = in_scheme(result.landmarks, result.landmark_names, outputs.scheme)
         landmarks = Landmarks(points, **of_image)

@@ -96,6 +96,14 @@ RotationsOption = Annotated[
         "--rotations", help="Orientations to search: upright (as in training), or all (any rotation, slower)."
     ),
 ]
+AbsentOption = Annotated[
+    str,
+    typer.Option(
+        "--absent",
+        help="What to write of landmarks that are not there (broken off, covered): empty, or the estimate of their "
+        "position from the other landmarks.",
+    ),
+]
 
 NameByOption = Annotated[
     str,

@@ -33,6 +33,7 @@ def start_if_failed_far(result: FitResult, start: np.ndarray, shapes: ShapeModel
         history=(*result.history, replace(result.history[-1], landmarks=start)),
         expansion=1.0,
         shift=None,
+        present=None,
         at_start=True,
     )
 

@@ -8,6 +8,7 @@ from inspect import signature
 import numpy as np
 
 from liaam.errors import ImageError, StartError, check_options
+from liaam.fitting.damaged import PLACES, without_absent
 from liaam.fitting.detection import DOUBTFUL, Detection, are_apart
 from liaam.fitting.fallback import start_if_failed_far
 from liaam.fitting.loop.encoded_image import MARGIN
@@ -278,6 +279,8 @@ class Fitter(OneShapeFitter):
         result = fit.result
         if self.restarts and self.falls_short(with_prior(result, prior)):
             result = fit_again(self, fit.target, result)
+        searched = region if may_look_elsewhere else None
+        result = without_absent(self, fit.target, result, lambda: self._places_in(fit.target, searched))
         result = with_prior(result, prior)
         if result.status.lost or result.status is FitStatus.DOUBTFUL or self.falls_short(result):
             result = start_if_failed_far(result, fit.target.start if given is None else given, self.shapes)
@@ -289,6 +292,13 @@ class Fitter(OneShapeFitter):
             contours=self.model.contours,
             landmark_names=self.model.landmark_names,
         )
+
+    def _places_in(self, target: Target, region: tuple[np.ndarray, np.ndarray] | None) -> list[np.ndarray]:
+        """Return shapes to start from at other places of a region (its corners), the most likely first."""
+        if region is None:
+            return []
+        low, high = region
+        return [place.landmarks + low for place in self.finder.others_in(target.linear.crop(low, high), PLACES)]
 
     def _with_prior_near(self, result: FitResult) -> FitResult:
         """Return a result with the prior odds of fits near the object in its quality and in the limit of that."""

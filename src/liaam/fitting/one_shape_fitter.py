@@ -12,6 +12,7 @@ from liaam.fitting.loop.levels import CoarseToFine, FittedLevel, Target, is_sane
 from liaam.fitting.loop.objective import Objective, make_objectives
 from liaam.fitting.loop.options import SolverOptions, scored, spare
 from liaam.fitting.methods import DEFAULT_METHOD, METHODS, Method, get_method
+from liaam.fitting.quality.presence import Surroundings
 from liaam.fitting.quality.status import status_of
 from liaam.fitting.quality.uncertainty import (
     covariance,
@@ -22,6 +23,7 @@ from liaam.fitting.quality.uncertainty import (
 )
 from liaam.fitting.result import LEAST_QUALITY, FitResult, FitStatus, explained_fraction, trace
 from liaam.model import AAM, Reliability, View
+from liaam.model.presence import Presence
 from liaam.model.regressor import LandmarkRegressor
 from liaam.model.sampling import within
 from liaam.model.shape import ShapeModel, align, own_parameters
@@ -82,7 +84,22 @@ class OneShapeFitter:
     @cached_property
     def coarse_to_fine(self) -> CoarseToFine:
         """The objectives, ready to fit images."""
-        return CoarseToFine(self.objectives)
+        return CoarseToFine(self.objectives, keeps_samples=self.presence is not None)
+
+    @property
+    def presence(self) -> Presence | None:
+        """Calibration of whether landmarks are present; None if training has not learnt it for the method."""
+        return None if self.reliability is None else self.reliability.presence
+
+    @cached_property
+    def surroundings(self) -> Surroundings:
+        """Windows in which image and fit are compared at the sharpest level."""
+        return Surroundings(self.objectives[-1])
+
+    @cached_property
+    def nearest_pixels(self) -> tuple[np.ndarray, ...]:
+        """The sampled pixel of the sharpest level that is nearest to each of every level, by index."""
+        return tuple(self.surroundings.nearest_of(objective) for objective in self.objectives)
 
     @cached_property
     def dense(self) -> Objective:
@@ -338,4 +355,11 @@ class OneShapeFitter:
             method=method,
             expansion=expansion,
             shift=shift,
+            present=self._present_in(last),
         )
+
+    def _present_in(self, stage: FittedLevel) -> np.ndarray | None:
+        """Return the probability that each landmark is present, (n,); None if the fit does not say."""
+        if self.presence is None or stage.objective.blur != self.objectives[-1].blur:
+            return None
+        return self.presence.probabilities(self.surroundings.compared_in(stage.solution).landmarks)

@@ -15,7 +15,7 @@ from liaam.fitting.detection import Detection, are_beside
 from liaam.fitting.loop.levels import FittedLevel
 from liaam.fitting.methods import Method
 from liaam.formatting import finite_list, short_repr
-from liaam.io.files import count_of
+from liaam.io.files import count_of, some_names
 from liaam.model.contours import Contours
 from liaam.model.shape import Similarity
 from liaam.photometry.picture import load_picture
@@ -104,6 +104,8 @@ _MESSAGES = {
 }
 
 
+MOST_NAMED = 10  # Largest number of absent landmarks that a message names
+
 _NO_QUALITY = (
     "Its quality is unknown and its ellipses are not calibrated: this takes method 'soft-li', or one that was "
     "named in training, and a model trained by leaving images out; check the landmarks."
@@ -142,6 +144,9 @@ class Iteration:
 
     __repr__ = short_repr
 
+
+ABSENT = ("empty", "estimate")
+"""What tables and files hold of absent landmarks: nothing, or the estimates of their positions."""
 
 LEAST_QUALITY = 0.5
 """Quality for equal odds of right and wrong fits below which a converged fit is doubtful."""
@@ -210,6 +215,9 @@ class FitResult:
         Quality below which a converged fit is doubtful: more likely than not, its image is one of a wrong fit.
     method : Method
         The fitted method.
+    present : (n,) float64, optional
+        Probability that the tissue at each landmark is what the model expects, from how well image and fit agree around
+        it, calibrated on left-out training images; see :attr:`absent`. None for methods and models without that.
     found : Detection, optional
         The detection that the fit started from; None if the start was given.
     part : int
@@ -251,6 +259,7 @@ class FitResult:
     evidence: np.ndarray
     quality: float
     method: Method
+    present: np.ndarray | None = None
     found: Detection | None = None
     least_quality: float = LEAST_QUALITY
     part: int = 0
@@ -271,13 +280,39 @@ class FitResult:
         counts = f"{len(self.landmarks)} landmarks, {count_of(self.n_iterations, 'iteration')}"
         return f"FitResult({self.method.name}: {self.status}, quality {self.quality_text}, {counts})"
 
+    def reported(self, absent: str = "empty") -> tuple[np.ndarray, np.ndarray]:
+        """Return positions (n, 2) and covariances (n, 2, 2) for tables and files.
+
+        Those of absent landmarks are NaN in fits whose status is ok, or the estimates if ``absent`` is "estimate".
+        """
+        check_absent(absent)
+        if absent == "estimate" or not self.status.ok:
+            return self.landmarks, self.landmark_covariances
+        positions = np.where(self.absent[:, None], np.nan, self.landmarks)
+        return positions, np.where(self.absent[:, None, None], np.nan, self.landmark_covariances)
+
+    @property
+    def _absent_text(self) -> str:
+        """Which landmarks are absent, by name or by number from 1, and what that means; empty if none is."""
+        indices = np.flatnonzero(self.absent).tolist()
+        if not indices or not self.status.ok:
+            return ""
+        names = [self.landmark_names[i] if self.landmark_names else str(i + 1) for i in indices]
+        return (
+            f" Absent: {some_names(names, MOST_NAMED)}. The image there is not what the model expects, so the fit goes "
+            "without it, and these positions are estimates from the other landmarks."
+        )
+
     @property
     def message(self) -> str:
         """What happened, and what to do."""
         if self.status.ok and not self.calibrated:
             return f"{self.status.message} {_NO_QUALITY}"
         has_no_ground = self.status is FitStatus.DOUBTFUL and not self.calibrated
-        message = _NOTHING_SAYS_SO if has_no_ground else self.status.message
+        if self._absent_text:
+            message = f"{self.status.message}{self._absent_text}"
+        else:
+            message = _NOTHING_SAYS_SO if has_no_ground else self.status.message
         return f"{message} {_AT_START}" if self.at_start else message
 
     @property
@@ -296,7 +331,18 @@ class FitResult:
 
         Meaningful only if ``status.ok``: a fit that failed may have small ones.
         """
-        return np.sqrt(0.5 * np.trace(self.landmark_covariances, axis1=1, axis2=2))
+        return deviations(self.landmark_covariances)
+
+    @property
+    def absent(self) -> np.ndarray:
+        """Which landmarks are more likely absent than present, (n,) bool: broken off, covered, or outside the image.
+
+        The fit then goes without the image around them. Their positions are estimates from the other landmarks, and
+        their covariances are large accordingly. None is absent where :attr:`present` is not known.
+        """
+        if self.present is None:
+            return np.zeros(len(self.landmarks), bool)
+        return self.present < 0.5
 
     @property
     def detection_doubtful(self) -> bool:
@@ -334,18 +380,24 @@ class FitResult:
         estimated = self.method.free_angles != "none" and np.isfinite(self.theta)
         return float(np.rad2deg(self.theta)) if estimated else None
 
-    def to_dict(self) -> dict:
+    def to_dict(self, absent: str = "empty") -> dict:
         """Convert the result to a dictionary that JSON can hold.
+
+        Parameters
+        ----------
+        absent : {"empty", "estimate"}
+            What stands for the positions of absent landmarks, and their sd and covariance: None, or the estimates.
 
         Returns
         -------
         dict
             What ``liaam fit`` writes to its .json files: ``image`` (its name, if known), ``start``, ``status``,
             ``message``, ``quality``, ``landmarks`` (x, y in image pixels), ``sd`` and ``covariance`` (xx, xy, yy) of
-            each landmark, and others. Values that are unknown are None.
+            each landmark, ``present`` (the probability of each), and others. Values that are unknown are None.
         """
         from liaam import __version__
 
+        positions, covariances = self.reported(absent)
         return {
             "image": self.image.name if isinstance(self.image, Path) else None,
             "start": "given" if self.found is None else "searched",
@@ -363,25 +415,27 @@ class FitResult:
             "at_start": self.at_start,
             "quality": round(self.quality, 4) if self.calibrated else None,
             "calibrated": self.calibrated,
-            "sd": finite_list(np.round(self.sd, 3)),
-            "covariance": finite_list(np.round(self.landmark_covariances[:, (0, 0, 1), (0, 1, 1)], 6)),
+            "present": None if self.present is None else np.round(self.present, 4).tolist(),
+            "sd": finite_list(np.round(deviations(covariances), 3)),
+            "covariance": finite_list(np.round(covariances[:, (0, 0, 1), (0, 1, 1)], 6)),
             "liaam": __version__,
             "landmark_names": list(self.landmark_names),
-            "landmarks": finite_list(self.landmarks),
+            "landmarks": finite_list(positions),
         }
 
-    def to_columns(self, name: str | None = None) -> Columns:
+    def to_columns(self, name: str | None = None, absent: str = "empty") -> Columns:
         """Return the landmarks as a table of lists, one row per landmark; see :func:`liaam.to_dataframe`.
 
         ``name`` is that of the image; by default its file name, or ``image``.
         """
+        positions, covariances = self.reported(absent)
         own_name = self.image.name if isinstance(self.image, Path) else "image"
         more = {"names": self.landmark_names, "quality": self.quality, "status": str(self.status)}
-        return landmark_columns({"image": name or own_name}, self.landmarks, self.landmark_covariances, **more)
+        return landmark_columns({"image": name or own_name}, positions, covariances, **more)
 
-    def to_dataframe(self, name: str | None = None) -> "pandas.DataFrame":
+    def to_dataframe(self, name: str | None = None, absent: str = "empty") -> "pandas.DataFrame":
         """Convert the result to a pandas data frame with one row per landmark; see :func:`liaam.to_dataframe`."""
-        return to_dataframe(self, None if name is None else [name])
+        return to_dataframe(self, None if name is None else [name], absent)
 
     def plot(self, image=None, *, ellipses: bool = True, ax: "Axes | None" = None) -> "Axes":
         """Draw the landmarks on the image with Matplotlib.
@@ -404,6 +458,7 @@ class FitResult:
             self.landmarks,
             covariances=self.landmark_covariances if ellipses else None,
             contours=self.contours,
+            absent=self.absent,
             title=f"{self.method.name}: {self.status}, quality {self.quality_text}",
             colour=self.status.colour,
             ax=ax,
@@ -424,6 +479,17 @@ class FitResult:
         self.plot(pixels, ax=ax)
         zoom_to(ax, self.landmarks, (pixels.shape[1], pixels.shape[0]))
         return png_bytes(figure)
+
+
+def deviations(covariances: np.ndarray) -> np.ndarray:
+    """Return the standard deviation of each landmark, (n,), from the mean variance of x and y, of (n, 2, 2)."""
+    return np.sqrt(0.5 * np.trace(covariances, axis1=1, axis2=2))
+
+
+def check_absent(absent: str) -> None:
+    """Raise LiaamError unless it is one of :data:`ABSENT`."""
+    if absent not in ABSENT:
+        raise LiaamError(f"absent {absent!r} is unknown; choose from {', '.join(ABSENT)}")
 
 
 def likeliness(result: FitResult) -> tuple[float, float]:

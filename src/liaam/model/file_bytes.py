@@ -136,7 +136,10 @@ def _tensors(model: "AAM") -> dict[str, np.ndarray]:
 def _view_tensors(view: View) -> dict[str, np.ndarray | None]:
     tensors = _named("shape.", _stored_fields(view.shape_model, "shape"))
     for method, reliability in view.reliabilities.items():
-        tensors |= _named(f"{file_format.calibration_of(method)}.", _stored_fields(reliability, "reliability"))
+        calibration = file_format.calibration_of(method)
+        tensors |= _named(f"{calibration}.", _stored_fields(reliability, "reliability"))
+        if reliability.presence is not None:
+            tensors |= _named(f"{calibration}.presence.", _stored_fields(reliability.presence, "presence"))
     for i, level in enumerate(view.levels):
         for kind, appearance in level.appearances.items():
             tensors |= _named(f"{i}/{kind}.", _appearance_tensors(appearance))

@@ -53,6 +53,7 @@ STORED = {
         "final_prior",
         "expansion",
     ),
+    "presence": ("usual", "other", "variances", "contrasts", "spreads"),
 }
 MOST_STEPS = 10  # Largest number of steps of a regressor
 MOST_WEIGHT = 1e6  # Largest weight of another landmarker's point

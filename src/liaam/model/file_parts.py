@@ -38,11 +38,13 @@ from liaam.model.file_format import (
     MOST_STEPS,
     MOST_WEIGHT,
     ROOMY,
+    STORED,
     UNNAMED,
 )
 from liaam.model.light_basis import SIDE, LightBasis
 from liaam.model.mesh import signed_areas
 from liaam.model.point_map import LEAST_NOISE, PointErrors, PointMap
+from liaam.model.presence import Presence
 from liaam.model.regressor import N_FEATURES, SIZE, LandmarkRegressor, RegressionStep
 from liaam.model.rounding import decoded
 from liaam.model.shape import ShapeModel, diagonal_of, similarity_modes
@@ -295,12 +297,27 @@ def _reliability(tensors: dict[str, np.ndarray], prefix: str, n: int) -> Reliabi
         prior=prior,
         final_prior=final_prior,
         expansion=expansion,
+        presence=_presence(tensors, prefix, n),
     )
 
 
 def _number_or_one(tensors: dict[str, np.ndarray], name: str) -> float:
     """Return a number, or 1 if the file is older than it."""
     return number_of(tensors, name) if name in tensors else 1.0
+
+
+def _presence(tensors: dict[str, np.ndarray], prefix: str, n: int) -> Presence | None:
+    """Return the calibration of whether n landmarks are present; older files have none."""
+    if f"{prefix}.presence.usual" not in tensors:
+        return None
+    fields = {}
+    for name in STORED["presence"]:
+        key = f"{prefix}.presence.{name}"
+        fields[name] = checked_tensor(tensors, key, np.float64, (n,))
+        check_magnitude(key, fields[name], MAX_FACTOR)
+    if not (np.minimum(fields["variances"], fields["spreads"]) >= 1.0 / MAX_FACTOR).all():
+        raise ValueError(f"{prefix}.presence has values out of range")
+    return Presence(**fields)
 
 
 def _appearance(

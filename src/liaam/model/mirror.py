@@ -8,7 +8,8 @@ import numpy as np
 
 from liaam.errors import ModelFileError
 from liaam.model.appearance import AppearanceModel
-from liaam.model.views import VIEWS, Level, View
+from liaam.model.presence import Presence
+from liaam.model.views import VIEWS, Level, Reliability, View
 
 if TYPE_CHECKING:
     from liaam.model.aam import AAM
@@ -86,12 +87,19 @@ def _view(name: str, view: View, triangles: np.ndarray, order: np.ndarray) -> Vi
         Level(level.blur, {kind: _appearance(kind, each, pixels) for kind, each in level.appearances.items()})
         for level in view.levels
     )
-    reliabilities = {
-        method: replace(each, landmarks=_covariances(each.landmarks)[order], bias=_covariances(each.bias)[order])
-        for method, each in view.reliabilities.items()
-    }
+    reliabilities = {method: _reliability(each, order) for method, each in view.reliabilities.items()}
     # Levels hold the mirror images of the pixels that fits need.
     return View(replace(warp, from_right=not view.warp.from_right), levels, reliabilities)
+
+
+def _reliability(reliability: Reliability, order: np.ndarray) -> Reliability:
+    presence = reliability.presence
+    return replace(
+        reliability,
+        landmarks=_covariances(reliability.landmarks)[order],
+        bias=_covariances(reliability.bias)[order],
+        presence=None if presence is None else Presence(*(each[order] for each in vars(presence).values())),
+    )
 
 
 def _appearance(kind: str, appearance: AppearanceModel, pixels: np.ndarray) -> AppearanceModel:

@@ -7,6 +7,7 @@ import numpy as np
 
 from liaam.io.files import count_of
 from liaam.model.appearance import AppearanceModel
+from liaam.model.presence import Presence
 from liaam.model.shape import ShapeModel
 from liaam.model.warp import PiecewiseAffineWarp, mesh_warp, surrounded_warp
 
@@ -68,6 +69,8 @@ class Reliability:
     expansion : float
         Factor, at least 1, on the distance of a fitted shape from the mean. With it, fits to left-out images vary as
         much as their true shapes, or as much as a small increase of their errors allows.
+    presence : Presence, optional
+        Calibration of whether landmarks are present; older files have none.
     """
 
     landmarks: np.ndarray
@@ -79,6 +82,7 @@ class Reliability:
     prior: float = 1.0
     final_prior: float = 1.0
     expansion: float = 1.0
+    presence: Presence | None = None
 
     @property
     def low(self) -> float:

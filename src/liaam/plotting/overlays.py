@@ -11,7 +11,7 @@ import cv2
 import numpy as np
 
 from liaam.datasets.label_faults import LabelFault
-from liaam.drawing import ELLIPSE, LANDMARK, LOST, as_picture, ellipses as outlines_of, line_of, rgb
+from liaam.drawing import ABSENT, ELLIPSE, LANDMARK, LOST, as_picture, ellipses as outlines_of, line_of, rgb
 from liaam.model import AAM
 from liaam.model.contours import Contours
 
@@ -56,6 +56,7 @@ def overlay(
     mesh: bool = False,
     caption: str = "",
     large: int = LARGE,
+    absent: np.ndarray | None = None,
 ) -> np.ndarray:
     """Draw a fitted shape on its image.
 
@@ -78,6 +79,8 @@ def overlay(
         Text in the corner at the bottom left, after a dot of the colour.
     large : int
         Larger side in pixels to which a small image is about enlarged, by a whole factor.
+    absent : (n,) bool, optional
+        Landmarks that are not there, drawn as red rings.
 
     Returns
     -------
@@ -89,7 +92,7 @@ def overlay(
     if mesh:
         _draw_mesh(picture, points, model.triangles, colour)
     spread = None if covariances is None else zoom**2 * np.asarray(covariances)
-    draw_shape(picture, points, model.contours, spread, colour)
+    draw_shape(picture, points, model.contours, spread, colour, absent)
     if labels:
         picture = _with_labels(picture, points, labels)
     if caption:
@@ -113,7 +116,7 @@ def overlay_of_fit(
     """
     covariances = result.landmark_covariances if ellipses and not result.status.lost else None
     look = {"labels": labels, "mesh": mesh, "colour": result.status.colour, "caption": caption_of(result)}
-    return overlay(image, result.landmarks, model, covariances, **look)
+    return overlay(image, result.landmarks, model, covariances, absent=result.absent, **look)
 
 
 def caption_of(result: "FitResult") -> str:
@@ -130,8 +133,12 @@ def draw_shape(
     contours: Contours = (),
     covariances: np.ndarray | None = None,
     colour: str = LANDMARK,
+    absent: np.ndarray | None = None,
 ) -> None:
-    """Draw landmarks (n, 2) with their contours and 95 % ellipses on a picture (h, w, 3) uint8, in place."""
+    """Draw landmarks (n, 2) with their contours and 95 % ellipses on a picture (h, w, 3) uint8, in place.
+
+    Of ``absent`` ones, (n,) bool, rings are drawn.
+    """
     points = _within_reach(points)
     thick = _thickness(picture, points)
     if covariances is not None:
@@ -139,7 +146,10 @@ def draw_shape(
         closed_rings = list(np.concatenate([rings, rings[:, :1]], axis=1))
         _draw_faintly(picture, closed_rings, ELLIPSE, max(1, thick // 2))
     draw_lines(picture, [line_of(points, indices, closed) for indices, closed in contours], colour, thick)
-    draw_dots(picture, points, colour, _radius(picture, points))
+    radius = _radius(picture, points)
+    is_absent = np.zeros(len(points), bool) if absent is None else absent
+    draw_dots(picture, points[~is_absent], colour, radius)
+    draw_rings(picture, points[is_absent], ABSENT, 2.0 * radius, thick)
 
 
 def _within_reach(points: np.ndarray) -> np.ndarray:
@@ -189,6 +199,13 @@ def draw_dots(picture: np.ndarray, points: np.ndarray, colour: str, radius: floa
     for paint, size in ((DARK, radius + edge), (rgb(colour), radius)):
         for x, y in np.rint(points * ONE).astype(int).tolist():
             cv2.circle(picture, (x, y), int(ONE * size), paint, -1, cv2.LINE_AA, FRACTION_BITS)
+
+
+def draw_rings(picture: np.ndarray, points: np.ndarray, colour: str, radius: float, thickness: int) -> None:
+    """Draw rings with dark edges around points (n, 2) on a picture, in place."""
+    for paint, width in ((DARK, thickness + 2 * max(1, thickness // 2)), (rgb(colour), thickness)):
+        for x, y in np.rint(points * ONE).astype(int).tolist():
+            cv2.circle(picture, (x, y), int(ONE * radius), paint, width, cv2.LINE_AA, FRACTION_BITS)
 
 
 def _draw_faintly(picture: np.ndarray, lines: Lines, colour: str, thickness: int) -> None:

@@ -98,6 +98,7 @@ class Fit:
             "quality": finite_or_none(result.quality),
             "seconds": {"search": round(self.search_seconds, 4), "fit": round(self.fit_seconds, 4)},
             "shape": numbers(result.landmarks, 3),
+            "absent": np.flatnonzero(result.absent).tolist(),
             "covariances": numbers(result.landmark_covariances, 4),
             "deviations": numbers(result.sd, 3),
             "theta_deg": result.theta_degrees,

@@ -10,6 +10,7 @@ from liaam.io.files import count_of
 from liaam.model.contours import Contours, contour_turns
 from liaam.model.shape import ShapeModel
 from liaam.training.covariances import surprise
+from liaam.training.presence import AgreementOfFit
 
 # Mean distance from the landmarks as a fraction of the shape's diagonal, of landmarks on contours from the contours: a
 # fit is right up to the first and wrong beyond the second. Fits in between are not used.
@@ -44,6 +45,8 @@ class LeftOutFit:
         Covariance of p, and of the angles.
     expansion : float
         Factor on the distance of the fitted shape from the mean.
+    agreement : AgreementOfFit, optional
+        Of right fits of methods that say which landmarks are present.
     """
 
     near: bool
@@ -57,6 +60,7 @@ class LeftOutFit:
     p: np.ndarray
     covariance: np.ndarray
     expansion: float = 1.0
+    agreement: AgreementOfFit | None = None
 
     @property
     def right(self) -> bool:

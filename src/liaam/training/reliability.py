@@ -23,7 +23,8 @@ from liaam.model.contours import outline_errors
 from liaam.model.shape import align, diagonal_of, rotation, shifted_into
 from liaam.photometry import is_grey
 from liaam.training.covariances import Alike, learn_covariances, variance_factor, widened
-from liaam.training.left_out_fits import LeftOutFit, LeftOutFits
+from liaam.training.left_out_fits import RIGHT, LeftOutFit, LeftOutFits
+from liaam.training.presence import agreement_of, can_be_judged, learn_presence
 from liaam.training.shrinkage import FINAL_PRIORS, least_shrunk
 
 OPTIONS = SolverOptions(max_iterations=20)  # Right fits converge sooner; wrong ones need not converge
@@ -118,9 +119,13 @@ def _fit(picture: LeftOutImage, fitter: Fitter, start: np.ndarray | Detection, n
         return None
     known = np.ones(model.n_points, bool) if picture.known is None else picture.known
     error = outline_errors(result.landmarks, picture.points, model.contours)[known].mean()
+    share = float(error / diagonal_of(picture.points))
+    agreement = None
+    if near and share <= RIGHT and can_be_judged(result.method):
+        agreement = agreement_of(fitter, picture.image, result, known, has_background=not picture.relit)
     return LeftOutFit(
         near=near,
-        error=float(error / diagonal_of(picture.points)),
+        error=share,
         evidence=result.evidence,
         unit=result.residual_variance,
         shapes=fitter.shapes,
@@ -129,6 +134,7 @@ def _fit(picture: LeftOutImage, fitter: Fitter, start: np.ndarray | Detection, n
         known=known,
         p=result.p,
         covariance=result.covariance,
+        agreement=agreement,
     )
 
 
@@ -156,7 +162,8 @@ def learnt_from(model: AAM, left_out: LeftOutFits, view: str) -> Reliability | N
         nothing if unexplained is None else widened(unexplained, _n_known(model), alike),
         alike,
     )
-    made = Reliability(weights=weights, **covariances)
+    presence = learn_presence([fit.agreement for fit in near_fits if fit.agreement is not None])
+    made = Reliability(weights=weights, presence=presence, **covariances)
     qualities = [made.quality(fit.evidence) for fit in judged if fit.right]
     near = [fit.right for fit in fits if fit.near]
     prior = min((sum(near) + 1) / (len(near) - sum(near) + 1), MOST_ODDS)  # as if there were one more of each

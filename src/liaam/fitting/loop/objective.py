@@ -49,6 +49,8 @@ class Objective:
     # at the warp's pixels.
     in_frame: tuple[AppearanceModel, AppearanceModel | None] | None = None
     prior_weight: float = 1.0  # what fits multiply the precision of the prior by
+    # Number of usable pixels of the model, if the appearance has weights of 0 where the object is not complete
+    n_usable_of_all: float | None = None
 
     @cached_property
     def weighted_prior(self) -> np.ndarray:
@@ -69,6 +71,11 @@ class Objective:
     def n_lambda(self) -> int:
         """Number of appearance modes plus extra modes."""
         return len(self.fields["modes"]) - 1
+
+    @property
+    def n_usable(self) -> float:
+        """Number of usable pixels of the model, also of those that do not count in this image."""
+        return float(self.appearance.usable.sum()) if self.n_usable_of_all is None else self.n_usable_of_all
 
     @property
     def is_compiled(self) -> bool:
@@ -97,7 +104,7 @@ class Objective:
         none = np.zeros((0, 0, 0), np.float32)
         transposed = np.zeros((n * k, padded(m)), np.float32)
         transposed[:, :m] = modes[1:].T
-        root_weights = np.repeat(np.sqrt(self.appearance.usable), k).astype(np.float32)
+        root_weights = self._root_weights()
         weighted = modes[1:].astype(np.float64) * root_weights
         return {
             **(self.warp.mesh()._asdict() if isinstance(self.warp, PiecewiseAffineWarp) else {}),
@@ -121,6 +128,27 @@ class Objective:
             "gaussian_median": gaussian_median(method.n_rows) if method.loss in LOSSES else 1.0,
             "step": STEPS.index(method.step),
         }
+
+    def _root_weights(self) -> np.ndarray:
+        """Square roots of the model's weights, (n k,) float32."""
+        return np.repeat(np.sqrt(self.appearance.usable), self.method.n_rows).astype(np.float32)
+
+    def with_weights(self, weights: np.ndarray) -> "Objective":
+        """Return the objective with the model's weights multiplied by others, (n,) of [0, 1].
+
+        The prior of lambda stays that of all pixels.
+        """
+        usable = (self.appearance.usable * weights).astype(self.appearance.usable.dtype)
+        other = replace(self, appearance=replace(self.appearance, usable=usable), n_usable_of_all=self.n_usable)
+        root_weights = other._root_weights()
+        if self.is_compiled:
+            gram = _core.weighted_gram(self.fields["modes"], root_weights)
+        else:
+            weighted = self.fields["modes"][1:].astype(np.float64) * root_weights
+            gram = weighted @ weighted.T
+        # The other fields are the same, and take long to make.
+        other.__dict__["fields"] = {**self.fields, "sqrt_weights": root_weights, "gram": gram}
+        return other
 
     def __getstate__(self) -> dict:
         """Leave out what the core holds, which is valid in this process only."""

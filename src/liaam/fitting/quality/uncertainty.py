@@ -119,8 +119,8 @@ def quality_features(stage: FittedLevel, doubt: float = 0.0) -> np.ndarray:
     if not np.isfinite(left):
         return WORST_FEATURES.copy()
     unlikely = float(objective.fields["ridge"] @ np.square(solution.lam))
-    # The mean over all of the model's pixels: unusable pixels count as unexplained.
-    strength = np.sqrt(contrast / max(float(objective.appearance.usable.sum()), 1e-9))
+    # The mean over all of the model's pixels: unusable and absent ones count as unexplained.
+    strength = np.sqrt(contrast / max(objective.n_usable, 1e-9))
     explained = (1.0 - (left + unlikely) / contrast) * strength if contrast > 0 else -1.0
     squared_modes = np.square(solution.p) * objective.prior
     n_modes = objective.warp.n_parameters - 4  # without the similarity

@@ -1,7 +1,7 @@
 // Drawing of fits for the tabs Fit and Compare.
 
 import { verdictOf } from "./fit-run.js";
-import { drawContours, drawEllipses, drawMesh, drawPoints, lines, stroked } from "./overlays.js";
+import { discs, drawContours, drawEllipses, drawMesh, drawPoints, lines, stroked } from "./overlays.js";
 import { button, h, press } from "./ui.js";
 
 const OVERLAYS = [
@@ -70,6 +70,7 @@ const FAR = 1e4; // css pixels
 /** Fits are yellow like all landmarks; failed ones and those of low quality are orange and dashed. */
 const GOOD = { colour: "#ffd166", dash: [] };
 const UNSURE = { colour: "#ff8c5a", dash: [6, 4] };
+const ABSENT = "#ff2828"; // rings around the places of landmarks that are not there
 
 /** Draw a fit's shape, or that of an iteration, with the overlays in a set of names; opacity: of overlays, by name. */
 export function drawFit(ctx, viewer, fit, shown, { shape = fit.shape, final = true, opacity = {} } = {}) {
@@ -83,7 +84,13 @@ export function drawFit(ctx, viewer, fit, shown, { shape = fit.shape, final = tr
   // Covariances exist for the result only.
   draw("ellipses", () => final && drawEllipses(ctx, viewer, shape, fit.covariances));
   draw("contours", () => drawContours(ctx, viewer, shape, fit.contours, { colour, dash }));
-  draw("landmarks", () => drawPoints(ctx, viewer, shape, { colour, radius: 3 }));
+  // Iterations are of all landmarks; which are absent is known of the result only.
+  const absent = new Set(final ? fit.absent ?? [] : []);
+  draw("landmarks", () => {
+    drawPoints(ctx, viewer, shape.filter((_, i) => !absent.has(i)), { colour, radius: 3 });
+    discs(ctx, viewer, shape.filter((_, i) => absent.has(i)), 5);
+    stroked(ctx, ABSENT, 1.6);
+  });
 }
 
 export function drawTruth(ctx, viewer, points) {

@@ -1,0 +1,115 @@
+"""Fits to incomplete objects: without the image where it is not what the model expects.
+
+A wing whose tip is torn off, or a face behind a hand, pulls the whole fit. It is repeated without the pixels around
+which image and fit do not agree, until these no longer change: iteratively reweighted least squares whose weights are
+those of regions, 0 or 1, because the residual of one pixel does not tell a missing part from a varied one.
+"""
+
+from collections.abc import Callable, Iterable, Iterator
+from dataclasses import replace
+
+import numpy as np
+
+from liaam.fitting.loop.levels import CoarseToFine, FittedLevel, Target, is_sane
+from liaam.fitting.one_shape_fitter import OneShapeFitter
+from liaam.fitting.result import FitResult, FitStatus
+
+ROUNDS = 5  # Largest number of fits from a start; most take two
+ALIKE = 0.02  # Share of the pixels up to which two sets of them are the same
+# Least share of the model's pixels to fit with: a fit to less follows the image wherever it agrees by chance
+LEAST_SHARE = 0.15
+# Share of the landmarks that must be present: a fit of which most landmarks are absent may as well be elsewhere
+LEAST_PRESENT = 0.5
+PLACES = 4  # Largest number of other places to try if that is not so
+# Share of the landmarks, one at least, by which a first fit may have more present ones than the next: pulled by what is
+# absent, it agrees with its border.
+PULLED = 0.05
+
+
+def without_absent(
+    fitter: OneShapeFitter, target: Target, result: FitResult, other_places: Callable[[], Iterable[np.ndarray]]
+) -> FitResult:
+    """Repeat a fit without the pixels of absent parts if a landmark is absent.
+
+    If most landmarks remain absent, the fits from other places (shapes (n, 2), image pixels, most likely first) are
+    tried too, and if they do everywhere, the fit is doubtful.
+
+    Returns
+    -------
+    FitResult
+        The fit of which most landmarks are likely present.
+    """
+    if not result.absent.any():
+        return result
+    best = _fitted_without_absent(fitter, target, result)
+    if not _is_mostly_present(best):
+        for place in other_places():
+            start = target._replace(start=place)
+            elsewhere = fitter.result_of(start, fitter.coarse_to_fine.fit(start, fitter.options))
+            elsewhere = _fitted_without_absent(fitter, start, elsewhere)
+            if _n_present(elsewhere) > _n_present(best):
+                best = elsewhere
+            if _is_mostly_present(best):
+                break
+    best = replace(best, n_starts=result.n_starts)
+    if best.status.ok and not _is_mostly_present(best):
+        return replace(best, status=FitStatus.DOUBTFUL)
+    return best
+
+
+def _fitted_without_absent(fitter: OneShapeFitter, target: Target, result: FitResult) -> FitResult:
+    """Repeat a fit without the pixels of absent parts, until these no longer change."""
+    best = result
+    least = _n_present(result) - max(1, int(PULLED * len(result.landmarks)))
+    if is_sane(result.landmarks, target.start):
+        for fit in _rounds(fitter, target._replace(start=result.registered, mapped=None, pull=None)):
+            if _n_present(fit) >= least:
+                best = fit
+                least = _n_present(fit)
+    if best is result or best.absent.any():
+        return best
+    whole = target._replace(start=best.registered)  # nothing is absent: the first fit was only in the wrong place
+    fit = fitter.result_of(whole, fitter.coarse_to_fine.fit(whole, fitter.options))
+    return best if fit.absent.any() else fit
+
+
+def _rounds(fitter: OneShapeFitter, start: Target) -> Iterator[FitResult]:
+    """Yield fits with the pixels that the one before agreed with, the first with those of a fit from the start."""
+    sharpest = len(fitter.objectives) - 1
+    last = fitter.coarse_to_fine.fit(start, fitter.options, first=sharpest)[-1]
+    used = np.zeros(0, bool)
+    for _ in range(ROUNDS):
+        before = used
+        used = _present_pixels(fitter, last)
+        if used.mean() < LEAST_SHARE or (len(before) and (used != before).mean() <= ALIKE):
+            return
+        stages = _fit_with(fitter, start._replace(start=last.reached), used)
+        last = stages[-1]
+        if len(stages) <= sharpest or not is_sane(last.reached, start.start):
+            return
+        yield fitter.result_of(start, stages)
+
+
+def _n_present(result: FitResult) -> int:
+    """Return the number of landmarks that are likely present; -1 of a lost fit."""
+    return -1 if result.status.lost else int((~result.absent).sum())
+
+
+def _is_mostly_present(result: FitResult) -> bool:
+    """Return whether enough landmarks are present."""
+    return _n_present(result) >= LEAST_PRESENT * len(result.landmarks)
+
+
+def _present_pixels(fitter: OneShapeFitter, stage: FittedLevel) -> np.ndarray:
+    """Return around which pixels of the sharpest level the image is what the model expects, (n_pixels,) bool."""
+    assert fitter.presence is not None
+    return fitter.surroundings.present_pixels(fitter.presence, stage.solution)
+
+
+def _fit_with(fitter: OneShapeFitter, target: Target, used: np.ndarray) -> list[FittedLevel]:
+    """Fit all levels with the pixels that are used at the sharpest one."""
+    objectives = [
+        objective.with_weights(used[nearest])
+        for objective, nearest in zip(fitter.objectives, fitter.nearest_pixels, strict=True)
+    ]
+    return CoarseToFine(objectives, keeps_samples=True).fit(target, fitter.options)

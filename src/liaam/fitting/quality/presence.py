@@ -1,0 +1,158 @@
+"""Whether the tissue at each landmark is what the model expects, from the residual around it.
+
+The concordance of the gradients s of the image and those m of the fitted appearance around a landmark,
+
+    c = 2 sum w s.m / (sum w |s|^2 + sum w |m|^2 + floor) = 1 - sum w |s - m|^2 / (...),
+
+is Lin's coefficient (Biometrics 45, 1989) of gradients, whose mean is 0: the share of the contrast of both that the
+residual leaves. It is near 1 where the image is what the model expects, and near 0 where it is something else, or
+blank. ``w`` is a Gaussian window. :class:`liaam.model.presence.Presence` makes probabilities of it, and of the contrast
+of s by that of m, which is low where the image is blank.
+"""
+
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from liaam.fitting.loop.objective import THINNING, Objective
+from liaam.fitting.reference.problem import GRADIENT_ROWS
+from liaam.model.presence import Agreement, Presence
+from liaam.model.shape import diagonal_of
+from liaam.model.warp import PiecewiseAffineWarp
+
+# Standard deviation of the windows, as a fraction of the diagonal of the mean shape: narrow enough that landmarks
+# beside a hole of 15 % of the diagonal are not called absent, and wide enough for some ten independent samples.
+WIDTH = 0.03
+# Squared gradients (of softly normalised ones, at most 1) that count as contrast everywhere: of windows with less
+# contrast, noise determines the concordance.
+FLOOR = 0.02
+LEAST_CONTRAST = 1e-9  # of a window without usable pixels
+
+
+class Agreements(NamedTuple):
+    """How well image and fit agree around each landmark, and around each sampled pixel."""
+
+    landmarks: Agreement
+    pixels: Agreement
+
+
+@dataclass(frozen=True, eq=False)
+class Surroundings:
+    """Windows around the landmarks and around the sampled pixels of a level.
+
+    They lie on a grid over the reference frame, whose cells are as far apart as the sampled pixels.
+    """
+
+    objective: Objective
+
+    def compared(self, samples: np.ndarray, residual: np.ndarray, usable: np.ndarray) -> Agreements:
+        """Compare image and fit around each landmark and each sampled pixel.
+
+        Parameters
+        ----------
+        samples, residual : (n_pixels * k,) or (n_pixels, k)
+            Samples of the image, and what the fit leaves of them.
+        usable : (n_pixels,)
+            Which of these are in the image and usable. The others agree with nothing.
+        """
+        k = self.objective.method.n_rows
+        samples = np.reshape(samples, (-1, k))[:, :GRADIENT_ROWS]
+        expected = samples - np.reshape(residual, (-1, k))[:, :GRADIENT_ROWS]
+        seen = np.where(np.asarray(usable)[:, None] > 0, samples, 0.0)
+        weights = self.objective.appearance.usable
+        pairs = ((seen, expected), (seen, seen), (expected, expected))
+        products = [np.einsum("nk,nk->n", first, second) for first, second in pairs]
+        finite = np.nan_to_num(np.stack(products), posinf=0.0, neginf=0.0)
+        shared, of_image, of_fit = self._summed(weights * finite)
+        of_image = np.maximum(of_image, 0.0) + self._floor
+        of_fit = np.maximum(of_fit, 0.0) + self._floor
+        concordances = 2.0 * shared / (of_image + of_fit)
+        contrasts = np.log(of_image / of_fit)
+        of_landmarks = Agreement(concordances[self._landmarks], contrasts[self._landmarks])
+        return Agreements(of_landmarks, Agreement(concordances[self._pixels], contrasts[self._pixels]))
+
+    def compared_in(self, solution: Any) -> Agreements:
+        """Compare image and fit in a solution that keeps its samples."""
+        return self.compared(solution.samples, solution.residual, solution.usable)
+
+    def _summed(self, values: np.ndarray) -> np.ndarray:
+        """Sum values (c, n_pixels) of the sampled pixels over the window around each cell, (c, n_cells) float32."""
+        import cv2  # heavy: imported when first needed
+
+        height, width = self._size
+        grid = np.zeros((height * width, len(values)), np.float32)
+        grid[self._pixels] = values.T
+        deviation = WIDTH * self._diagonal / self._step
+        picture = grid.reshape(height, width, -1)
+        blurred = cv2.GaussianBlur(picture, (0, 0), deviation, borderType=cv2.BORDER_CONSTANT)
+        return blurred.reshape(height * width, -1).T
+
+    @cached_property
+    def _floor(self) -> np.ndarray:
+        """Contrast that counts everywhere, half of it of the image and half of the fit, (n_cells,) float32."""
+        of_pixels = 0.5 * FLOOR * self.objective.appearance.usable
+        return np.maximum(self._summed(of_pixels[None])[0], LEAST_CONTRAST)
+
+    def present_pixels(self, presence: Presence, solution: Any) -> np.ndarray:
+        """Return around which sampled pixels a solution's image is what the model expects, (n_pixels,) bool."""
+        return presence.agree(self.compared_in(solution).pixels, self._landmarks_around)
+
+    def nearest_of(self, objective: Objective) -> np.ndarray:
+        """Return the nearest sampled pixel to each pixel of another level on the same frame, (m,) int."""
+        from scipy.spatial import KDTree  # heavy: imported when first needed
+
+        return np.asarray(KDTree(_places(self.objective)).query(_places(objective))[1])
+
+    @cached_property
+    def _landmarks_around(self) -> np.ndarray:
+        """Weights of the landmarks around each sampled pixel, (n_pixels, n) float64."""
+        return _mesh_warp(self.objective).interpolate(np.eye(len(self.objective.warp.rest)))
+
+    @cached_property
+    def _diagonal(self) -> float:
+        return diagonal_of(self.objective.warp.rest)
+
+    @cached_property
+    def _step(self) -> int:
+        """Distance of the sampled pixels, pixels of the frame."""
+        return max(1, round(THINNING * self.objective.blur))
+
+    @cached_property
+    def _size(self) -> tuple[int, int]:
+        """Rows and columns of the grid."""
+        width, height = _mesh_warp(self.objective).frame.size
+        return (height - 1) // self._step + 1, (width - 1) // self._step + 1
+
+    @cached_property
+    def _pixels(self) -> np.ndarray:
+        """Cell of each sampled pixel, (n_pixels,) int."""
+        return self._cells(_places(self.objective))
+
+    @cached_property
+    def _landmarks(self) -> np.ndarray:
+        """Cell of each landmark of the mean shape, (n,) int."""
+        warp = _mesh_warp(self.objective)
+        return self._cells(warp.rest - warp.frame.origin)
+
+    def _cells(self, places: np.ndarray) -> np.ndarray:
+        """Return the cells of places (m, 2), (x, y) from the frame's top-left pixel, (m,) int."""
+        height, width = self._size
+        # Halves are rounded up: the pixels of a mirrored model may lie half-way between cells.
+        rounded = np.floor(places / self._step + 0.5).astype(int)
+        columns, rows = np.clip(rounded, 0, (width - 1, height - 1)).T
+        return rows * width + columns
+
+
+def _mesh_warp(objective: Objective) -> PiecewiseAffineWarp:
+    """Return the warp of an objective; only methods that fit meshes are calibrated."""
+    assert isinstance(objective.warp, PiecewiseAffineWarp)
+    return objective.warp
+
+
+def _places(objective: Objective) -> np.ndarray:
+    """Return (x, y) of the pixels of a level from the frame's top-left pixel, (m, 2) int."""
+    warp = _mesh_warp(objective)
+    pixels = warp.frame.pixels[:, ::-1]
+    return pixels if warp.selected is None else pixels[warp.selected]
