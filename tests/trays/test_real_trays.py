@@ -12,7 +12,7 @@ from liaam.training import train
 
 pytest.importorskip("zxingcpp")
 
-HEIGHT = 420  # of the place of a specimen, pixels
+HEIGHT = 480  # of the place of a specimen, pixels
 WIDTH = 520
 N_TRAYS = 3
 
@@ -42,7 +42,7 @@ def compose(samples: list[Sample], texts: list[str]) -> tuple[np.ndarray, list[n
     truth = []
     for i, (sample, text) in enumerate(zip(samples, texts, strict=True)):
         part, points = cut_out(sample)
-        for picture, middle in ((part, 160), (label(text)[:, :, None], 370)):
+        for picture, middle in ((part, 160), (label(text)[:, :, None], 400)):
             left = i % 3 * WIDTH + (WIDTH - picture.shape[1]) // 2
             top = i // 3 * HEIGHT + middle - picture.shape[0] // 2
             tray[top : top + picture.shape[0], left : left + picture.shape[1]] = picture
