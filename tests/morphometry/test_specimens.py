@@ -39,6 +39,7 @@ def row_of(path: str, status: str = "converged") -> dict:
         "covariance": SPREAD.ravel().tolist() if known else None,
         "size": [30, 40],
         "scale": None,
+        "expansion": 1.0,
     }
 
 
@@ -166,7 +167,7 @@ def test_tables_of_batches_keep_the_names_of_landmarks(tmp_path: Path, suffix: s
         assert measure([specimen], ["distance:base-x"])["distance_base_x"][0] == pytest.approx(np.hypot(10, 20))
     if suffix == ".csv":
         first = path.read_text().partition("\n")[0].split(",")
-        assert first[10:12] == ([f"x_{names[0]}", f"y_{names[0]}"] if names else ["x1", "y1"])
+        assert first[11:13] == ([f"x_{names[0]}", f"y_{names[0]}"] if names else ["x1", "y1"])
         start = read_collection(path)["a.png"]  # of other fits
         order = [start.names.index(name) for name in names] if start.names else slice(None)
         np.testing.assert_array_equal(start.points[order], POINTS)

@@ -65,7 +65,7 @@ def with_lengths(specimens: Sequence[Specimen], lengths: Mapping[str, Length | N
     LiaamError
         If no specimen is of an image in the table with a length, or one may be of several images.
     """
-    images = _images_of(specimens, list(lengths))
+    images = images_of([specimen.name for specimen in specimens], list(lengths))
     if not any(image is not None and lengths[image] for image in images):
         which = "with a scale " if any(images) else ""
         first = next(iter(lengths), "none")
@@ -87,8 +87,8 @@ Key = tuple[str, ...]
 """Folders and name of an image, without its ending, to be compared."""
 
 
-def _images_of(specimens: Sequence[Specimen], images: Sequence[str]) -> list[str | None]:
-    """Return the image of each specimen, None if it is none of these.
+def images_of(specimens: Sequence[str], images: Sequence[str]) -> list[str | None]:
+    """Return the image of each specimen, given by its name, None if it is none of these.
 
     The path of one is the end of the other's, as ``left/wing1`` is of ``wings/left/wing1.jpg``, but not of
     ``right/wing1.jpg``.
@@ -101,14 +101,14 @@ def _images_of(specimens: Sequence[Specimen], images: Sequence[str]) -> list[str
         for end in _ends_of(key):
             by_end[end].append(image)
 
-    def image_of(specimen: Specimen) -> str | None:
-        *folders, name = _key_of(f"{specimen.name}.png")
+    def image_of(specimen: str) -> str | None:
+        *folders, name = _key_of(f"{specimen}.png")
         for own in (name, name.rpartition("#")[0], name.rpartition("_")[0]):
             key = (*folders, own)
             found = by_end.get(key) or next((by_key[end] for end in _ends_of(key) if end in by_key), [])
             if len(found) > 1:
                 remedy = "measure the folder that holds all of them, or keep its line alone"
-                raise LiaamError(f"specimen {specimen.name} may be of the images {some_names(found)}: {remedy}")
+                raise LiaamError(f"specimen {specimen} may be of the images {some_names(found)}: {remedy}")
             if found:
                 return found[0]
         return None
