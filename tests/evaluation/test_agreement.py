@@ -138,6 +138,15 @@ def test_intraclass_correlation_and_reliability_are_those_of_the_noise(rng):
     assert np.isnan(compare_shapes(observed(truth, rng, 0.06), people[0]).repeatability_of_people)
 
 
+def test_components_on_which_people_do_not_agree_have_no_slope(rng):
+    truth = specimens(rng, 100)
+    found = compare_shapes(*(observed(truth, rng, 0.02) for _ in range(3)))
+    slopes = np.array([component["slope"] for component in found.components])
+    assert np.isfinite(slopes[:2]).all() and np.isnan(slopes[2:]).all()  # the shapes vary along two directions
+    assert len(found.plot().axes) == 3
+    assert json.loads(found.to_json())["components"][-1]["slope"] is None
+
+
 def test_sentences_for_methods_and_json_hold_the_numbers(rng):
     truth = specimens(rng, 12)
     found = compare_shapes(observed(truth, rng, 0.03), observed(truth, rng, 0.02), observed(truth, rng, 0.02))

@@ -44,6 +44,8 @@ COPIED = 1e-6
 # The same for all landmarks of a specimen, which are then copies rounded to whole pixels. People do not repeat all
 # landmarks so well: their errors are 0.3 % or more.
 NEARLY_COPIED = 1e-3
+# Share of a component's variance on which two people must agree, so that a slope on it is no ratio of their errors
+LEAST_COMMON = 0.3
 LEAST_VARIED = 1e-9  # Root mean squared deviation from the mean shape below which shapes are all the same
 TOLERANCE = 1e-15  # Of the superimposition, whose slopes are compared to many digits in tests
 INTERVAL = 0.95  # Probability of the intervals
@@ -87,6 +89,7 @@ class ShapeAgreement:
         That of both people's shapes; NaN if only one has placed landmarks.
     components : list of dict
         For each principal component of people's shapes: share of the variance, slope, variance ratio and correlation.
+        Slope and ratio are NaN where two people agree on less than 0.3 of the variance.
     bias : (n, 2) float64
         Mean difference of each landmark, automatic less people's, in units of centroid size.
     random_error : (n,) float64
@@ -408,6 +411,8 @@ def _components(ours: np.ndarray, first: np.ndarray, other: np.ndarray) -> tuple
         x = first @ axis
         y = other @ axis
         common = float(x @ y)
+        if common < LEAST_COMMON * float(x @ x):
+            common = np.nan
         scale = float(np.sqrt((c @ c) * (x @ x)))
         rows.append(
             {

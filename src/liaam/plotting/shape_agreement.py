@@ -43,7 +43,7 @@ def figure_of_shape_agreement(
     axis.plot(numbers, slopes, "o-", color=LANDMARK, label="slope on people's")
     axis.plot(numbers, ratios, "s--", color="0.4", label="variance ratio")
     axis.set(xlabel="principal component of people's shapes", xticks=numbers, title="1: as people's")
-    axis.set_ylim(bottom=min(0.0, float(np.nanmin([*slopes, *ratios]))))
+    axis.set_ylim(bottom=min(0.0, float(np.nanmin([0.0, *slopes, *ratios]))))
     axis.legend(frameon=False)
     axis = axes[0, 2]
     ends = [float(scores.min()), float(scores.max())]
