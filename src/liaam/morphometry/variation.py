@@ -7,8 +7,11 @@ the method of moments,
     total = sum |s - mean|^2 / (m - 1) = specimens + measuring,        measuring = mean trace(C).
 
 The share of the specimens is the reliability ratio (Carroll et al. 2006, section 1.1), as for wings of flies in Ragheb
-et al. (2013). It assumes classical errors, independent of the shape. Fits may also shrink shapes, which covariances do
-not show: :func:`liaam.evaluation.compare_shapes` measures that.
+et al. (2013). It assumes classical errors, which do not depend on the shape. Those of hand-placed landmarks are such.
+Fits do not fulfil it: they draw shapes to a mean and away from it again, and their covariances also hold errors of the
+labels, so that the ratio is too low. Of models of 40 wings it is 0.57 where the squared correlation with labels is
+0.69, and of 40 cephalograms the errors exceed the variance where that is 0.57. It is then unknown, and
+:func:`liaam.evaluation.compare_shapes` measures it.
 """
 
 from __future__ import annotations
@@ -63,8 +66,7 @@ class ShapeVariation:
         Standard errors of these, by differences of specimens and by measuring; and the part by measuring.
     tests : list of dict
         For all groups and for each two of several: ``groups``, ``specimens``, ``distance`` (Procrustes distance between
-        two means), ``R2`` (share of the groups in the variance), ``R2_of_specimens`` (in that without measuring error)
-        and ``P``.
+        two means), ``R2`` (share of the groups in the variance) and ``P``.
     """
 
     names: tuple[str, ...]
@@ -85,12 +87,12 @@ class ShapeVariation:
 
     @property
     def reliability(self) -> float:
-        """Reliability ratio: share of the specimens in the variance of shape; NaN if unknown."""
+        """Reliability ratio of classical errors: share of the specimens in the variance of shape; NaN if unknown."""
         return _reliability(self.total, self.measuring)
 
     @property
     def reliabilities(self) -> np.ndarray:
-        """Reliability ratio of the scores of each component, (c,) float64."""
+        """Reliability ratio of the scores of each component, (c,) float64, as :attr:`reliability`."""
         variances = self.scores.var(axis=0, ddof=1)
         errors = np.square(self.scores_se)
         return np.array([_reliability(*pair) for pair in zip(variances, _known_mean(errors), strict=True)])
@@ -134,13 +136,18 @@ class ShapeVariation:
         """Describe the variance of shape, and the differences between groups, as text."""
         left_out = f" ({self.n_left_out} without a shape left out)" if self.n_left_out else ""
         lines = [f"variance of shape of {count_of(len(self.names), 'specimen')}{left_out}: {self.total:.3g}"]
-        if np.isfinite(self.measuring):
+        if np.isnan(self.measuring):
+            lines[0] += "; that of measuring is unknown, as the landmarks have no covariances"
+        elif np.isnan(self.reliability):
             lines[0] += (
-                f", of which {max(0.0, self.total - self.measuring):.3g} of specimens and {self.measuring:.3g} of "
-                f"measuring (reliability ratio {self.reliability:.2f})"
+                f"; errors of the landmarks would make {self.measuring:.3g}, by their covariances, so that it cannot "
+                "be split: compare with landmarks that people placed"
             )
         else:
-            lines[0] += "; that of measuring is unknown, as the landmarks have no covariances"
+            lines[0] += (
+                f", of which {self.measuring:.3g} of measuring, by the covariances of the landmarks (reliability ratio "
+                f"{self.reliability:.2f}, if errors do not depend on the shape)"
+            )
         shown = zip(self.shares[:3], self.reliabilities[:3], strict=True)
         parts = [
             f"PC{i} {100 * share:.0f} %" + ("" if np.isnan(ratio) else f" (reliability ratio {ratio:.2f})")
@@ -149,10 +156,8 @@ class ShapeVariation:
         lines.append(f"principal components: {', '.join(parts)}")
         for test in self.tests:
             apart = "" if np.isnan(float(test["distance"])) else f"means {test['distance']:.3g} apart, "
-            corrected = float(test["R2_of_specimens"])
-            of_specimens = "" if np.isnan(corrected) else f" ({100 * corrected:.0f} % without measuring error)"
             lines.append(
-                f"{test['groups']}: {apart}{100 * float(test['R2']):.0f} % of the variance of shape{of_specimens}, "
+                f"{test['groups']}: {apart}{100 * float(test['R2']):.0f} % of the variance of shape, "
                 f"P = {test['P']:.3f}"
             )
         return "\n".join(lines)
@@ -228,7 +233,6 @@ def shape_variation(
     own = () if groups is None else tuple(group for group, kept in zip(groups, has_shape, strict=True) if kept)
     compared = _compared(own) if groups is not None else []
     means, means_se, by_measuring = _group_means(flat, errors, own, compared)
-    reliability = _reliability(total, measuring)
     return ShapeVariation(
         names=tuple(specimen.name for specimen in used),
         groups=own,
@@ -242,7 +246,7 @@ def shape_variation(
         means=means,
         means_se=means_se,
         means_se_by_measuring=by_measuring,
-        tests=_tests(flat, np.array(own), compared, reliability, permutations, seed),
+        tests=_tests(flat, np.array(own), compared, permutations, seed),
     )
 
 
@@ -289,7 +293,7 @@ def _group_means(
 
 
 def _tests(
-    flat: np.ndarray, own: np.ndarray, compared: Sequence[str], reliability: float, permutations: int, seed: int
+    flat: np.ndarray, own: np.ndarray, compared: Sequence[str], permutations: int, seed: int
 ) -> list[dict[str, str | float]]:
     """Test the difference of all groups, and of each two if there are more."""
     if not compared:
@@ -313,7 +317,6 @@ def _tests(
                 "specimens": int(members.sum()),
                 "distance": distance,
                 "R2": share,
-                "R2_of_specimens": min(1.0, share / reliability) if reliability > 0 else np.nan,
                 "P": _probability(by_chance, share),
             }
         )
@@ -338,8 +341,8 @@ def _share(shapes: np.ndarray, codes: np.ndarray) -> float:
 
 
 def _reliability(total: float, measuring: float) -> float:
-    """Return the share of a variance that is not by measuring, at least 0."""
-    return float(np.maximum(0.0, 1.0 - measuring / total)) if total > 0 else np.nan
+    """Return the share of a variance that is not by measuring; NaN if that exceeds it, or is unknown."""
+    return float(1.0 - measuring / total) if 0.0 <= measuring < total else np.nan
 
 
 def _known_mean(values: np.ndarray) -> np.ndarray:
