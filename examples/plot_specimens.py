@@ -8,12 +8,12 @@ Train on a ``.tps`` file of digitised leaves, fit new leaves, and measure them i
 import tempfile
 from pathlib import Path
 
-import cv2
 import matplotlib.pyplot as plt
 import numpy as np
 
 import liaam
 from liaam.io import write_collection
+from scenes.leaf import draw_leaf
 
 # %%
 # Leaves
@@ -21,42 +21,7 @@ from liaam.io import write_collection
 # Each generated leaf has its own length, width and bend. Its seven landmarks are base and tip, the ends of two pairs of
 # veins, and the point where the first pair meets the midrib. The camera is fixed: a pixel is 0.25 mm.
 
-SIZE, SCALE = (240, 180), 0.25
-AXIS = np.linspace(0, 1, 60)
-
-
-def draw_leaf(rng):
-    length, width, bend = rng.normal((170, 62, 0), (12, 6, 10))
-
-    def at(t, side):
-        """Point at a fraction of the midrib, and of the width to the side."""
-        half = 0.5 * width * np.sin(np.pi * np.asarray(t) ** 0.8) * side
-        sway = bend * np.sin(np.pi * np.asarray(t))
-        x = 90 + sway + half
-        y = 120 + length * (0.5 - np.asarray(t))
-        return np.stack([x, y], axis=-1)
-
-    def line(image, points, colour, thickness=1):
-        fixed = np.round(np.asarray(points) * 16).astype(np.int32)
-        cv2.polylines(image, [fixed], False, colour, thickness, cv2.LINE_AA, 4)
-
-    image = np.full((*SIZE, 3), (226, 222, 210), np.uint8)
-    outline = np.concatenate([at(AXIS, 1), at(AXIS[::-1], -1)])
-    green = tuple(int(v) for v in rng.normal((78, 124, 54), 6))
-    cv2.fillPoly(
-        image, [np.round(outline * 16).astype(np.int32)], green, cv2.LINE_AA, 4
-    )
-    line(image, at(AXIS, 0), (168, 190, 120), 2)
-    for start, end in ((0.25, 0.4), (0.5, 0.65)):
-        for side in (-1, 1):
-            line(image, [at(start, 0), at(end, 0.95 * side)], (150, 176, 104))
-    landmarks = [
-        *(at(0, 0), at(1, 0), at(0.25, 0)),
-        *(at(end, 0.95 * side) for end in (0.4, 0.65) for side in (-1, 1)),
-    ]
-    noise = rng.normal(0, 3, image.shape)
-    return np.clip(image + noise, 0, 255).astype(np.uint8), np.array(landmarks)
-
+SCALE = 0.25
 
 rng = np.random.default_rng(4)
 leaves = [draw_leaf(rng) for _ in range(28)]

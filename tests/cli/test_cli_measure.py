@@ -360,3 +360,32 @@ def test_a_table_of_scales_is_used(run, tmp_path):
     assert table["distance_1_2_mm"].tolist()[0] == pytest.approx(1) and np.isnan(table["distance_1_2_mm"][1])
     assert table["scale_mm_per_px_se"][0] == 0.001
     assert "1 of 2 have no scale" in " ".join(err.split())
+
+
+def test_the_agreement_with_people_and_the_variance_of_groups_are_written(run, tmp_path, rng):
+    folder = tmp_path / "fits"
+    folder.mkdir()
+    shapes = POINTS + rng.normal(0, 1.0, (12, 4, 2))
+    shapes[::2, 0] -= 2.0
+    for i, points in enumerate(shapes):
+        facts = {"status": "converged", "covariance": np.tile([0.04, 0, 0.04], (4, 1))}
+        write_fit(folder / f"wing{i}.json", Landmarks(points), facts, (30, 40))
+    for name in ("first", "second"):
+        marks = {f"wing{i}.png": Landmarks(points + rng.normal(0, 0.3, (4, 2))) for i, points in enumerate(shapes)}
+        write_collection(tmp_path / f"{name}.csv", marks, dict.fromkeys(marks, (30, 40)))
+    groups = tmp_path / "groups.csv"
+    groups.write_text("specimen,group\n" + "".join(f"wing{i},{'ab'[i % 2]}\n" for i in range(12)), encoding="utf-8")
+    options = ("--compare", tmp_path / "first.csv", "--compare", tmp_path / "second.csv", "--groups", groups)
+    code, out, err = run("measure", folder, "-o", tmp_path / "t.csv", *options)
+    assert code == 0, err
+    assert "between people" in out and "for Methods: " in out and "a – b: means" in out and "reliability ratio" in out
+    agreement = json.loads((tmp_path / "t_agreement.json").read_text())
+    assert agreement["n_specimens"] == 12 and 0.8 < agreement["slope"] < 1.2
+    scores = pd.read_csv(tmp_path / "t_scores.csv")
+    assert scores["group"].tolist() == ["a", "b"] * 6 and (scores["PC1_se"] > 0).all()
+    assert len(pd.read_csv(tmp_path / "t_groups.csv")) == 2 * 4
+    assert json.loads((tmp_path / "t_variation.json").read_text())["tests"][0]["specimens"] == 12
+    assert (tmp_path / "t_agreement.png").exists() and len(pd.read_csv(tmp_path / "t_bias.csv")) == 4
+    code, _, err = run("measure", folder, "-o", tmp_path / "u.csv", "--compare", folder)
+    assert code == 1 and "the labels are copies of the automatic landmarks (12 of 12 specimens)" in err
+    assert not (tmp_path / "u.csv").exists()

@@ -1,11 +1,15 @@
 """Automatic shapes beside people's: known shrinkage, bias and noise come back."""
 
+import json
+
 import numpy as np
 import pytest
 
 from liaam.errors import LiaamError
-from liaam.evaluation import compare_shapes
+from liaam.evaluation import compare_shapes, compare_specimens
 from liaam.model.shape import rotation
+from liaam.morphometry import Specimen
+from liaam.morphometry.superimposition import superimpose
 
 MEAN = np.array([[-2.0, -1], [0, -1.4], [2, -1], [2.2, 1], [0, 1.5], [-2.1, 1.2], [0.3, 0.2]])
 
@@ -84,3 +88,116 @@ def test_wrong_input_is_refused_by_name(rng):
         compare_shapes(truth, np.where(np.arange(8)[:, None, None] < 5, 7.0, truth + 0.1))  # all in one place
     with pytest.raises(LiaamError, match="not of the same specimens"):
         compare_shapes(truth, truth[:, :3])
+
+
+@pytest.mark.parametrize(("kept", "size"), [(0.9, 0.05), (0.6, 0.1), (0.75, 0.2)])
+def test_what_becomes_of_a_difference_between_groups_is_found(rng, kept, size):
+    """The direction of the groups is shrunk less, or more, than the rest of the shape."""
+    truth = specimens(rng, 200)
+    members = np.arange(200) % 2
+    direction = rng.normal(size=MEAN.shape)
+    direction *= size / np.linalg.norm(direction)
+    truth = truth + 5 * members[:, None, None] * direction
+    between = members[:, None, None] * direction * 5
+    mean = truth.mean(axis=0)
+    automatic = mean + 0.8 * (truth - between - (mean - between.mean(axis=0))) + kept * (between - between.mean(axis=0))
+    labels = [observed(truth, rng, 0.02) for _ in range(2)]
+    names = np.where(members == 1, "b", "a")
+    found = compare_shapes(observed(automatic, rng, 0.02), *labels, groups=names)
+    assert found.attenuation == pytest.approx(kept, abs=0.07)
+    low, high = found.attenuation_interval
+    assert low < found.attenuation < high < low + 0.5
+    assert f"multiplied by about {found.attenuation:.2f} (" in found.report()
+    by_one = compare_shapes(observed(automatic, rng, 0.02), labels[0], groups=names)
+    assert by_one.attenuation == pytest.approx(kept, abs=0.07)  # errors of labels hardly enter means of groups
+
+
+def test_a_slope_s_interval_holds_it(rng):
+    inside = 0
+    for _ in range(20):
+        truth = specimens(rng, 40)
+        mean = truth.mean(axis=0)
+        labels = [observed(truth, rng, 0.01) for _ in range(2)]
+        found = compare_shapes(observed(mean + 0.8 * (truth - mean), rng, 0.02), *labels, permutations=9)
+        low, high = found.slope_interval
+        inside += low <= 0.8 <= high
+    assert inside >= 16  # 19 are expected; fewer than 16 in one of 400 cases
+
+
+def test_intraclass_correlation_and_reliability_are_those_of_the_noise(rng):
+    truth = specimens(rng, 300)
+    people = [observed(truth, rng, 0.02) for _ in range(2)]
+    found = compare_shapes(observed(truth, rng, 0.06), *people)
+    assert found.repeatability < found.repeatability_of_people - 0.1
+    exact = superimpose(truth)
+    specimen = np.square(exact.shapes - exact.mean).sum() / (len(truth) - 1)
+    noise = 10 * np.square(0.06 / exact.sizes).mean()  # 10 coordinates of shape hold it
+    expected = specimen / (specimen + noise)
+    assert found.reliability == pytest.approx(expected, abs=0.05)
+    assert found.calibration == pytest.approx(expected, abs=0.05)
+    assert np.isnan(compare_shapes(observed(truth, rng, 0.06), people[0]).repeatability_of_people)
+
+
+def test_components_on_which_people_do_not_agree_have_no_slope(rng):
+    truth = specimens(rng, 100)
+    found = compare_shapes(*(observed(truth, rng, 0.02) for _ in range(3)))
+    slopes = np.array([component["slope"] for component in found.components])
+    assert np.isfinite(slopes[:2]).all() and np.isnan(slopes[2:]).all()  # the shapes vary along two directions
+    assert len(found.plot().axes) == 3
+    assert json.loads(found.to_json())["components"][-1]["slope"] is None
+
+
+def test_sentences_for_methods_and_json_hold_the_numbers(rng):
+    truth = specimens(rng, 12)
+    found = compare_shapes(observed(truth, rng, 0.03), observed(truth, rng, 0.02), observed(truth, rng, 0.02))
+    said = found.methods()
+    assert said.count(". ") == 1 and said.endswith(".")
+    assert f"a slope of {found.slope:.2f}" in said and "of 12 specimens" in said and "(between people" in said
+    read = json.loads(found.to_json())
+    assert read["methods"] == said
+    assert read["slope"] == pytest.approx(found.slope) and read["attenuation"] is None
+    assert np.shape(read["bias"]) == (7, 2)
+    assert len(found.plot().axes) == 3
+
+
+def test_labels_that_are_copies_are_left_out_and_counted(rng):
+    truth = specimens(rng, 20)
+    automatic = 300 * observed(truth, rng, 0.02)
+    labels = 300 * observed(truth, rng, 0.02)
+    labels[:6] = np.round(automatic[:6])
+    labels[6, :4] = automatic[6, :4]  # most of it was accepted
+    labels[7, 0] = automatic[7, 0]
+    found = compare_shapes(automatic, labels)
+    assert (found.n_specimens, found.n_copied) == (13, 7)
+    assert "7 left out, whose labels are copies of the automatic landmarks" in found.report()
+    labels[7:17] = automatic[7:17]
+    with pytest.raises(LiaamError, match=r"copies of the automatic landmarks \(17 of 20 specimens\)"):
+        compare_shapes(automatic, labels)
+
+
+def test_groups_that_are_too_small_are_refused(rng):
+    truth = specimens(rng, 8)
+    pair = (truth + rng.normal(0, 0.01, truth.shape), truth)
+    with pytest.raises(
+        LiaamError, match=r"two groups of 2 specimens or more that are compared: there are a \(7\), b \(1\)"
+    ):
+        compare_shapes(*pair, groups=["a"] * 7 + ["b"])
+    with pytest.raises(LiaamError, match="3 groups of 8 specimens"):
+        compare_shapes(*pair, groups=["a", "a", "b"])
+
+
+def test_specimens_are_paired_by_name(rng):
+    truth = specimens(rng, 8)
+    automatic = truth + rng.normal(0, 0.02, truth.shape)
+    names = tuple("abcdefg")
+    fits = [Specimen(f"w{i}", points, names=names) for i, points in enumerate(automatic)]
+    order = [6, 5, 4, 3, 2, 1, 0]
+    labels = [Specimen(f"w{i}", truth[i][order], names=names[::-1]) for i in (7, 5, 3, 1, 0, 2, 4)]
+    found = compare_specimens(fits, [labels])
+    used = [0, 1, 2, 3, 4, 5, 7]
+    assert (found.n_specimens, found.n_left_out) == (7, 1)
+    assert found.slope == pytest.approx(compare_shapes(automatic[used], truth[used]).slope)
+    with pytest.raises(LiaamError, match="labels: there are no landmarks of the same specimens: it has x0"):
+        compare_specimens(fits, [[Specimen("x0", truth[0])]])
+    with pytest.raises(LiaamError, match="labels: w3 has 5 landmarks where the others have 7"):
+        compare_specimens(fits, [[Specimen("w3", truth[3][:5])]])

@@ -1,6 +1,7 @@
 """Evaluations of models on landmarked images."""
 
 import csv
+import json
 from dataclasses import replace
 from functools import partial
 from types import SimpleNamespace
@@ -14,7 +15,10 @@ from liaam import Evaluation, FitStatus, Landmarks, Sample
 from liaam.error_measures import landmark_errors, within_ellipses
 from liaam.errors import LiaamError
 from liaam.evaluation import measure
-from liaam.io import write_image, write_landmarks
+from liaam.io import read_landmarks, write_image, write_landmarks
+from liaam.io.files import real_path
+from liaam.studio.folder import Folder
+from liaam.studio.store import Store
 
 SQUARE = np.array([[0.0, 0.0], [30.0, 0.0], [30.0, 40.0], [0.0, 40.0]])  # the diagonal is 50
 OPTIONS = {"diagonal": 40.0, "leave_out": False, "copies": 0, "methods": "grey"}
@@ -240,3 +244,66 @@ def test_errors_along_contours_are_told_from_errors_across():
     )
     assert slid.outcomes == ["silent"]
     assert slid.outline_outcomes == ["right"]  # only the last is off, beyond the end
+
+
+def write_labels(folder, scenes, rng, sd):
+    folder.mkdir()
+    for i, scene in enumerate(scenes):
+        write_landmarks(folder / f"f{i}.pts", scene.landmarks + rng.normal(0, sd, scene.landmarks.shape))
+
+
+def test_the_command_compares_shapes_with_those_of_two_people_and_of_groups(run, folder, scenes, tmp_path, rng):
+    faces = tmp_path / "faces"
+    write_labels(faces, scenes, rng, 1.0)
+    write_labels(tmp_path / "second", scenes, rng, 1.0)
+    for i, scene in enumerate(scenes):
+        write_image(faces / f"f{i}.png", scene.image)
+    groups = tmp_path / "groups.csv"
+    groups.write_text("specimen,group\n" + "".join(f"f{i}.png,{'ab'[i % 2]}\n" for i in range(6)), encoding="utf-8")
+    options = ("-m", "grey", "--init", faces, "--limit", 50, "-o", tmp_path / "out", "--groups", groups)
+    code, out, err = run("evaluate", folder / "face.liaam", faces, *options, "--second", tmp_path / "second")
+    assert code == 0, err
+    assert "between people" in out and "for Methods: Automatic landmarks of 6 specimens" in out
+    read = json.loads((tmp_path / "out/shapes.json").read_text())
+    assert read["n_specimens"] == 6 and read["attenuation"] is not None and read["repeatability_of_people"] < 1
+    assert (tmp_path / "out/shapes.png").read_bytes()[:4] == b"\x89PNG"
+    code, _, err = run("evaluate", folder / "face.liaam", faces, *options, "--second", faces)
+    assert code == 1 and "is the folder of the first person's landmarks" in err
+
+
+def test_points_that_the_studio_proposed_are_no_labels(run, folder, scenes, tmp_path, rng):
+    faces = tmp_path / "faces"
+    write_labels(faces, scenes, rng, 1.0)
+    for i, scene in enumerate(scenes):
+        write_image(faces / f"f{i}.png", scene.image)
+    points = read_landmarks(faces / "f1.pts").points.tolist()
+    store = Store(Folder(real_path(faces)))
+    store.put("origin", {"f1.png": {"accepted": points[:2], "confirmed": points[2:3]}})
+    store.close()
+    options = ("-m", "grey", "--init", faces, "--limit", 50, "-o", tmp_path / "out")
+    code, out, err = run("evaluate", folder / "face.liaam", faces, *options)
+    assert code == 0
+    assert "2 points of 1 image left out, which were accepted as they were proposed, and are no labels: f1" in err
+    assert "shapes of 5 specimens (1 left out, which lack landmarks)" in out
+    rows = [row for row in csv.DictReader((tmp_path / "out/errors.csv").open()) if row["image"] == "f1"]
+    assert [row["true_x"] == "" for row in rows] == [True, True, False, False, False]
+
+
+def test_the_command_measures_a_learning_curve(run, tmp_path, monkeypatch, rng):
+    changed = OPTIONS | {"progress": False}
+    monkeypatch.setattr(measure, "train", lambda data, **options: liaam.train(data, **options | changed))
+    faces = tmp_path / "faces"
+    many = [kite(np.random.default_rng(i)) for i in range(8)]
+    write_labels(faces, many, rng, 0.0)
+    for i, scene in enumerate(many):
+        write_image(faces / f"f{i}.png", scene.image)
+    options = ("--learning-curve", "-m", "grey", "--limit", 50, "-o", tmp_path / "out")
+    code, out, err = run("evaluate", faces, *options)
+    assert code == 0, err
+    assert "forecast for 16 pictures: median error" in out
+    rows = list(csv.DictReader((tmp_path / "out/learning-curve.csv").open()))
+    assert [row["pictures"] for row in rows] == ["5", "6"]
+    read = json.loads((tmp_path / "out/learning-curve.json").read_text())
+    low, high = read["forecast"]["interval_percent"]
+    assert low < read["forecast"]["median_percent"] < high
+    assert (tmp_path / "out/learning-curve.png").read_bytes()[:4] == b"\x89PNG"

@@ -1,22 +1,27 @@
 """The command ``liaam evaluate``."""
 
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
+import numpy as np
 import typer
 
 from liaam.cli import inputs
-from liaam.cli.terminal import cell, say, show_table, table_of
+from liaam.cli.terminal import cell, complain, say, show_table, table_of
 from liaam.errors import LiaamError
 from liaam.fitting.search.starts import read_start
 from liaam.io import image_size, make_folder, write_columns
-from liaam.io.atomic import check_output
-from liaam.io.files import real_path
+from liaam.io.atomic import check_output, write_text_atomically
+from liaam.io.files import count_of, real_path, some_names
 from liaam.io.landmarks.reading import Reading
 
 if TYPE_CHECKING:
     from liaam import Evaluation
+    from liaam.datasets import Dataset
+    from liaam.evaluation import LearningCurve
 
+SAME = 0.01  # Distance in pixels up to which a point in a file is the one that the studio stored
 SHOWN = 10  # Landmarks in the printed table, and images on the contact sheet: those with the largest errors
 
 
@@ -40,6 +45,28 @@ def evaluate(
             "of the others. Images of one person or object, by their names, stay together. As many parts as images: "
             "leave one out.",
             min=2,
+        ),
+    ] = None,
+    learning_curve: Annotated[
+        bool,
+        typer.Option(
+            "--learning-curve",
+            help="Instead of a given model, measure the errors of models of 5, 10, 20, ... pictures of the folder on "
+            "others, and forecast those of twice as many.",
+        ),
+    ] = False,
+    second: Annotated[
+        Path | None,
+        typer.Option(
+            help="Landmarks of the same images by another person, or by the same person again: a file or a folder. "
+            "Errors of people then do not count as variance of shape."
+        ),
+    ] = None,
+    groups: Annotated[
+        Path | None,
+        typer.Option(
+            help="Table .csv with the columns specimen and group, to say by how much differences between groups are "
+            "attenuated."
         ),
     ] = None,
     init: Annotated[
@@ -72,18 +99,19 @@ def evaluate(
     y_down: inputs.YDownOption = False,
     stored_orientation: inputs.StoredOption = False,
 ) -> None:
-    """Fit landmarked images and compare: errors, lost fits, and coverage of the 95 % ellipses.
+    """Fit landmarked images and compare: errors, lost fits, coverage of the 95 % ellipses, and variance of shape.
 
-    Writes the errors of each landmark and image as tables, their cumulative distribution, and the worst ten fits.
+    Writes the errors of each landmark and image as tables, their cumulative distribution, the worst ten fits, and how
+    automatic shapes agree with labelled ones, with sentences for Methods.
     """
-    from liaam.evaluation import cross_validate, evaluate as evaluated
+    from liaam.evaluation import cross_validate, evaluate as evaluated, learning_curve as curve_of
     from liaam.model import load_model
     from liaam.training.left_out import describe_objects
 
-    model_file, folder = model_and_folder(sources, folds, init)
+    model_file, folder = model_and_folder(sources, 2 if learning_curve and folds is None else folds, init)
     model = None if model_file is None else load_model(model_file)
     reading = Reading(strict, category, y_down, stored_orientation)
-    data = inputs.read_folder(folder, reading)
+    data = without_proposals(inputs.read_folder(folder, reading), inputs.folder_of(folder)[0])
     if real_path(output).is_relative_to(real_path(inputs.folder_of(folder)[0])):  # it would be read as landmarks later
         raise LiaamError(f"{output} is inside the folder of landmarks; give another place with -o")
     (check_output if output.suffix.lower() == ".csv" else make_folder)(output)
@@ -91,6 +119,13 @@ def evaluate(
     camera = inputs.camera_for(paths, given_camera, None if model is None else model.camera)
     options: dict[str, Any] = {"method": method, "normalise": normalise, "camera": camera}
     options["limit"] = None if limit is None else limit / 100
+    people = None if second is None else second_points(second, inputs.folder_of(folder)[0], data, reading)
+    if learning_curve:
+        curve = curve_of(data, second=people, training={"camera": camera}, **options)
+        write_curve(output, curve)
+        say(curve.report())
+        say(f"written to {output}")
+        return
     if model is None:
         if together := describe_objects([sample.name for sample in data]):
             say(together)
@@ -99,9 +134,12 @@ def evaluate(
         # Of several objects in an image there is one start.
         starts = None if init is None else [read_start(init, path, image_size(path)) for path in dict.fromkeys(paths)]
         evaluation = evaluated(model, data, starts, **options)
+    evaluation = with_people(evaluation, people, groups)
     write(output, evaluation)
     show_landmarks(evaluation)
     say(evaluation.report())
+    if evaluation.agreement is not None:
+        say(f"for Methods: {evaluation.agreement.methods()}")
     say(f"written to {output}")
 
 
@@ -118,6 +156,87 @@ def model_and_folder(sources: list[Path], folds: int | None, init: str | None) -
     return None, sources[0]
 
 
+def without_proposals(data: "Dataset", folder: Path) -> "Dataset":
+    """Return landmarked images without points that the studio proposed and nobody placed, moved or confirmed.
+
+    They would confirm the model that proposed them.
+    """
+    from liaam.studio.origins import saved_proposals
+
+    proposals = saved_proposals(folder) if folder.is_dir() else {}
+    samples = []
+    changed = []
+    n_points = 0
+    for sample in data:
+        known = proposals.get(_picture_of(sample.image, folder))
+        points = sample.landmarks.points
+        if known is None:
+            samples.append(sample)
+            continue
+        distances = np.linalg.norm(points[:, None] - known, axis=2)
+        proposed = (distances <= SAME).any(axis=1)
+        if proposed.any():
+            changed.append(sample.name)
+            n_points += int(proposed.sum())
+        own = np.where(proposed[:, None], np.nan, points)
+        samples.append(replace(sample, landmarks=replace(sample.landmarks, points=own)))
+    if changed:
+        complain(
+            f"{count_of(n_points, 'point')} of {count_of(len(changed), 'image')} left out, which were accepted as they "
+            f"were proposed, and are no labels: {some_names(changed)}; move or confirm each in the studio"
+        )
+    return replace(data, samples=tuple(samples))
+
+
+def _picture_of(image: Any, folder: Path) -> str:
+    """Return the name of an image as the studio stores it: its path inside the folder."""
+    path = real_path(image)
+    root = real_path(folder)
+    return path.relative_to(root).as_posix() if path.is_relative_to(root) else path.name
+
+
+def second_points(second: Path, folder: Path, data: "Dataset", reading: Reading) -> dict[str, np.ndarray]:
+    """Return the landmarks of a second person by the name of the image, in the order of the first person's."""
+    from liaam.evaluation.observers import points_by_name
+    from liaam.morphometry import read_specimens
+
+    if real_path(second) == real_path(folder):
+        raise LiaamError(f"--second {second} is the folder of the first person's landmarks: give the other's")
+    names = next((sample.landmarks.names for sample in data if sample.landmarks.names), ())
+    return points_by_name(read_specimens(second, complain, reading), names)
+
+
+def with_people(evaluation: "Evaluation", people: dict[str, np.ndarray] | None, groups: Path | None) -> "Evaluation":
+    """Return an evaluation with the landmarks of a second person, and with groups."""
+    from liaam.evaluation.observers import points_of
+    from liaam.morphometry import groups_of, read_groups
+
+    if people is not None:
+        points = points_of(evaluation.names, people, evaluation.truths.shape[1], "--second")
+        evaluation = replace(evaluation, second=points)
+    if groups is not None:
+        evaluation = replace(evaluation, groups=groups_of(evaluation.names, read_groups(groups)))
+    return evaluation
+
+
+def write_curve(output: Path, curve: "LearningCurve") -> None:
+    """Print a learning curve; write it as a table, and into a folder also as text in JSON and as a figure."""
+    from liaam.plotting import save_figure
+
+    columns = curve.to_columns()
+    table = table_of("pictures", "median", "90th percentile", "lost", "slope of shapes")
+    for size, *percents, slope in zip(*columns.values(), strict=True):
+        shown = [f"{percents[0]:.2f} %", f"{percents[1]:.2f} %", f"{percents[2]:.0f} %"]
+        table.add_row(str(size), *shown, "–" if slope != slope else f"{slope:.2f}")
+    show_table(table)
+    if output.suffix.lower() == ".csv":
+        write_columns(output, columns)
+        return
+    write_columns(output / "learning-curve.csv", columns)
+    write_text_atomically(output / "learning-curve.json", curve.to_json() + "\n")
+    save_figure(curve.plot().figure, output / "learning-curve.png")  # type: ignore[arg-type]
+
+
 def write(output: Path, evaluation: "Evaluation") -> None:
     """Write all errors as a table; into a folder also those by image and by landmark, and pictures."""
     from liaam.plotting import save_figure
@@ -131,6 +250,8 @@ def write(output: Path, evaluation: "Evaluation") -> None:
     if evaluation.agreement is not None:
         write_columns(output / "shapes.csv", evaluation.agreement.by_component())
         write_columns(output / "bias.csv", evaluation.agreement.by_landmark())
+        write_text_atomically(output / "shapes.json", evaluation.agreement.to_json())
+        save_figure(evaluation.agreement.plot(), output / "shapes.png")
     save_figure(evaluation.plot().figure, output / "errors.png")  # type: ignore[arg-type]
     save_figure(evaluation.plot_worst(SHOWN), output / "worst.png")
 

@@ -24,12 +24,19 @@ from liaam.scale.lengths import UNITS, Length, unlike
 from liaam.tables import Columns
 
 if TYPE_CHECKING:
-    from liaam.morphometry import AsymmetryResult, Specimen
+    from liaam.evaluation import ShapeAgreement
+    from liaam.morphometry import AsymmetryResult, ShapeVariation, Specimen
 
 FIGURES = (".png", ".pdf", ".svg")
 
 ERRORS = "replicates.csv"
 """End of the name of the table of measurement error, which is beside the output."""
+
+SHAPES = ("shapes.csv", "bias.csv", "agreement.json", "agreement.png")
+"""Ends of the names of the files on the agreement with people's landmarks: by component and landmark, all, a figure."""
+
+VARIATION = ("scores.csv", "groups.csv", "variation.json")
+"""Ends of the names of the files on the variance of shape: by specimen, by group, and all of it."""
 
 ASYMMETRY = "asymmetry.json"
 """End of the name of the file that holds all of the asymmetry."""
@@ -117,7 +124,30 @@ def measure(
             "two in each row. By default by their names (left_eye, right_eye), or else from the studio's template."
         ),
     ] = None,
-    permutations: Annotated[int, typer.Option(help="Random permutations for the tests of asymmetry.")] = 999,
+    scores: Annotated[
+        bool,
+        typer.Option(
+            "--scores",
+            help="Write scores of the principal components of shape with standard errors, and print how much of the "
+            "variance of shape is of specimens, and how much of measuring.",
+        ),
+    ] = False,
+    groups: Annotated[
+        Path | None,
+        typer.Option(
+            help="Table .csv with the columns specimen and group: as --scores, and test the differences between the "
+            "groups' mean shapes, which are written with standard errors."
+        ),
+    ] = None,
+    compare: Annotated[
+        list[Path] | None,
+        typer.Option(
+            metavar="LABELS",
+            help="Landmarks of the same specimens that a person has placed, a file or a folder: say whether those that "
+            "are measured are fit for statistics. Give a second person's with another --compare.",
+        ),
+    ] = None,
+    permutations: Annotated[int, typer.Option(help="Random permutations for the tests of asymmetry and groups.")] = 999,
     seed: Annotated[int, typer.Option(help="Seed of the permutations.", min=0)] = 0,
     plot: Annotated[
         Path | None,
@@ -132,7 +162,8 @@ def measure(
     """Measure specimens: distances, angles, areas, centroid size and Procrustes coordinates, with standard errors."""
     from liaam import morphometry
 
-    _check_outputs(results, _tables(output, replicates, symmetry), plot)
+    more = (*(SHAPES if compare else ()), *(VARIATION if scores or groups is not None else ()))
+    _check_outputs(results, [*_tables(output, replicates, symmetry), *(_beside(output, end) for end in more)], plot)
     if pairs is not None and symmetry != morphometry.OBJECT:
         raise LiaamError("--pairs are the landmarks of both sides of one structure: give --symmetry object, too")
     reading = Reading(strict, category)
@@ -155,6 +186,13 @@ def measure(
         options = {"pairs": twins, "by": replicates, "permutations": permutations, "seed": seed}
         found = morphometry.asymmetry(specimens, columns, symmetry, **options)
         _refuse_or_complain(found.left_out, "are not compared", strict)
+    of_groups = None
+    if groups is not None:
+        of_groups = morphometry.groups_of([specimen.name for specimen in specimens], morphometry.read_groups(groups))
+    variation = None
+    if scores or of_groups is not None:
+        variation = morphometry.shape_variation(specimens, columns, of_groups, permutations, seed)
+    agreement = _agreement(specimens, compare, of_groups, reading) if compare else None
     write_columns(output, columns)
     say(f"{output}: {count_of(len(specimens), 'specimen')}{_unit_said(columns)}")
     if scale is None or scale in UNITS:
@@ -163,6 +201,10 @@ def measure(
         say(reflected)
     if found is not None:
         _write_asymmetry(found, output)
+    if variation is not None:
+        _write_variation(variation, output)
+    if agreement is not None:
+        _write_agreement(agreement, output)
     if plot is not None:
         _draw(columns, found, specimens, plot)
     if error is not None:
@@ -219,6 +261,42 @@ def _twins(pairs: str | None, results: Path, specimens: "Sequence[Specimen]") ->
         return pairs
     folder = results if results.is_dir() else results.parent
     return saved_twins(folder, first.names, len(first.points))
+
+
+def _agreement(
+    specimens: "Sequence[Specimen]", labels: Sequence[Path], groups: Sequence[str] | None, reading: Reading
+) -> "ShapeAgreement":
+    """Compare specimens with the landmarks that people have placed."""
+    from liaam.evaluation import compare_specimens
+    from liaam.morphometry import read_specimens
+
+    return compare_specimens(specimens, [read_specimens(path, complain, reading) for path in labels], groups)
+
+
+def _write_agreement(agreement: "ShapeAgreement", output: Path) -> None:
+    """Print the agreement with people's landmarks, and write it beside the output."""
+    from liaam.plotting import save_figure
+
+    shapes, bias, everything, figure = (_beside(output, end) for end in SHAPES)
+    write_columns(shapes, agreement.by_component())
+    write_columns(bias, agreement.by_landmark())
+    write_text_atomically(everything, agreement.to_json())
+    save_figure(agreement.plot(), figure)
+    say(agreement.report())
+    say(f"for Methods: {agreement.methods()}")
+    say(f"{everything}: agreement with people's landmarks; also {shapes.name}, {bias.name} and {figure.name}")
+
+
+def _write_variation(variation: "ShapeVariation", output: Path) -> None:
+    """Print the variance of shape, and write scores and group means beside the output."""
+    by_specimen, by_group, everything = (_beside(output, end) for end in VARIATION)
+    say(variation.report())
+    write_columns(by_specimen, variation.by_specimen())
+    say(f"{by_specimen}: scores of principal components")
+    if variation.means:
+        write_columns(by_group, variation.by_group())
+        say(f"{by_group}: mean shapes of {count_of(len(variation.means), 'group')}")
+    write_text_atomically(everything, variation.to_json())
 
 
 def _write_asymmetry(found: "AsymmetryResult", output: Path) -> None:

@@ -9,22 +9,46 @@ superimposition, and sums over specimens and coordinates,
 
 People's errors do not enter the products of different people. If only one has placed landmarks, y is x, and the slope
 is that on the labels with their errors: it is too small by the labels' reliability.
+
+The same products of group means, instead of specimens, say what becomes of a difference between groups. Two more ratios
+are those of measurement error models (Carroll et al. 2006, chapters 1, 3 and 4): the reliability ratio, which is the
+squared correlation slope^2 / (variance ratio), and the factor of regression calibration, slope / (variance ratio), by
+which deviations from the mean are multiplied before they serve as predictors.
 """
 
-from dataclasses import dataclass
+import json
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, fields
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from liaam.errors import LiaamError
-from liaam.formatting import short_repr
+from liaam.formatting import finite_or_none, short_repr
 from liaam.io.files import count_of
+from liaam.morphometry.replicates import anova
+from liaam.morphometry.superimposition import superimpose
+from liaam.plotting.shape_agreement import figure_of_shape_agreement
 from liaam.tables import Columns
 
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
 FEWEST = 5  # Specimens from which variances are compared
+FEWEST_OF_GROUP = 2  # Specimens of a group from which its mean is compared with others
 PERMUTATIONS = 999  # Random changes of sign for the test of the means
 COMPONENTS = 6  # Principal components that are reported
-COPIED = 1e-6  # Largest distance between landmarks that are copies, as a fraction of the centroid size
+# Largest distance between landmarks that are copies, as a fraction of the centroid size: by rounding of the last digits
+# that files hold. A specimen of which half are copies counts as one.
+COPIED = 1e-6
+# The same for all landmarks of a specimen, which are then copies rounded to whole pixels. People do not repeat all
+# landmarks so well: their errors are 0.3 % or more.
+NEARLY_COPIED = 1e-3
+# Share of a component's variance on which two people must agree, so that a slope on it is no ratio of their errors
+LEAST_COMMON = 0.3
 LEAST_VARIED = 1e-9  # Root mean squared deviation from the mean shape below which shapes are all the same
+TOLERANCE = 1e-15  # Of the superimposition, whose slopes are compared to many digits in tests
+INTERVAL = 0.95  # Probability of the intervals
 
 
 @dataclass(frozen=True, eq=False)
@@ -37,8 +61,17 @@ class ShapeAgreement:
         Specimens that are compared.
     n_left_out : int
         Specimens without all landmarks.
+    n_copied : int
+        Specimens whose labels are copies of the automatic landmarks, left out as well.
     slope : float
         Slope of automatic on people's shapes: a difference between groups appears multiplied by about this.
+    slope_interval : tuple of float
+        95 % confidence interval of the slope, by the jackknife over specimens.
+    attenuation : float
+        Differences between the groups' means in automatic shapes as a multiple of those in people's; NaN without
+        groups.
+    attenuation_interval : tuple of float
+        Its 95 % confidence interval.
     variance_ratio : float
         Variance of automatic shapes as a multiple of that of the specimens.
     mean_distance : float
@@ -50,27 +83,54 @@ class ShapeAgreement:
         Correlation of the centroid sizes.
     size_ratio : float
         Geometric mean of the ratios of automatic to people's centroid sizes.
+    repeatability : float
+        Intraclass correlation of automatic and people's shapes, from a Procrustes analysis of variance.
+    repeatability_of_people : float
+        That of both people's shapes; NaN if only one has placed landmarks.
     components : list of dict
         For each principal component of people's shapes: share of the variance, slope, variance ratio and correlation.
+        Slope and ratio are NaN where two people agree on less than 0.3 of the variance.
     bias : (n, 2) float64
         Mean difference of each landmark, automatic less people's, in units of centroid size.
     random_error : (n,) float64
         Root mean square of what else differs, in units of centroid size.
+    mean : (n, 2) float64
+        Mean of people's shapes, of centroid size 1.
+    scores : (2, m) float64
+        First principal component of people's shapes: the scores of automatic and of people's shapes.
     """
 
     n_specimens: int
     n_left_out: int
+    n_copied: int
     slope: float
+    slope_interval: tuple[float, float]
+    attenuation: float
+    attenuation_interval: tuple[float, float]
     variance_ratio: float
     mean_distance: float
     p_of_means: float
     size_correlation: float
     size_ratio: float
+    repeatability: float
+    repeatability_of_people: float
     components: list[dict[str, float]]
     bias: np.ndarray
     random_error: np.ndarray
+    mean: np.ndarray
+    scores: np.ndarray
 
     __repr__ = short_repr
+
+    @property
+    def reliability(self) -> float:
+        """Reliability ratio of automatic shapes: squared correlation with those of the specimens."""
+        return self.slope**2 / self.variance_ratio if self.variance_ratio > 0 else np.nan
+
+    @property
+    def calibration(self) -> float:
+        """Factor of regression calibration, for deviations of automatic shapes from their mean."""
+        return self.slope / self.variance_ratio if self.variance_ratio > 0 else np.nan
 
     def by_component(self) -> Columns:
         """Return one row per principal component of people's shapes."""
@@ -89,16 +149,68 @@ class ShapeAgreement:
         }
 
     def report(self) -> str:
-        """Describe the agreement in three lines of text."""
+        """Describe the agreement in some lines of text."""
         specimens = count_of(self.n_specimens, "specimen")
         by_chance = "as by chance" if self.p_of_means > 0.05 else "more than by chance"
+        people = ""
+        if np.isfinite(self.repeatability_of_people):
+            people = f", between people {self.repeatability_of_people:.3f}"
         lines = [
-            f"shapes of {specimens}: automatic ones have {self.variance_ratio:.2f} times the variance of the labels, "
-            f"and a slope of {self.slope:.2f} on them",
+            f"shapes of {specimens}{self._left_out()}: automatic ones have {self.variance_ratio:.2f} times the "
+            f"variance of the labels, and a slope of {self.slope:.2f} ({_range(self.slope_interval)}) on them",
+            f"intraclass correlation of automatic and labelled shapes: {self.repeatability:.3f}{people}; reliability "
+            f"ratio {self.reliability:.2f}, factor of regression calibration {self.calibration:.2f}",
             f"mean shapes: {self.mean_distance:.1f} standard errors apart, {by_chance} (P = {self.p_of_means:.3f})",
             f"centroid sizes: correlation {self.size_correlation:.3f}, ratio {self.size_ratio:.3f}",
+            f"a difference between groups appears multiplied by about {self._of_groups()}",
         ]
         return "\n".join(lines)
+
+    def methods(self) -> str:
+        """Return two sentences for the section *Methods* of a paper."""
+        people = "placed by a person"
+        repeated = ""
+        if np.isfinite(self.repeatability_of_people):
+            people = "placed twice by people"
+            repeated = f" (between people {self.repeatability_of_people:.2f})"
+        specimens = count_of(self.n_specimens, "specimen")
+        probability = f"P = {self.p_of_means:.3f}" if self.p_of_means >= 0.001 else "P < 0.001"
+        return (
+            f"Automatic landmarks of {specimens} were compared with landmarks {people}, after a Procrustes "
+            f"superimposition: automatic shapes had {self.variance_ratio:.2f} times their variance, a slope of "
+            f"{self.slope:.2f} on them (95 % confidence interval {_range(self.slope_interval)}), an intraclass "
+            f"correlation of {self.repeatability:.2f}{repeated} and a reliability ratio of {self.reliability:.2f}. The "
+            f"mean shapes were {self.mean_distance:.1f} standard errors apart ({probability}), the correlation of "
+            f"centroid sizes was {self.size_correlation:.3f}, and a difference between groups is expected to appear "
+            f"multiplied by {self._of_groups()} (attenuation)."
+        )
+
+    def to_json(self) -> str:
+        """Return all numbers and the sentences for *Methods* as text in JSON; what is unknown is null."""
+        values = {field.name: getattr(self, field.name) for field in fields(self)}
+        values |= {"reliability": self.reliability, "calibration": self.calibration, "methods": self.methods()}
+        return json.dumps(_plain(values), indent=1) + "\n"
+
+    def plot(self) -> "Figure":
+        """Draw bias and random error of the landmarks, slopes by component, and scores of the first component."""
+        slopes = np.array([component["slope"] for component in self.components])
+        ratios = np.array([component["variance_ratio"] for component in self.components])
+        return figure_of_shape_agreement(self.mean, self.bias, self.random_error, slopes, ratios, self.scores)
+
+    def _left_out(self) -> str:
+        """Return how many specimens are not compared, in brackets; nothing if all are."""
+        counts = []
+        if self.n_left_out:
+            counts.append(f"{self.n_left_out} left out, which lack landmarks")
+        if self.n_copied:
+            counts.append(f"{self.n_copied} left out, whose labels are copies of the automatic landmarks")
+        return f" ({'; '.join(counts)})" if counts else ""
+
+    def _of_groups(self) -> str:
+        """Return the attenuation of given groups, with its interval, or else the slope."""
+        if not np.isfinite(self.attenuation):
+            return f"{self.slope:.2f}"
+        return f"{self.attenuation:.2f} ({_range(self.attenuation_interval)})"
 
 
 def compare_shapes(
@@ -106,6 +218,7 @@ def compare_shapes(
     labels: np.ndarray,
     second: np.ndarray | None = None,
     *,
+    groups: Sequence[str] | None = None,
     permutations: int = PERMUTATIONS,
     seed: int = 0,
 ) -> ShapeAgreement:
@@ -114,9 +227,12 @@ def compare_shapes(
     Parameters
     ----------
     automatic, labels : (m, n, 2) float64
-        Landmarks of the same specimens. Specimens that lack landmarks (NaN), or have all in one place, are left out.
+        Landmarks of the same specimens. Specimens that lack landmarks (NaN), or have all in one place, are left out,
+        and so are those whose labels are copies of the automatic landmarks.
     second : (m, n, 2) float64, optional
         Landmarks that another person has placed, or the same person again.
+    groups : sequence of str, optional
+        Group of each specimen, such as its species or sex; empty if unknown.
     permutations : int
         Random changes of sign for the test of the means.
     seed : int
@@ -125,23 +241,32 @@ def compare_shapes(
     Raises
     ------
     LiaamError
-        If fewer than 5 specimens have all landmarks, the arrays differ in shape, or the labels are copies of the
-        automatic landmarks, or of each other.
+        If fewer than 5 specimens have all landmarks, the arrays differ in shape, the labels of all are copies of the
+        automatic landmarks, or fewer than two groups have two specimens.
     """
-    groups = [np.asarray(group, np.float64) for group in (automatic, labels, *(() if second is None else (second,)))]
-    if any(group.shape != groups[0].shape for group in groups) or groups[0].ndim != 3:
+    sets = [np.asarray(each, np.float64) for each in (automatic, labels, *(() if second is None else (second,)))]
+    if any(each.shape != sets[0].shape for each in sets) or sets[0].ndim != 3:
         raise LiaamError("the landmarks are not of the same specimens: give arrays (m, n, 2) of equal shape")
-    complete = np.all([_have_a_shape(group) for group in groups], axis=0)
-    n = int(complete.sum())
+    if groups is not None and len(groups) != len(sets[0]):
+        raise LiaamError(f"{len(groups)} groups of {len(sets[0])} specimens: give one for each specimen")
+    complete = np.all([_have_a_shape(each) for each in sets], axis=0)
+    copied = complete & np.any([_are_copies(sets[0], other) for other in sets[1:]], axis=0)
+    if copied.any() and (complete & ~copied).sum() < FEWEST:
+        raise LiaamError(
+            f"the labels are copies of the automatic landmarks ({int(copied.sum())} of "
+            f"{count_of(len(complete), 'specimen')}), with which these cannot be compared: give landmarks that "
+            "people have placed"
+        )
+    used = complete & ~copied
+    n = int(used.sum())
     if n < FEWEST:
         raise LiaamError(
             f"{count_of(n, 'specimen')} with all landmarks: variances of shape are compared from {FEWEST} specimens on"
         )
-    shapes = [_as_complex(group[complete]) for group in groups]
-    sizes = [np.linalg.norm(shape, axis=1) for shape in shapes]
-    if any(np.abs(shapes[0] - other).max() < COPIED * sizes[0].max() for other in shapes[1:]):
-        raise LiaamError("the labels are copies of the automatic landmarks, with which these cannot be compared")
-    superimposed = _superimposed(np.concatenate(shapes)).reshape(len(shapes), n, -1)
+    codes = None if groups is None else _codes(np.asarray(groups)[used])
+    sizes = [np.linalg.norm(each[used] - each[used].mean(axis=1, keepdims=True), axis=(1, 2)) for each in sets]
+    fit = superimpose(np.concatenate([each[used] for each in sets]), TOLERANCE)
+    superimposed = fit.shapes.reshape(len(sets), n, -1)
     deviations = superimposed - superimposed.mean(axis=1, keepdims=True)
     ours = deviations[0]
     first = deviations[1]
@@ -151,19 +276,35 @@ def compare_shapes(
     common = _product(first, other)
     differences = superimposed[0] - superimposed[1]
     bias = differences.mean(axis=0)
-    random = differences - bias
+    random = (differences - bias).reshape(n, -1, 2)
+    slope, slope_interval = _with_interval(lambda kept: _slope(*(each[kept] for each in (ours, first, other))), n)
+    attenuation = np.nan
+    attenuation_interval = (np.nan, np.nan)
+    if codes is not None:
+        attenuation, attenuation_interval = _with_interval(
+            lambda kept: _slope(*(_group_means(each[kept], codes[kept]) for each in (ours, first, other))), n
+        )
+    components, scores = _components(ours, first, other)
     return ShapeAgreement(
         n_specimens=n,
-        n_left_out=len(complete) - n,
-        slope=_product(ours, other) / common,
+        n_left_out=int((~complete).sum()),
+        n_copied=int(copied.sum()),
+        slope=slope,
+        slope_interval=slope_interval,
+        attenuation=attenuation,
+        attenuation_interval=attenuation_interval,
         variance_ratio=_product(ours, ours) / common,
         mean_distance=float(np.linalg.norm(bias) / np.sqrt(_product(first, first) / (n - 1) / n)),
         p_of_means=_probability_of(differences, permutations, seed),
         size_correlation=float(np.corrcoef(np.log(sizes[0]), np.log(sizes[1]))[0, 1]),
         size_ratio=float(np.exp(np.mean(np.log(sizes[0] / sizes[1])))),
-        components=_components(ours, first, other),
-        bias=np.stack([bias.real, bias.imag], axis=1),
-        random_error=np.sqrt(np.square(np.abs(random)).mean(axis=0)),
+        repeatability=_repeatability(superimposed[0], superimposed[1]),
+        repeatability_of_people=np.nan if second is None else _repeatability(superimposed[1], superimposed[2]),
+        components=components,
+        bias=bias.reshape(-1, 2),
+        random_error=np.sqrt(np.square(random).sum(axis=2).mean(axis=0)),
+        mean=superimposed[1].mean(axis=0).reshape(-1, 2),
+        scores=scores,
     )
 
 
@@ -172,31 +313,80 @@ def _have_a_shape(points: np.ndarray) -> np.ndarray:
     return np.isfinite(points).all(axis=(1, 2)) & np.ptp(points, axis=1).any(axis=1)
 
 
-def _as_complex(points: np.ndarray) -> np.ndarray:
-    """Return shapes (m, n, 2) as centred complex numbers (m, n)."""
-    numbers = points[..., 0] + 1j * points[..., 1]
-    return numbers - numbers.mean(axis=1, keepdims=True)
+def _are_copies(automatic: np.ndarray, labels: np.ndarray) -> np.ndarray:
+    """Return the specimens whose labels (m, n, 2) are copies of the automatic landmarks, (m,) bool."""
+    with np.errstate(invalid="ignore"):
+        sizes = np.linalg.norm(automatic - automatic.mean(axis=1, keepdims=True), axis=(1, 2))
+        distances = np.linalg.norm(labels - automatic, axis=2) / sizes[:, None]
+        half = (distances <= COPIED).mean(axis=1) >= 0.5
+        return half | (distances <= NEARLY_COPIED).all(axis=1)
 
 
-def _superimposed(shapes: np.ndarray) -> np.ndarray:
-    """Superimpose centred shapes (m, n) by generalised Procrustes analysis, with unit size."""
-    shapes = shapes / np.linalg.norm(shapes, axis=1, keepdims=True)
-    mean = shapes[0]
-    for _ in range(50):
-        products = shapes @ mean.conj()
-        shapes = shapes * (products.conj() / np.abs(products))[:, None]
-        new = shapes.mean(axis=0)
-        new = new / np.linalg.norm(new)
-        moved = float(np.abs(new - mean).max())
-        mean = new
-        if moved < 1e-12:
-            break
-    return shapes
+def _codes(groups: np.ndarray) -> np.ndarray:
+    """Return the group of each specimen as a number, (m,) int; -1 where it is unknown, or of too few specimens."""
+    names, codes, counts = np.unique(groups, return_inverse=True, return_counts=True)
+    is_used = (counts >= FEWEST_OF_GROUP) & (names != "")
+    if is_used.sum() < 2:
+        known = ", ".join(f"{name} ({count})" for name, count in zip(names, counts, strict=True) if name != "")
+        raise LiaamError(
+            f"differences between groups need two groups of {FEWEST_OF_GROUP} specimens or more that are compared: "
+            f"there are {known or 'none'}"
+        )
+    return np.where(is_used[codes], codes, -1)
+
+
+def _group_means(deviations: np.ndarray, codes: np.ndarray) -> np.ndarray:
+    """Return the mean deviation of the group of each specimen, (m, d), less that of all that are in groups."""
+    kept = deviations[codes >= 0]
+    of_group = codes[codes >= 0]
+    means = np.zeros_like(kept)
+    for code in np.unique(of_group):
+        means[of_group == code] = kept[of_group == code].mean(axis=0)
+    return means - kept.mean(axis=0)
 
 
 def _product(first: np.ndarray, second: np.ndarray) -> float:
-    """Return the sum of the scalar products of deviations (m, n)."""
-    return float(np.real(first * np.conj(second)).sum())
+    """Return the sum of the products of deviations (m, d)."""
+    return float(np.sum(first * second))
+
+
+def _slope(ours: np.ndarray, first: np.ndarray, other: np.ndarray) -> float:
+    """Return the slope of automatic deviations (m, d) on those of one person, or of two people."""
+    ours, first, other = (each - each.mean(axis=0) for each in (ours, first, other))
+    return _product(ours, other) / _product(first, other)
+
+
+def _with_interval(statistic: Callable[[np.ndarray], float], n: int) -> tuple[float, tuple[float, float]]:
+    """Return a statistic of n specimens and its confidence interval by the jackknife (Efron & Tibshirani 1993, 11)."""
+    from scipy.stats import t
+
+    everyone = np.arange(n)
+    value = statistic(everyone)
+    left_out = np.array([statistic(np.delete(everyone, i)) for i in range(n)])
+    error = float(np.sqrt((n - 1) / n * np.square(left_out - left_out.mean()).sum()))
+    half = float(t.ppf(0.5 + INTERVAL / 2, n - 1)) * error
+    return value, (value - half, value + half)
+
+
+def _repeatability(first: np.ndarray, second: np.ndarray) -> float:
+    """Return the intraclass correlation of superimposed shapes (m, d) of the same specimens."""
+    specimens = [str(i) for i in range(len(first))]
+    return anova(np.concatenate([first, second]), specimens * 2, np.ones(1))["repeatability"]
+
+
+def _range(interval: tuple[float, float]) -> str:
+    return f"{interval[0]:.2f} to {interval[1]:.2f}"
+
+
+def _plain(value: Any) -> Any:
+    """Return a value with lists for arrays and tuples, and None for NaN."""
+    if isinstance(value, dict):
+        return {name: _plain(each) for name, each in value.items()}
+    if isinstance(value, np.ndarray):
+        return _plain(value.tolist())
+    if isinstance(value, list | tuple):
+        return [_plain(each) for each in value]
+    return finite_or_none(value) if isinstance(value, float) else value
 
 
 def _probability_of(differences: np.ndarray, permutations: int, seed: int) -> float:
@@ -208,9 +398,11 @@ def _probability_of(differences: np.ndarray, permutations: int, seed: int) -> fl
     return float((1 + (by_chance >= observed * (1 - 1e-12)).sum()) / (1 + permutations))
 
 
-def _components(ours: np.ndarray, first: np.ndarray, other: np.ndarray) -> list[dict[str, float]]:
-    """Compare deviations (m, n) along the principal components of the first person's."""
-    ours, first, other = (np.concatenate([np.real(each), np.imag(each)], axis=1) for each in (ours, first, other))
+def _components(ours: np.ndarray, first: np.ndarray, other: np.ndarray) -> tuple[list[dict[str, float]], np.ndarray]:
+    """Compare deviations (m, d) along the principal components of the first person's.
+
+    Also return the scores of the first component, (2, m): automatic and people's.
+    """
     _, singular, axes = np.linalg.svd(first, full_matrices=False)
     count = min(COMPONENTS, int((singular > 1e-9 * singular[0]).sum()))
     rows = []
@@ -219,6 +411,8 @@ def _components(ours: np.ndarray, first: np.ndarray, other: np.ndarray) -> list[
         x = first @ axis
         y = other @ axis
         common = float(x @ y)
+        if common < LEAST_COMMON * float(x @ x):
+            common = np.nan
         scale = float(np.sqrt((c @ c) * (x @ x)))
         rows.append(
             {
@@ -228,4 +422,4 @@ def _components(ours: np.ndarray, first: np.ndarray, other: np.ndarray) -> list[
                 "correlation": float(c @ x) / scale if scale > 0 else np.nan,
             }
         )
-    return rows
+    return rows, np.stack([ours @ axes[0], first @ axes[0]])

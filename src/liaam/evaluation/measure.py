@@ -154,9 +154,39 @@ def cross_validate(
     LiaamError
         If there are fewer than two folds, or as :func:`evaluate` and :func:`liaam.train`.
     """
-    samples = _samples(samples)
     if folds < 2:
         raise LiaamError(f"folds {folds}: give 2 or more, so that something is left to train on")
+    task = task_of(samples, method, training, normalise, limit, workers, progress, settings)
+    return evaluation_by_parts(task, folds_of([case.name for case in task.cases], folds))
+
+
+@dataclass(frozen=True, eq=False)
+class Task:
+    """Landmarked images, of which some are left out of training in turn and fitted; see :func:`cross_validate`."""
+
+    samples: list[Sample]
+    cases: list[_Case]
+    left_out: list[str]  # why samples are not evaluated
+    protocol: _Protocol
+    method: str | Method
+    training: dict[str, Any]
+    workers: int | None
+    progress: bool | None
+    settings: Mapping[str, Any]
+
+
+def task_of(
+    samples: Iterable,
+    method: str | Method,
+    training: Mapping[str, Any] | None,
+    normalise: str | None,
+    limit: float | None,
+    workers: int | None,
+    progress: bool | None,
+    settings: Mapping[str, Any],
+) -> Task:
+    """Return the task of evaluating on samples that are left out of training; see :func:`cross_validate`."""
+    samples = _samples(samples)
     if not samples:
         raise LiaamError("there are no images to evaluate; give landmarked images")
     training = training or {}
@@ -167,14 +197,30 @@ def cross_validate(
     name = get_method(method).name
     # Every model can be fitted with the default method, which need not be asked for.
     options = {"methods": () if name == DEFAULT_METHOD else name, "progress": progress, **training}
+    return Task(samples, cases, left_out, protocol, method, options, workers, progress, settings)
+
+
+def _all_of(samples: list[Sample]) -> list[Sample]:
+    return samples
+
+
+def evaluation_by_parts(
+    task: Task,
+    parts: Sequence[np.ndarray],
+    chosen: Callable[[list[Sample]], list[Sample]] = _all_of,
+    done: Callable[[], object] = lambda: None,
+) -> Evaluation:
+    """Fit each part of the cases (indices) with a model of samples chosen from the rest. Call ``done`` after each."""
     results: dict[int, FitResult | LiaamError] = {}  # by index of the case
-    for fold in folds_of([case.name for case in cases], folds):
-        tested = [cases[i] for i in fold]
+    for part in parts:
+        tested = [task.cases[i] for i in part]
         tested_images = {_key(case.image) for case in tested}
-        rest = [sample for sample in samples if _key(sample.image) not in tested_images]
-        fitter = Fitter.of(train(rest, **options), method, **settings)
-        results |= zip(fold.tolist(), _fits(fitter, tested, None, workers, progress), strict=True)
-    return _evaluation(((case, results[i]) for i, case in enumerate(cases)), protocol, left_out)
+        rest = [sample for sample in task.samples if _key(sample.image) not in tested_images]
+        fitter = Fitter.of(train(chosen(rest), **task.training), task.method, **task.settings)
+        results |= zip(part.tolist(), _fits(fitter, tested, None, task.workers, task.progress), strict=True)
+        done()
+    fits = ((case, results[i]) for i, case in enumerate(task.cases) if i in results)
+    return _evaluation(fits, task.protocol, task.left_out)
 
 
 def _samples(samples: Iterable) -> list[Sample]:

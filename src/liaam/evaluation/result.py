@@ -53,6 +53,10 @@ class Evaluation:
         Why images were not evaluated, one sentence each.
     contours : tuple of (indices, closed)
         Lines through landmarks, along which fits and labels are less certain than across.
+    second : (k, n, 2) float64, optional
+        Landmarks that another person has placed, or the same person again, pixels; NaN where missing.
+    groups : tuple of str
+        Group of each image, such as the species; empty if unknown, or there are none.
     """
 
     names: tuple[str, ...]
@@ -68,6 +72,8 @@ class Evaluation:
     landmark_names: tuple[str, ...] = ()
     left_out: tuple[str, ...] = ()
     contours: Contours = ()
+    second: np.ndarray | None = None
+    groups: tuple[str, ...] = ()
 
     def __repr__(self) -> str:
         return f"Evaluation({count_of(len(self), 'image')}, median error {_percentile(self.errors, 50):.2%})"
@@ -235,12 +241,21 @@ class Evaluation:
 
     @cached_property
     def agreement(self) -> ShapeAgreement | None:
-        """How the shapes of right fits agree with the labels; None if too few fits are right."""
+        """How the shapes of right fits agree with the labels; None if they cannot be compared."""
+        return self._compared if isinstance(self._compared, ShapeAgreement) else None
+
+    @cached_property
+    def _compared(self) -> ShapeAgreement | str:
+        """How the shapes of right fits agree with the labels, or why they cannot be compared."""
         is_right = self.errors <= self.limit
+        second = None if self.second is None else self.second[is_right]
+        groups = None
+        if self.groups:
+            groups = [group for group, right in zip(self.groups, is_right, strict=True) if right]
         try:
-            return compare_shapes(self.landmarks[is_right], self.truths[is_right])
-        except LiaamError:
-            return None
+            return compare_shapes(self.landmarks[is_right], self.truths[is_right], second, groups=groups)
+        except LiaamError as fault:
+            return str(fault)
 
     def report(self) -> str:
         """Summarise the errors, the outcomes and the coverage, as text."""
@@ -266,8 +281,10 @@ class Evaluation:
                 f"{_percentile(across.ravel(), 50):.2f}; inside their 95 % intervals along "
                 f"{100 * _mean(held_along):.1f} %, across {100 * _mean(held_across):.1f} %",
             ]
-        if self.agreement is not None:
-            lines.append(self.agreement.report())
+        if isinstance(self._compared, ShapeAgreement):
+            lines.append(self._compared.report())
+        else:
+            lines.append(f"shapes of right fits are not compared: {self._compared}")
         if self.left_out:
             lines.append(f"left out {len(self.left_out)}: {some_names(self.left_out, 3, '; ')}")
         return "\n".join(lines)

@@ -2,6 +2,7 @@
 
 from liaam.morphometry.asymmetry import MATCHING, OBJECT, AsymmetryResult, asymmetry
 from liaam.morphometry.curves import with_even_curves
+from liaam.morphometry.groups import groups_of, read_groups
 from liaam.morphometry.measures import Measure, ScaleBar
 from liaam.morphometry.missing import with_estimated_landmarks
 from liaam.morphometry.reading import read_specimens
@@ -11,6 +12,7 @@ from liaam.morphometry.sides import of_one_side
 from liaam.morphometry.specimens import Specimen
 from liaam.morphometry.symmetry import Asymmetry, matching_asymmetry, object_asymmetry
 from liaam.morphometry.table import alike, measure
+from liaam.morphometry.variation import ShapeVariation, shape_variation
 
 __all__ = [
     "MATCHING",
@@ -19,17 +21,21 @@ __all__ = [
     "AsymmetryResult",
     "Measure",
     "ScaleBar",
+    "ShapeVariation",
     "Specimen",
     "alike",
     "asymmetry",
     "exchanged_landmarks",
+    "groups_of",
     "matching_asymmetry",
     "measure",
     "measurement_error",
     "object_asymmetry",
     "of_one_side",
+    "read_groups",
     "read_lengths",
     "read_specimens",
+    "shape_variation",
     "with_estimated_landmarks",
     "with_even_curves",
     "with_lengths",

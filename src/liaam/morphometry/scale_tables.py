@@ -65,7 +65,8 @@ def with_lengths(specimens: Sequence[Specimen], lengths: Mapping[str, Length | N
     LiaamError
         If no specimen is of an image in the table with a length, or one may be of several images.
     """
-    images = _images_of(specimens, list(lengths))
+    names = [specimen.name for specimen in specimens]
+    images = images_of(names, list(lengths), [specimen.image for specimen in specimens])
     if not any(image is not None and lengths[image] for image in images):
         which = "with a scale " if any(images) else ""
         first = next(iter(lengths), "none")
@@ -87,8 +88,10 @@ Key = tuple[str, ...]
 """Folders and name of an image, without its ending, to be compared."""
 
 
-def _images_of(specimens: Sequence[Specimen], images: Sequence[str]) -> list[str | None]:
-    """Return the image of each specimen, None if it is none of these.
+def images_of(
+    specimens: Sequence[str], images: Sequence[str], own_images: Sequence[str | None] | None = None
+) -> list[str | None]:
+    """Return the image of each specimen, given by its name or by its own image if that is known; None if none is.
 
     The path of one is the end of the other's, as ``left/wing1`` is of ``wings/left/wing1.jpg``, but not of
     ``right/wing1.jpg``.
@@ -101,20 +104,21 @@ def _images_of(specimens: Sequence[Specimen], images: Sequence[str]) -> list[str
         for end in _ends_of(key):
             by_end[end].append(image)
 
-    def image_of(specimen: Specimen) -> str | None:
-        *folders, name = _key_of(specimen.image or f"{specimen.name}.png")
+    def image_of(specimen: str, own_image: str | None) -> str | None:
+        *folders, name = _key_of(own_image or f"{specimen}.png")
         of_name = (name.rpartition("#")[0], name.rpartition("_")[0])
-        for own in (name,) if specimen.image else (name, *of_name):
+        for own in (name,) if own_image else (name, *of_name):
             key = (*folders, own)
             found = by_end.get(key) or next((by_key[end] for end in _ends_of(key) if end in by_key), [])
             if len(found) > 1:
                 remedy = "measure the folder that holds all of them, or keep its line alone"
-                raise LiaamError(f"specimen {specimen.name} may be of the images {some_names(found)}: {remedy}")
+                raise LiaamError(f"specimen {specimen} may be of the images {some_names(found)}: {remedy}")
             if found:
                 return found[0]
         return None
 
-    return [image_of(specimen) for specimen in specimens]
+    own_images = [None] * len(specimens) if own_images is None else own_images
+    return [image_of(specimen, own_image) for specimen, own_image in zip(specimens, own_images, strict=True)]
 
 
 def _key_of(image: str) -> Key:

@@ -12,6 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from liaam.formatting import short_repr
+from liaam.morphometry.measures import procrustes
 
 TOLERANCE = 1e-4
 """Change of the sum of squares that ends the rounds of rotation, that of geomorph, so that results have all its digits.
@@ -76,6 +77,35 @@ def superimpose(shapes: np.ndarray, tolerance: float = TOLERANCE) -> Superimposi
     along = np.real(rotated @ mean.conj())  # the component along the mean, which the projection makes 1
     projected = rotated + (1 - along)[:, None] * mean
     return Superimposition(_as_points(projected), sizes, _as_points(mean))
+
+
+def tangent_covariances(shapes: np.ndarray, covariances: np.ndarray, mean: np.ndarray) -> np.ndarray:
+    """Carry covariances of landmarks to those of the tangent coordinates of shapes.
+
+    Errors of different landmarks are taken as independent.
+
+    Parameters
+    ----------
+    shapes : (m, k, 2) float
+        Shapes as they are.
+    covariances : (m, k, 2, 2) float
+        Covariances of their landmarks.
+    mean : (k, 2) float
+        Mean shape, of centroid size 1.
+
+    Returns
+    -------
+    (m, 2 k, 2 k) float64
+    """
+    from scipy.linalg import block_diag
+
+    along = mean.ravel()
+    projection = np.eye(len(along)) - np.outer(along, along)
+    carried = np.empty((len(shapes), len(along), len(along)))
+    for i, (shape, spread) in enumerate(zip(shapes, covariances, strict=True)):
+        jacobian = projection @ procrustes(shape, mean)[1]
+        carried[i] = jacobian @ np.asarray(block_diag(*spread)) @ jacobian.T
+    return carried
 
 
 def _rotated(shapes: np.ndarray, target: np.ndarray) -> np.ndarray:

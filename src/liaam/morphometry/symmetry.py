@@ -22,7 +22,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from liaam.formatting import short_repr
-from liaam.morphometry.superimposition import TOLERANCE, Superimposition, superimpose
+from liaam.morphometry.superimposition import TOLERANCE, Superimposition, superimpose, tangent_covariances
 from liaam.progress import Progress, reported
 from liaam.tables import Columns
 
@@ -143,7 +143,7 @@ def matching_asymmetry(
     sizes = np.reshape(fit.sizes if sizes is None else sizes, (n, sides, replicates, 1))
     errors = None
     if covariances is not None and replicates == 1:
-        errors = _tangent_covariances(shapes.reshape(-1, k, 2), np.reshape(covariances, (-1, k, 2, 2)), fit.mean)
+        errors = tangent_covariances(shapes.reshape(-1, k, 2), np.reshape(covariances, (-1, k, 2, 2)), fit.mean)
     draw = None if errors is None else _draw_independently(errors, n)
     mean_square = np.nan if errors is None else float(np.trace(errors, axis1=1, axis2=2).mean())
     with reported("permutations", progress) as tell:
@@ -196,7 +196,7 @@ def object_asymmetry(
     draw = None
     mean_square = np.nan
     if covariances is not None and replicates == 1:
-        errors = _tangent_covariances(given, np.reshape(covariances, (-1, k, 2, 2)), fit.mean)
+        errors = tangent_covariances(given, np.reshape(covariances, (-1, k, 2, 2)), fit.mean)
         draw = _draw_mirrored(errors, _reflection(fit.mean, order), order)
         mean_square = float(np.trace(errors, axis1=1, axis2=2).mean())
     with reported("permutations", progress) as tell:
@@ -386,25 +386,6 @@ def _effect_sizes(ratios: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     score = (logarithms[0] - logarithms.mean(axis=0)) / logarithms.std(axis=0)
     unknown = ~np.isfinite(ratios).all(axis=0)
     return np.where(unknown, np.nan, score), np.where(unknown, np.nan, probability)
-
-
-def _tangent_covariances(shapes: np.ndarray, covariances: np.ndarray, mean: np.ndarray) -> np.ndarray:
-    """Carry covariances of landmarks (m, k, 2, 2) to those of the tangent coordinates of shapes (m, k, 2).
-
-    Errors of different landmarks are taken as independent. Returns (m, 2 k, 2 k).
-    """
-    from scipy.linalg import block_diag
-
-    from liaam.morphometry.measures import procrustes
-
-    along = mean.ravel()
-    projection = np.eye(len(along)) - np.outer(along, along)
-    carried = []
-    for shape, spread in zip(shapes, covariances, strict=True):
-        jacobian = projection @ procrustes(shape, mean)[1]
-        whole = np.asarray(block_diag(*spread))
-        carried.append(jacobian @ whole @ jacobian.T)
-    return np.array(carried)
 
 
 def _roots(covariances: np.ndarray) -> np.ndarray:

@@ -30,6 +30,31 @@ def plot_cumulative(errors: np.ndarray, limit: float, label: str, ax: "Axes | No
     return ax
 
 
+def plot_curve(
+    sizes: Sequence[int],
+    medians: np.ndarray,
+    forecast: tuple[int, tuple[float, float, float]],
+    people: float,
+    label: str,
+    ax: "Axes | None" = None,
+) -> "Axes":
+    """Draw errors, fractions, by the number of training images, and a forecast with its interval, in per cent."""
+    ax = ax or new_axes()[1]
+    n, (error, lowest, highest) = forecast
+    ax.plot(sizes, 100 * medians, "o-", lw=LINE_WIDTH)
+    spread = 100 * np.array([[error - lowest], [highest - error]])
+    ax.errorbar([n], [100 * error], spread, fmt="o", color="0.4", capsize=3, label="forecast, 95 % interval")
+    if np.isfinite(people):
+        ax.axhline(100 * people, color="0.7", lw=1, zorder=0, label="people")
+    ax.set(xlabel="images trained on", ylabel=label, xscale="log")
+    ax.set_xticks([*sizes, n], [str(size) for size in (*sizes, n)], minor=False)
+    ax.set_xticks([], minor=True)
+    ax.set_ylim(bottom=0)
+    ax.legend(frameon=False)
+    ax.spines[["top", "right"]].set_visible(False)
+    return ax
+
+
 def figure_of_worst(
     images: Sequence[Any], truths: np.ndarray, landmarks: np.ndarray, titles: Sequence[str]
 ) -> "Figure":

@@ -9,10 +9,13 @@ of a file from elsewhere. So origins stay right when points are renamed, reorder
 """
 
 from collections.abc import Mapping, Sequence
+from pathlib import Path
 from typing import Any, Literal
 
 import numpy as np
 
+from liaam.io.files import real_path
+from liaam.studio.folder import Folder
 from liaam.studio.safety import Refusal
 from liaam.studio.store import Store, StoredTable
 
@@ -54,6 +57,19 @@ class Origins:
                 entry.setdefault(str(origin), []).append(list(point))
         if entry or name in self._table:
             self._table.save({name: entry or None})
+
+
+def saved_proposals(folder: Path) -> dict[str, np.ndarray]:
+    """Return the points that the studio saved for a folder as proposed, or accepted together, by picture, (k, 2)."""
+    store = Store(Folder(real_path(folder)))
+    entries = store.all("origin")
+    store.close()
+    found = {}
+    for picture, entry in entries.items():
+        positions = [position for origin in ORIGINS if origin not in OWN for position in entry.get(origin, ())]
+        if positions:
+            found[picture] = np.array(positions, np.float64).reshape(-1, 2)
+    return found
 
 
 def own_points(origins: Sequence[Origin | None]) -> np.ndarray:

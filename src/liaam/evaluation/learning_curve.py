@@ -1,0 +1,267 @@
+"""How many pictures are enough: errors of models of more and more pictures, and a forecast for twice as many.
+
+Each picture is left out of training once for each size of the training set. The logarithm of the error falls about
+linearly with that of the number of pictures (a power law, Viering & Loog 2023), with an exponent that is estimated from
+the last two sizes together with what is usual.
+"""
+
+import json
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from liaam.datasets import Sample
+from liaam.error_measures import landmark_errors
+from liaam.errors import LiaamError
+from liaam.evaluation.measure import Task, evaluation_by_parts, task_of
+from liaam.evaluation.result import Evaluation
+from liaam.fitting import Method
+from liaam.fitting.methods import DEFAULT_METHOD
+from liaam.formatting import finite_or_none, short_repr
+from liaam.plotting.errors import plot_curve
+from liaam.progress import progress_bar
+from liaam.tables import Columns
+from liaam.training.left_out import folds_of
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
+SIZES = (5, 10, 20, 40, 80, 160, 320)  # Pictures that models are trained on by default
+FOLDS = 5  # Parts that are left out in turn
+FEWEST = 8  # Pictures from which a curve is measured: of 8 parts, models of 5 and 6 pictures are compared
+# Exponent of the power law before anything is measured, and its standard deviation: it is between 0, that of an error
+# which labels limit, and 1/2, that of the error of a mean.
+EXPONENT = 0.25
+SPREAD_OF_EXPONENT = 0.15
+INTERVAL = 1.96  # Standard deviations of a 95 % interval
+BOOTSTRAPS = 500  # Random draws of pictures for the standard error of a median
+GAIN = 0.05  # Share of the error that twice as many pictures must save to be called a gain
+
+
+@dataclass(frozen=True, eq=False)
+class LearningCurve:
+    """Errors of models of more and more pictures.
+
+    Attributes
+    ----------
+    sizes : tuple of int
+        Pictures that models were trained on, increasing.
+    errors : (s, m) float64
+        Mean error of each of m left-out pictures with models of each size, as a fraction of the normaliser.
+    lost : (s,) float64
+        Share of the left-out pictures whose error is beyond the limit.
+    slopes : (s,) float64
+        Slope of automatic on labelled shapes (:class:`ShapeAgreement`); NaN if too few fits are right.
+    n_pictures : int
+        All pictures.
+    normaliser : str
+        What errors are relative to.
+    people : float
+        Median distance between the landmarks of two people, as a fraction of the normaliser; NaN if unknown.
+    """
+
+    sizes: tuple[int, ...]
+    errors: np.ndarray
+    lost: np.ndarray
+    slopes: np.ndarray
+    n_pictures: int
+    normaliser: str
+    people: float = np.nan
+
+    __repr__ = short_repr
+
+    @property
+    def medians(self) -> np.ndarray:
+        """Median error with models of each size, (s,) float64."""
+        return np.median(self.errors, axis=1)
+
+    def forecast(self, n: int | None = None) -> tuple[float, float, float]:
+        """Forecast the median error of models of n pictures on as many other pictures as were left out.
+
+        Parameters
+        ----------
+        n : int, optional
+            Default: twice as many as there are.
+
+        Returns
+        -------
+        error, lowest, highest : float
+            The forecast and its 95 % interval.
+        """
+        n = n or 2 * self.n_pictures
+        last = self.errors[-1]
+        exponent, spread = self._exponent()
+        far = np.log(n / self.sizes[-1])
+        # Of the median with the models measured, and of another one on other pictures.
+        level = np.hypot(_error_of_log_median(last), _error_of_log_median(last))
+        half = INTERVAL * np.hypot(level, spread * far)
+        middle = np.log(np.median(last)) - exponent * far
+        return float(np.exp(middle)), float(np.exp(middle - half)), float(np.exp(middle + half))
+
+    def _exponent(self) -> tuple[float, float]:
+        """Return the exponent of the power law and its standard deviation: from the last two sizes, and the usual."""
+        if len(self.sizes) < 2:
+            return EXPONENT, SPREAD_OF_EXPONENT
+        steps = np.log(self.errors[-2] / self.errors[-1])
+        far = np.log(self.sizes[-1] / self.sizes[-2])
+        middle = float(np.median(steps)) / far
+        # The standard error of a median of normal values; the median, as lost fits would decide a mean.
+        variance = np.pi / 2 * float(np.square(_spread(steps))) / len(steps) / far**2
+        weight = SPREAD_OF_EXPONENT**2 / (SPREAD_OF_EXPONENT**2 + variance)
+        exponent = EXPONENT + weight * (middle - EXPONENT)
+        return max(0.0, exponent), float(np.sqrt(1 - weight) * SPREAD_OF_EXPONENT)
+
+    def to_columns(self) -> Columns:
+        """Return one row per size: median and 90th percentile of the errors, in per cent, share lost, and slope."""
+        return {
+            "pictures": list(self.sizes),
+            "median_percent": (100 * self.medians).tolist(),
+            "p90_percent": (100 * np.percentile(self.errors, 90, axis=1)).tolist(),
+            "lost_percent": (100 * self.lost).tolist(),
+            "slope": self.slopes.tolist(),
+        }
+
+    def to_json(self) -> str:
+        """Return the curve, the forecast and what it means as text in JSON; what is unknown is null."""
+        n = 2 * self.n_pictures
+        values = {
+            name: [each if isinstance(each, str | int) else finite_or_none(each) for each in cells]
+            for name, cells in self.to_columns().items()
+        }
+        error, lowest, highest = (100 * each for each in self.forecast())
+        forecast = {"pictures": n, "median_percent": error, "interval_percent": [lowest, highest]}
+        people = finite_or_none(100 * self.people)
+        return json.dumps({**values, "forecast": forecast, "people_percent": people, "report": self.report()}, indent=1)
+
+    def plot(self, *, ax: "Axes | None" = None) -> "Axes":
+        """Draw the curve with the forecast and, if it is known, the distance between people, with Matplotlib."""
+        ends = (2 * self.n_pictures, self.forecast())
+        return plot_curve(self.sizes, self.medians, ends, self.people, f"median error, % of {self.normaliser}", ax)
+
+    def report(self) -> str:
+        """Say what more pictures would gain, and whether models repeat landmarks as well as people."""
+        n = self.n_pictures
+        error, lowest, highest = (100 * each for each in self.forecast())
+        now = 100 * float(np.exp(np.log(self.medians[-1]) - self._exponent()[0] * np.log(n / self.sizes[-1])))
+        lines = [
+            f"forecast for {2 * n} pictures: median error {error:.2f} % of {self.normaliser} (95 % interval "
+            f"{lowest:.2f} to {highest:.2f}), {now:.2f} % with all {n}"
+        ]
+        if error > (1 - GAIN) * now:
+            lines.append(f"twice as many pictures would gain {max(0.0, now - error):.2f} %: these are enough")
+        if np.isfinite(self.people):
+            reached = [size for size, median in zip(self.sizes, self.medians, strict=True) if median <= self.people]
+            what = f"{reached[0]} pictures reach it" if reached else "it is not reached yet"
+            lines.append(f"people repeat their landmarks within {100 * self.people:.2f} %: {what}")
+        return "\n".join(lines)
+
+
+def learning_curve(
+    samples: Iterable,
+    sizes: Sequence[int] = SIZES,
+    method: str | Method = DEFAULT_METHOD,
+    *,
+    second: Mapping[str, np.ndarray] | None = None,
+    training: Mapping[str, Any] | None = None,
+    normalise: str | None = None,
+    limit: float | None = None,
+    workers: int | None = None,
+    progress: bool | None = None,
+    seed: int = 0,
+    **settings,
+) -> LearningCurve:
+    """Measure the errors of models of more and more pictures, on pictures that are left out.
+
+    Five parts are left out in turn. For each, models are trained on some pictures of the rest, drawn at random, and
+    last on all of the rest.
+
+    Parameters
+    ----------
+    samples : Dataset, or iterable of Sample or of (image, landmarks) pairs
+    sizes : sequence of int
+        Pictures to train on. Those that are not there are left out.
+    method, normalise, limit, workers, training, **settings
+        As for :func:`liaam.cross_validate`.
+    second : mapping of str to (n, 2) float64, optional
+        Landmarks that another person has placed, by the name of the picture.
+    progress : bool, optional
+        Whether to show a progress bar.
+    seed : int
+        Seed of the draws.
+
+    Returns
+    -------
+    LearningCurve
+
+    Raises
+    ------
+    LiaamError
+        If there are fewer than 8 pictures, or as :func:`liaam.cross_validate`.
+    """
+    training = {**(training or {}), "progress": False}
+    task = task_of(samples, method, training, normalise, limit, workers, False, settings)
+    if len(task.cases) < FEWEST:
+        raise LiaamError(f"{len(task.cases)} pictures: a learning curve is measured from {FEWEST} pictures on")
+    parts = folds_of([case.name for case in task.cases], FOLDS)
+    most = len(task.cases) - max(map(len, parts))
+    used = [size for size in sorted(set(sizes)) if 3 <= size < most] + [most]
+    evaluations = []
+    with progress_bar("models", len(used) * len(parts), progress) as tell:
+        for size in used:
+            done = len(evaluations) * len(parts)
+            evaluations.append(_evaluation_of(task, parts, size, seed, lambda i, done=done: tell(done + i)))
+    known = [set(each.names) for each in evaluations]
+    shared = [name for name in evaluations[-1].names if all(name in names for names in known)]
+    errors = np.array([[_errors_by_name(each)[name] for name in shared] for each in evaluations])
+    last = evaluations[-1]
+    return LearningCurve(
+        sizes=tuple(used),
+        errors=errors,
+        lost=(errors > last.limit).mean(axis=1),
+        slopes=np.array([np.nan if each.agreement is None else each.agreement.slope for each in evaluations]),
+        n_pictures=len(task.cases),
+        normaliser=last.normaliser,
+        people=np.nan if second is None else _between_people(last, second),
+    )
+
+
+def _evaluation_of(task: Task, parts: Sequence[np.ndarray], size: int, seed: int, tell: Any) -> Evaluation:
+    """Evaluate models of so many pictures, drawn from the rest of each part."""
+    rng = np.random.default_rng([seed, size])
+    count = iter(range(1, len(parts) + 1))
+
+    def drawn(rest: list[Sample]) -> list[Sample]:
+        return [rest[i] for i in sorted(rng.permutation(len(rest))[:size].tolist())]
+
+    return evaluation_by_parts(task, parts, drawn, lambda: tell(next(count)))
+
+
+def _errors_by_name(evaluation: Evaluation) -> dict[str, float]:
+    """Return the mean error of each picture; as large as the object where a fit has no landmarks."""
+    errors = np.nan_to_num(evaluation.errors, nan=1.0, posinf=1.0)
+    return dict(zip(evaluation.names, np.clip(errors, 1e-9, None).tolist(), strict=True))
+
+
+def _between_people(evaluation: Evaluation, second: Mapping[str, np.ndarray]) -> float:
+    """Return the median distance between two people's landmarks of a picture; NaN if no picture has both."""
+    distances = [
+        float(np.nanmean(landmark_errors(second[name], truth))) / size
+        for name, truth, size in zip(evaluation.names, evaluation.truths, evaluation.sizes, strict=True)
+        if name in second and np.shape(second[name]) == truth.shape
+    ]
+    return float(np.nanmedian(distances)) if distances else np.nan
+
+
+def _error_of_log_median(values: np.ndarray) -> float:
+    """Return the standard error of the logarithm of a median (m,), by the bootstrap."""
+    rng = np.random.default_rng(0)
+    drawn = rng.choice(values, (BOOTSTRAPS, len(values)))
+    return float(np.log(np.median(drawn, axis=1)).std())
+
+
+def _spread(values: np.ndarray) -> float:
+    """Return the standard deviation of normal values (m,) by their quartiles, which few outliers do not change."""
+    low, high = np.percentile(values, [25, 75])
+    return float(high - low) / 1.349

@@ -1,0 +1,53 @@
+"""Groups of specimens, such as species or sexes, from a table."""
+
+from __future__ import annotations
+
+import csv
+from collections.abc import Mapping, Sequence
+
+from liaam.errors import LiaamError
+from liaam.io.files import AnyPath, existing_file
+from liaam.io.landmarks.reading import read_text
+from liaam.morphometry.scale_tables import images_of
+
+COLUMNS = ("specimen", "group")
+"""Columns of a table of groups that are read."""
+
+
+def read_groups(path: AnyPath) -> dict[str, str]:
+    """Read a table ``.csv`` with the columns ``specimen`` (or image) and ``group``: the group of each specimen.
+
+    Raises
+    ------
+    LiaamError
+        If the file or a column is missing, or a specimen occurs twice.
+    """
+    path = existing_file(path, LiaamError, "table of groups")
+    rows = list(csv.DictReader(read_text(path).splitlines()))
+    if not rows or not {*COLUMNS} <= rows[0].keys():
+        raise LiaamError(
+            f"{path} has no columns {' and '.join(COLUMNS)}: give a .csv file with one row for each specimen"
+        )
+    groups: dict[str, str] = {}
+    for number, row in enumerate(rows, 2):
+        name = (row["specimen"] or "").strip()
+        if name in groups:
+            raise LiaamError(f"{path}: line {number} has '{name[:60]}' again: keep one line for each specimen")
+        groups[name] = (row["group"] or "").strip()
+    return groups
+
+
+def groups_of(specimens: Sequence[str], groups: Mapping[str, str]) -> tuple[str, ...]:
+    """Return the group of each specimen, given by its name; empty if it is in none.
+
+    Names go with or without folder and ending. All objects of an image (``tray#1``) are in its group.
+
+    Raises
+    ------
+    LiaamError
+        If no specimen is in a group, or one may be in several.
+    """
+    found = images_of(specimens, list(groups))
+    if not any(name is not None and groups[name] for name in found):
+        raise LiaamError(f"no specimen is in the table of groups, which has names such as {next(iter(groups), 'none')}")
+    return tuple("" if name is None else groups[name] for name in found)

@@ -1,0 +1,129 @@
+"""Variance of shape: that of specimens and that of measuring come apart, and so do groups."""
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from liaam.errors import LiaamError
+from liaam.morphometry import Specimen, groups_of, measure, read_groups, shape_variation
+
+MEAN = 100 * np.array([[-2.0, -1], [0, -1.4], [2, -1], [2.2, 1], [0, 1.5], [-2.1, 1.2], [0.3, 0.2]])
+
+
+def fitted(rng: np.random.Generator, truth: np.ndarray, sd: float) -> list[Specimen]:
+    """Specimens with errors of a known size, and with their covariances."""
+    spread = np.tile(sd**2 * np.eye(2), (len(MEAN), 1, 1))
+    return [Specimen(f"w{i}", points + rng.normal(0, sd, points.shape), spread) for i, points in enumerate(truth)]
+
+
+def truth_of(rng: np.random.Generator, m: int) -> np.ndarray:
+    mode = rng.normal(size=MEAN.shape)
+    return MEAN + 3 * rng.normal(size=(m, 1, 1)) * mode
+
+
+def test_the_variance_of_measuring_is_that_of_the_errors(rng):
+    truth = truth_of(rng, 300)
+    exact = fitted(rng, truth, 1e-6)
+    noisy = fitted(rng, truth, 2.0)
+    without = shape_variation(exact, measure(exact))
+    found = shape_variation(noisy, measure(noisy))
+    assert found.measuring == pytest.approx(found.total - without.total, rel=0.15)
+    assert found.reliability == pytest.approx(without.total / found.total, abs=0.03)
+    assert 0.9 < found.reliabilities[0] < 1.0
+    assert not found.reliabilities[-1] > 0.3  # beyond the first, all is noise
+    assert without.reliability == pytest.approx(1.0)
+
+
+def test_standard_errors_of_scores_hold_the_true_ones(rng):
+    truth = truth_of(rng, 60)
+    exact = fitted(rng, truth, 1e-6)
+    noisy = fitted(rng, truth, 2.0)
+    errors = shape_variation(noisy, measure(noisy)).scores[:, 0] - shape_variation(exact, measure(exact)).scores[:, 0]
+    se = shape_variation(noisy, measure(noisy)).scores_se[:, 0]
+    assert np.std(errors / se) == pytest.approx(1.0, abs=0.25)  # 60 draws: a standard error of 0.09
+
+
+def test_groups_have_means_with_standard_errors_and_a_test(rng):
+    truth = truth_of(rng, 40)
+    truth[20:, 6] += [8.0, 0.0]
+    specimens = fitted(rng, truth, 1.0)
+    groups = ["a"] * 20 + ["b"] * 19 + [""]
+    found = shape_variation(specimens, measure(specimens), groups, permutations=199)
+    (test,) = found.tests
+    assert test["groups"] == "a – b" and test["specimens"] == 39
+    assert test["P"] == pytest.approx(1 / 200)
+    apart = found.means["b"] - found.means["a"]
+    assert np.linalg.norm(apart) == pytest.approx(float(test["distance"]))
+    assert np.linalg.norm(apart, axis=1).argmax() == 6
+    assert 0 < float(test["R2"]) < 1
+    assert (found.means_se_by_measuring["a"] < found.means_se["a"] * 1.5).all()
+    size = float(np.linalg.norm(MEAN - MEAN.mean(axis=0)))
+    assert found.means_se_by_measuring["a"].max() == pytest.approx(1.0 / size / np.sqrt(20), rel=0.3)
+    by_group = found.by_group()
+    assert by_group["group"] == ["a"] * 7 + ["b"] * 7 and by_group["specimens"][0] == 20
+    assert json.loads(found.to_json())["tests"][0]["P"] == test["P"]
+    assert "a – b: means" in found.report()
+
+
+def test_without_a_difference_the_test_finds_none(rng):
+    specimens = fitted(rng, truth_of(rng, 40), 1.0)
+    groups = ["a", "b", "c", "d"] * 10
+    found = shape_variation(specimens, measure(specimens), groups, permutations=99)
+    assert len(found.tests) == 7  # all, and six pairs
+    assert float(found.tests[0]["P"]) > 0.02
+    assert np.isnan(float(found.tests[0]["distance"]))
+
+
+def test_what_is_unknown_is_said(rng):
+    points = truth_of(rng, 6)
+    points[2, 1] = np.nan
+    specimens = [Specimen(f"w{i}", each) for i, each in enumerate(points)]
+    found = shape_variation(specimens, measure(specimens))
+    assert (len(found.names), found.n_left_out) == (5, 1)
+    assert np.isnan(found.measuring) and np.isnan(found.reliability)
+    assert "that of measuring is unknown" in found.report() and "1 without a shape left out" in found.report()
+    assert "PC1_se" not in found.by_specimen()
+    assert json.loads(found.to_json())["reliability"] is None
+    with pytest.raises(
+        LiaamError, match="2 specimens with a shape: the variance of shape is split from 3 specimens on"
+    ):
+        shape_variation(specimens[:3], measure(specimens[:3]))
+    with pytest.raises(LiaamError, match="-1 permutations: give 0 to 100000"):
+        shape_variation(specimens, measure(specimens), permutations=-1)
+    (untested,) = shape_variation(specimens, measure(specimens), ["a", "b"] * 3, permutations=0).tests
+    assert np.isnan(float(untested["P"]))
+    with pytest.raises(LiaamError, match=r"two groups of 2 specimens with a shape or more: there are a \(5\)"):
+        shape_variation(specimens, measure(specimens), ["a"] * 6)
+
+
+def test_specimens_of_one_shape_have_no_variance():
+    specimens = [Specimen(f"w{i}", MEAN + i) for i in range(4)]
+    found = shape_variation(specimens, measure(specimens), ["a", "a", "b", "b"], permutations=9)
+    assert found.total < 1e-20
+    assert float(found.tests[0]["P"]) > 0.05
+
+
+def test_groups_are_read_and_found_by_name(tmp_path: Path):
+    table = tmp_path / "groups.csv"
+    table.write_text("specimen,group\nwings/a.jpg,male\nb,female\n", encoding="utf-8")
+    groups = read_groups(table)
+    assert groups_of(["a", "b#2", "c"], groups) == ("male", "female", "")
+    with pytest.raises(LiaamError, match="no specimen is in the table of groups, which has names such as wings/a"):
+        groups_of(["x"], groups)
+    table.write_text("specimen,group\na,male\na,female\n", encoding="utf-8")
+    with pytest.raises(LiaamError, match="line 3 has 'a' again"):
+        read_groups(table)
+    table.write_text("name,sex\na,male\n", encoding="utf-8")
+    with pytest.raises(LiaamError, match="has no columns specimen and group"):
+        read_groups(table)
+
+
+def test_errors_that_exceed_the_variance_split_nothing(rng):
+    truth = truth_of(rng, 20)
+    spread = np.tile(900.0 * np.eye(2), (len(MEAN), 1, 1))
+    specimens = [Specimen(f"w{i}", points, spread) for i, points in enumerate(truth)]
+    found = shape_variation(specimens, measure(specimens))
+    assert found.measuring > found.total and np.isnan(found.reliability)
+    assert "so that it cannot be split: compare with landmarks that people placed" in found.report()
