@@ -12,7 +12,7 @@ import numpy as np
 
 from liaam.fitting.loop.levels import CoarseToFine, FittedLevel, Target, is_sane
 from liaam.fitting.one_shape_fitter import OneShapeFitter
-from liaam.fitting.result import FitResult, FitStatus
+from liaam.fitting.result import FitResult, FitStatus, with_prior
 
 ROUNDS = 5  # Largest number of fits from a start; most take two
 ALIKE = 0.02  # Share of the pixels up to which two sets of them are the same
@@ -24,6 +24,9 @@ PLACES = 4  # Largest number of other places to try if that is not so
 # Share of the landmarks, one at least, by which a first fit may have more present ones than the next: pulled by what is
 # absent, it agrees with its border.
 PULLED = 0.05
+# Odds that a fit is right which may be used only without the pixels that disagree with it. A model agrees with some of
+# the pixels of anything: without the others, a fit to noise has a quality of 0.6.
+SELECTED = 0.2
 
 
 def without_absent(
@@ -52,6 +55,8 @@ def without_absent(
             if _is_mostly_present(best):
                 break
     best = replace(best, n_starts=result.n_starts)
+    if not result.status.ok:
+        best = with_prior(best, SELECTED)
     if best.status.ok and not _is_mostly_present(best):
         return replace(best, status=FitStatus.DOUBTFUL)
     return best

@@ -129,6 +129,11 @@ class PiecewiseAffineWarp:
             1.0 / sqrt(self.shape_model.n_points),
         )
 
+    @cached_property
+    def within_mesh(self) -> np.ndarray:
+        """Whether each pixel lies in a triangle of landmarks, not in the surroundings, (n_pixels,) bool."""
+        return (self.frame.triangles[self._owners] < self.shape_model.n_points).all(axis=1)
+
     def every(self, spacing: float) -> np.ndarray:
         """Indices of pixels on a square grid of about this spacing, sorted by triangle."""
         rows, columns = self.frame.pixels.T

@@ -28,6 +28,8 @@ WIDTH = 0.03
 # Squared gradients (of softly normalised ones, at most 1) that count as contrast everywhere: of windows with less
 # contrast, noise determines the concordance.
 FLOOR = 0.02
+# Weight of pixels beside the object: another one may lie there, such as a label, without covering a landmark
+BESIDE = 0.25
 LEAST_CONTRAST = 1e-9  # of a window without usable pixels
 
 
@@ -61,11 +63,10 @@ class Surroundings:
         samples = np.reshape(samples, (-1, k))[:, :GRADIENT_ROWS]
         expected = samples - np.reshape(residual, (-1, k))[:, :GRADIENT_ROWS]
         seen = np.where(np.asarray(usable)[:, None] > 0, samples, 0.0)
-        weights = self.objective.appearance.usable
         pairs = ((seen, expected), (seen, seen), (expected, expected))
         products = [np.einsum("nk,nk->n", first, second) for first, second in pairs]
         finite = np.nan_to_num(np.stack(products), posinf=0.0, neginf=0.0)
-        shared, of_image, of_fit = self._summed(weights * finite)
+        shared, of_image, of_fit = self._summed(self._weights * finite)
         of_image = np.maximum(of_image, 0.0) + self._floor
         of_fit = np.maximum(of_fit, 0.0) + self._floor
         concordances = 2.0 * shared / (of_image + of_fit)
@@ -90,9 +91,15 @@ class Surroundings:
         return blurred.reshape(height * width, -1).T
 
     @cached_property
+    def _weights(self) -> np.ndarray:
+        """Weights of the sampled pixels, (n_pixels,) float32."""
+        beside = np.where(_mesh_warp(self.objective).within_mesh, 1.0, BESIDE)
+        return (beside * self.objective.appearance.usable).astype(np.float32)
+
+    @cached_property
     def _floor(self) -> np.ndarray:
         """Contrast that counts everywhere, half of it of the image and half of the fit, (n_cells,) float32."""
-        of_pixels = 0.5 * FLOOR * self.objective.appearance.usable
+        of_pixels = 0.5 * FLOOR * self._weights
         return np.maximum(self._summed(of_pixels[None])[0], LEAST_CONTRAST)
 
     def present_pixels(self, presence: Presence, solution: Any) -> np.ndarray:
