@@ -16,7 +16,7 @@ FINE = 4
 NAMES = ("base", "tip", "left1", "left2", "left3", "right1", "right2", "right3", "mid1", "mid2", "mid3")
 """Landmarks: both ends of the blade, and where its veins leave the midrib and reach the margin on each side."""
 
-CELL = (300, 240)
+CELL = (360, 240)
 """Height and width of the place of a leaf on a tray, pixels."""
 
 _JUNCTIONS = (0.25, 0.48, 0.7)  # of the veins, along the midrib
@@ -149,14 +149,14 @@ def draw_tray(
     ground = _PAPER + 6 * (np.mgrid[:height, :width][1] / width - 0.5)
     fine = cv2.resize(np.repeat(ground[:, :, None], 3, axis=2).astype(np.float32), None, fx=FINE, fy=FINE)
     middles = [
-        np.array([(i % columns + 0.5) * cell[1], (i // columns + 0.4) * cell[0]]) + rng.uniform(-6, 6, 2)
+        np.array([(i % columns + 0.5) * cell[1], (i // columns + 0.35) * cell[0]]) + rng.uniform(-6, 6, 2)
         for i in range(len(leaves))
     ]
     for leaf, middle in zip(leaves, middles, strict=True):
         _paint(fine, leaf, middle)
     for text, middle in zip(texts, middles, strict=False):
         if text:
-            _stick(fine, text, middle + np.array([0.0, 0.42 * cell[0]]))
+            _stick(fine, text, middle + np.array([0.0, 0.45 * cell[0]]))
     if turn:
         matrix = cv2.getRotationMatrix2D((fine.shape[1] / 2, fine.shape[0] / 2), -turn, 1.0)
         fine = cv2.warpAffine(fine, matrix, fine.shape[1::-1], borderMode=cv2.BORDER_REPLICATE)

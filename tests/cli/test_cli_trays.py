@@ -128,7 +128,7 @@ def test_photographs_with_other_counts_are_no_replicates_by_position(run, leaf_m
 def test_what_is_not_clear_is_said(run, leaf_model, rng, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     leaves = [random_leaf(rng, (150.0, 150.0)) for _ in range(3)]
-    drawn = draw_tray(leaves, rng, texts=("A", "B", "A"), cell=(300, 240))
+    drawn = draw_tray(leaves, rng, texts=("A", "B", "A"))
     write_image(tmp_path / "t.png", drawn.image)
     _, _, err = run("fit", leaf_model, "t.png", "--all", "--name-by", "code", "-o", "o")
     assert "t.png: the code 'A' is at 2 places, so that it names no specimen" in err
@@ -158,3 +158,20 @@ def test_unknown_ways_of_naming_are_refused(run, leaf_model, tmp_path, command):
     write_image(tmp_path / "a.png", np.zeros((50, 50, 3), np.uint8))
     code, _, err = run(command, leaf_model, tmp_path / "a.png", "--name-by", "size", "-o", tmp_path / "o.csv")
     assert code == 1 and "named by position, code, label, not by 'size'" in err
+
+
+def test_crops_overwrite_no_image_and_need_a_folder(run, leaf_model, tray, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    write_image("trays/tray_crop.png", tray.image[:40])
+    code, _, err = run("fit", leaf_model, "trays/tray.png", "--crops", "-o", "trays")
+    assert code == 1 and "tray_crop.png exists and is not from an earlier fit" in err
+    np.testing.assert_array_equal(read_image("trays/tray_crop.png"), tray.image[:40])
+    code, _, err = run("fit", leaf_model, "trays/tray.png", "--crops", "-o", "tray.pts")
+    assert code == 1 and "--crops writes more; give a folder" in err
+
+
+def test_crops_are_not_fitted_again(run, leaf_model, tray, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    for _ in range(2):
+        run("fit", leaf_model, "trays", "--crops", "-o", "trays")
+    assert sorted(path.name for path in (tmp_path / "trays").glob("*_crop.png")) == ["tray_crop.png"]

@@ -2,16 +2,30 @@
 
 import numpy as np
 
-from liaam.training.reliability import LeftOutFit, LeftOutFits
+from liaam.model.shape import ShapeModel
+from liaam.training.left_out_fits import LeftOutFit, LeftOutFits
+
+TRIANGLE = np.array([[-10.0, -5.0], [10.0, -5.0], [0.0, 10.0]])
 
 
 def fit_off_by(error: float, near: bool = True) -> LeftOutFit:
-    return LeftOutFit(near, error, np.ones(2), np.zeros((3, 2)), np.zeros((3, 2, 2)), 1.0, 1.0)
+    return LeftOutFit(
+        near=near,
+        error=error,
+        evidence=np.ones(2),
+        unit=1.0,
+        shapes=ShapeModel(TRIANGLE, np.zeros((0, 6)), np.zeros(0)),
+        contours=(),
+        truth=TRIANGLE,
+        known=np.ones(3, bool),
+        p=np.zeros(4),
+        covariance=np.eye(4),
+    )
 
 
 def test_the_accuracy_counts_fits_from_near_starts_alone():
-    fits = LeftOutFits([fit_off_by(0.01), fit_off_by(0.02), fit_off_by(0.2), fit_off_by(0.2, near=False)], n_near=4)
-    assert fits.describe() == (
+    fits = [fit_off_by(0.01), fit_off_by(0.02), fit_off_by(0.2), fit_off_by(0.2, near=False)]
+    assert LeftOutFits(fits=fits, n_near=4).describe() == (
         "2 of 4 fits to left-out training images, from starts near the object, have an error of at most 3% of its "
         "size; these are off by 1.5% on average"
     )
@@ -19,5 +33,5 @@ def test_the_accuracy_counts_fits_from_near_starts_alone():
 
 def test_the_accuracy_is_not_stated_where_nothing_was_fitted_or_nothing_was_right():
     assert LeftOutFits().describe() == ""
-    none_right = LeftOutFits([fit_off_by(0.2)], n_near=1).describe()
+    none_right = LeftOutFits(fits=[fit_off_by(0.2)], n_near=1).describe()
     assert none_right.startswith("0 of 1 fit ") and "average" not in none_right

@@ -109,3 +109,10 @@ def test_the_covariance_of_an_expanded_shape_is_that_of_its_landmarks(shapes, rn
     expected = fitted_covariances(shapes, expanded_covariance(spread, 7, 1.4))
     measured = np.einsum("mna,mnb->nab", landmarks - shapes.mean, landmarks - shapes.mean) / len(drawn)
     np.testing.assert_allclose(measured, expected, rtol=0.1, atol=0.05 * np.abs(expected).max())
+
+
+def test_expanded_fits_state_the_error_that_they_then_have(shapes, rng):
+    fits = fits_of(shapes, rng, shrunk=0.7, noise=0.0, error=0.02)
+    expanded = fits.expanded(1.0 / 0.7)
+    assert expanded.near_error == pytest.approx(0.0, abs=1e-9)
+    assert fits.expanded(1.0) is not fits and fits.expanded(1.0).near_error == pytest.approx(0.02)

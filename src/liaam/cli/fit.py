@@ -36,6 +36,9 @@ if TYPE_CHECKING:
 OVERLAYS = ("_fit.png", "_fit.jpg")
 """Ends of the names of overlays, of small and of large images."""
 
+CROP = "_crop.png"
+"""End of the names of the parts of images around the objects."""
+
 MOST_PNG_PIXELS = 2_000_000
 """Pixels of an overlay above which it is a JPEG, of about 1 MB instead of 4 MB."""
 
@@ -130,6 +133,8 @@ def fit(
     check_name_by(name_by)
     check_absent(absent)
     outputs = Outputs.asked(output, formats, scheme=scheme, several=len(images) > 1 or every)
+    if crops and outputs.only is not None:
+        raise LiaamError(f"{output} is one file, and --crops writes more; give a folder with -o")
     outputs = replace(outputs, name_by=name_by, crops=crops, absent=absent)
     inputs.refuse_inputs([output], images)
     model = load_model(model_file)
@@ -187,9 +192,9 @@ def images_in(path: Path) -> list[Path]:
 
 
 def is_overlay(image: Path) -> bool:
-    """Return whether an image is an overlay: its name ends as one, and the fit is beside it."""
+    """Return whether an image is an overlay or a crop of an earlier fit, which is beside it."""
     name, _, ending = image.name.rpartition("_")
-    return f"_{ending}" in OVERLAYS and read_fit(image.with_name(f"{name}.json")) is not None
+    return f"_{ending}" in (*OVERLAYS, CROP) and read_fit(image.with_name(f"{name}.json")) is not None
 
 
 @dataclass
@@ -404,6 +409,8 @@ def fit_file(
     stems = [f"{stem}_{i}" for i in range(1, len(fitted.results) + 1)] if every else [stem]
     for name in stems if every else []:
         refuse_to_overwrite([outputs.path_of(name, suffix) for suffix in outputs.suffixes])
+    if outputs.crops:
+        refuse_images([outputs.path_of(name, CROP) for name in stems])
     length = length_for(image, start, fitter.model.scale)
     for i, (name, result, specimen) in enumerate(zip(stems, fitted.results, fitted.named, strict=True)):
         facts = result.to_dict(outputs.absent) | {"image": image.name, "specimen": specimen.name}
@@ -459,7 +466,7 @@ def write_object(
         if box is not None:
             left, top, right, bottom = box
             crop = pixels[top:bottom, left:right]
-            write_image(outputs.path_of(name, "_crop.png"), crop if crop.dtype.kind == "u" else as_picture(crop))
+            write_image(outputs.path_of(name, CROP), crop if crop.dtype.kind == "u" else as_picture(crop))
 
 
 @contextmanager
@@ -472,6 +479,13 @@ def all_or_none(paths: list[Path]) -> Iterator[list[Path]]:
         for path in new:
             path.unlink(missing_ok=True)
         raise
+
+
+def refuse_images(crops: list[Path]) -> None:
+    """Raise if an image that is not a crop of an earlier fit would be overwritten."""
+    for crop in crops:
+        if crop.exists() and not is_overlay(crop):
+            raise LiaamError(f"{crop} exists and is not from an earlier fit; give another -o to keep it, or remove it")
 
 
 def refuse_to_overwrite(paths: list[Path]) -> None:

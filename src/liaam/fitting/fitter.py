@@ -282,7 +282,7 @@ class Fitter(OneShapeFitter):
         searched = region if may_look_elsewhere else None
         result = without_absent(self, fit.target, result, lambda: self._places_in(fit.target, searched))
         result = with_prior(result, prior)
-        if result.status.lost or result.status is FitStatus.DOUBTFUL or self.falls_short(result):
+        if self._is_judged and (result.status.lost or self._is_likely_wrong(result)):
             result = start_if_failed_far(result, fit.target.start if given is None else given, self.shapes)
         if fit.detection is None or not fit.detection.doubtful:  # the start is near the object
             result = self._with_prior_near(result)
@@ -292,6 +292,17 @@ class Fitter(OneShapeFitter):
             contours=self.model.contours,
             landmark_names=self.model.landmark_names,
         )
+
+    @property
+    def _is_judged(self) -> bool:
+        """Whether training has tried to calibrate the method. Its fits to left-out images are as they are."""
+        return self.reliability is not None or self.is_failing
+
+    def _is_likely_wrong(self, result: FitResult) -> bool:
+        """Return whether a fit is doubtful, or would be if it had converged within its iterations."""
+        if result.status is FitStatus.DOUBTFUL:
+            return True
+        return self.reliability_for(result) is not None and result.quality < LEAST_QUALITY
 
     def _places_in(self, target: Target, region: tuple[np.ndarray, np.ndarray] | None) -> list[np.ndarray]:
         """Return shapes to start from at other places of a region (its corners), the most likely first."""

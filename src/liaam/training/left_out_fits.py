@@ -7,8 +7,8 @@ import numpy as np
 
 from liaam.fitting.quality.uncertainty import expanded_covariance, fitted_covariances
 from liaam.io.files import count_of
-from liaam.model.contours import Contours, contour_turns
-from liaam.model.shape import ShapeModel
+from liaam.model.contours import Contours, contour_turns, outline_errors
+from liaam.model.shape import ShapeModel, diagonal_of
 from liaam.training.covariances import surprise
 from liaam.training.presence import AgreementOfFit
 
@@ -77,6 +77,12 @@ class LeftOutFit:
         """Fitted landmarks, (n, 2) float64, pixels of the frame."""
         return self.shapes.shape(self._expanded_p)
 
+    def expanded(self, expansion: float) -> "LeftOutFit":
+        """Return the fit with its shape at as many times its distance from the mean."""
+        fit = replace(self, expansion=expansion)
+        errors = outline_errors(fit.landmarks, fit.truth, fit.contours)[fit.known]
+        return replace(fit, error=float(errors.mean() / diagonal_of(fit.truth)))
+
     @property
     def errors(self) -> np.ndarray:
         """True minus fitted landmarks, (n, 2) float64, turned from the contours of the image to those of the mean.
@@ -144,7 +150,7 @@ class LeftOutFits:
 
     def expanded(self, expansion: float) -> "LeftOutFits":
         """Return the fits with shapes at as many times their distance from the mean."""
-        fits = [replace(fit, expansion=expansion) for fit in self.fits]
+        fits = self.fits if expansion == 1.0 else [fit.expanded(expansion) for fit in self.fits]
         return replace(self, fits=fits, expansion=expansion)
 
     def describe(self) -> str:

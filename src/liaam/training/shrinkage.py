@@ -71,7 +71,7 @@ def expansion_of(fits: LeftOutFits, usual: LeftOutFits) -> float:
     evidence = np.clip((usual.n_near - FEW) / (MANY - FEW), 0.0, 1.0)
     most = _mean_error(usual.near_right) * (1.0 + MOST_INCREASE * evidence)
     for factor in np.linspace(largest, 1.0, TRIED)[:-1].tolist():
-        if _mean_error(fits.expanded(factor).near_right) <= most:
+        if _mean_error([fit.expanded(factor) for fit in fits.near_right]) <= most:
             return factor
     return 1.0
 
