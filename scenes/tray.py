@@ -149,7 +149,7 @@ def draw_tray(
     ground = _PAPER + 6 * (np.mgrid[:height, :width][1] / width - 0.5)
     fine = cv2.resize(np.repeat(ground[:, :, None], 3, axis=2).astype(np.float32), None, fx=FINE, fy=FINE)
     middles = [
-        np.array([(i % columns + 0.5) * cell[1], (i // columns + 0.35) * cell[0]]) + rng.uniform(-6, 6, 2)
+        np.array([(i % columns + 0.5) * cell[1], (i // columns + 0.4) * cell[0]]) + rng.uniform(-6, 6, 2)
         for i in range(len(leaves))
     ]
     for leaf, middle in zip(leaves, middles, strict=True):

@@ -110,7 +110,7 @@ def test_photographs_with_other_counts_are_no_replicates_by_position(run, leaf_m
     (tmp_path / "trays").mkdir()
     leaves = [random_leaf(rng) for _ in range(4)]
     for i, shown in enumerate((leaves, leaves[1:])):
-        drawn = draw_tray(shown, rng, columns=2, texts=[f"L{leaves.index(leaf)}" for leaf in shown])
+        drawn = draw_tray(shown, rng, columns=2, cell=(340, 240), texts=[f"L{leaves.index(leaf)}" for leaf in shown])
         write_image(tmp_path / f"trays/t_{i}.png", drawn.image)
     code, _, _ = run("batch", leaf_model, "trays", "--all", "--name-by", "code", "-o", "fits.csv")
     assert code == 0

@@ -78,7 +78,7 @@ def test_a_fit_to_something_else_is_where_it_was_started(calibrated, rng):
 
 
 def test_fits_to_left_out_images_are_as_they_are(calibrated, rng):
-    """The start of a fit in training is near the truth: a failed fit with its landmarks would be taken for a right one."""
+    """The start of a fit in training is near the truth: a failed fit would be taken for a right one."""
     wall = (255 * rng.random((180, 240, 3))).astype(np.uint8)
     bare = calibrated.with_view(SURROUNDINGS, reliabilities={})
     assert not Fitter(bare).fit(wall, (60, 40, 180, 150)).at_start
