@@ -108,7 +108,10 @@ def evaluate(
     from liaam.model import load_model
     from liaam.training.left_out import describe_objects
 
-    model_file, folder = model_and_folder(sources, 2 if learning_curve and folds is None else folds, init)
+    if learning_curve and (groups is not None or folds is not None):
+        given = "--groups" if folds is None else "--folds"
+        raise LiaamError(f"--learning-curve divides the images itself and compares no groups; leave {given} out")
+    model_file, folder = model_and_folder(sources, 2 if learning_curve else folds, init)
     model = None if model_file is None else load_model(model_file)
     reading = Reading(strict, category, y_down, stored_orientation)
     data = without_proposals(inputs.read_folder(folder, reading), inputs.folder_of(folder)[0])
