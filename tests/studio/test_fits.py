@@ -123,6 +123,8 @@ class TestFit:
         facts = json.loads(fits.export(damaged, "json", (FRONT, 0.3))[2])
         assert (facts["landmarks"][2], facts["sd"][2]) == ([None, None], None)
         assert facts["landmarks"][3] == fitted.result.landmarks[3].tolist()
+        for what in ("ljson", "csv"):
+            assert fits.export(damaged, what, (FRONT, 0.3))[2] != fits.export(fitted, what, (FRONT, 0.3))[2]
         assert b"nan nan" in fits.export(damaged, "pts", (FRONT, 0.3))[2].lower()
 
     def test_says_where_further_objects_are(self, fitted):
