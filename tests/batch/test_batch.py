@@ -23,11 +23,12 @@ import numpy as np
 import pytest
 
 from liaam import __version__
-from liaam.batch import Settings, cluster as cluster_module, find_pictures, listed_pictures, run_batch
+from liaam.batch import Settings, cluster as cluster_module, find_pictures, listed_pictures, run_batch, work
 from liaam.batch.journal import Journal, place_of
 from liaam.batch.run import DEATHS, _Batch, earlier_summary
 from liaam.batch.work import FitJob, _shorts
 from liaam.errors import LiaamError
+from liaam.fitting import FitStatus
 from liaam.io import read_collection, read_landmarks, write_collection, write_image, write_landmarks
 from liaam.io.fit_files import TPS_DECIMALS
 from liaam.model.shape import diagonal_of
@@ -398,6 +399,21 @@ def test_a_complete_batch_is_left_alone_until_a_picture_changes(world, expected,
     with pytest.raises(LiaamError, match=r"is not from an earlier batch.*--restart"):
         batch_of(world, output, [picture])
     assert batch_of(world, output, [picture], restart=True).fitted == 1
+
+
+def test_fits_with_absent_landmarks_are_counted(world, tmp_path, monkeypatch, run):
+    made = work.fit_row
+
+    def row_of_torn(result, *more):
+        present = np.full(len(result.landmarks), 0.1)
+        return made(replace(result, status=FitStatus.CONVERGED, present=present), *more)
+
+    monkeypatch.setattr(work, "fit_row", row_of_torn)
+    pictures = [world.pictures / "face2.png", world.pictures / "more/face3.png"]
+    said = "2 fits with absent landmarks, which are empty: see the column 'message'"
+    for _ in range(2):  # the second time, the table is complete
+        code, out, _ = run("batch", world.folder / "face.liaam", *pictures, "-o", tmp_path / "r.csv")
+        assert code == 0 and said in out
 
 
 @pytest.mark.parametrize("init", ["beside", "{folder}", "{folder}/one.pts"])

@@ -78,6 +78,32 @@ def test_the_table_of_the_page_can_be_measured(fits, images, tmp_path):
     assert first.status == "converged"
 
 
+@pytest.fixture
+def damaged(fits) -> FitResult:
+    """Give a fit whose second landmark is absent."""
+    present = np.full(len(fits[0].landmarks), 0.99)
+    present[1] = 0.01
+    return replace(fits[0], present=present)
+
+
+def test_absent_landmarks_are_empty_in_the_table_unless_asked_for(damaged, images, tmp_path):
+    page = tmp_path / "report.html"
+    for absent in ("empty", "estimate"):
+        write_report(page, [damaged], images[:1], absent=absent)
+        (specimen,) = read_specimens(table_on(page, tmp_path / "fits.csv"))
+        assert np.isnan(specimen.points[1]).all() == (absent == "empty")
+        assert np.isfinite(specimen.points[2]).all()
+    with pytest.raises(LiaamError, match="absent 'none' is unknown"):
+        write_report(page, [damaged], images[:1], absent="none")
+
+
+def test_the_legend_is_about_the_status_and_not_about_a_fit(damaged, images, tmp_path):
+    page = tmp_path / "report.html"
+    write_report(page, [damaged], images[:1])
+    (meaning,) = re.findall("<dd>(.*?)</dd>", page.read_text("utf-8"))
+    assert meaning == FitStatus.CONVERGED.message
+
+
 def test_what_cannot_be_reported_is_refused_by_name(fits, images, tmp_path):
     with pytest.raises(LiaamError, match=r"report\.pdf: a report is a web page; give a name that ends in \.html"):
         write_report(tmp_path / "report.pdf", fits, images)

@@ -9,6 +9,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from liaam.cli.fit import Outputs
 from liaam.cli.inputs import unique_stems
 from liaam.cli.train import parse_contour
 from liaam.errors import LiaamError
@@ -647,6 +648,32 @@ def test_a_folder_is_fitted_into_one_page(run, portraits, model_file, tmp_path):
     assert sorted(path.name for path in tmp_path.iterdir()) == ["new", "report.html"]
     code, _, err = run("fit", model_file, folder, "-o", page, "--scheme", "ibug-68")
     assert code == 1 and "shows the model's own landmarks" in err
+    code, _, err = run("fit", model_file, folder, "-o", page, "--mesh", "--format", "tps")
+    assert code == 1 and "report.html shows every fit in one way: leave --mesh, --format out, or give a folder" in err
+
+
+def test_a_page_of_errors_alone_is_said_to_be_written(run, model_file, tmp_path):
+    (tmp_path / "b.png").write_bytes(b"no image")
+    page = tmp_path / "report.html"
+    code, out, _ = run("fit", model_file, tmp_path / "b.png", "-o", page)
+    assert code == 1 and page.exists()
+    assert "1 error" in out and f"written to {page}" in out
+
+
+@pytest.mark.parametrize(
+    ("output", "formats", "more", "said"),
+    [
+        ("fits", "json", {}, "which are empty in the files: see the message in .json, or give --absent estimate"),
+        ("fits", "json", {"absent": "estimate"}, "which are estimates in the files: see the message in .json"),
+        ("fits", "tps", {}, "empty in the files: --format json names them, or give --absent estimate"),
+        ("a.png", "json", {}, "which have red rings in the picture"),
+        ("fits", "json", {"scheme": "ibug-68"}, "some of ibug-68 are estimates: fit without --scheme to see which"),
+        ("report.html", "json", {}, "empty in the table of the page: the messages there name them, or give --absent"),
+    ],
+)
+def test_what_is_said_of_absent_landmarks_is_true_of_the_files(tmp_path, output, formats, more, said):
+    asked = Outputs.asked(tmp_path / output, formats, scheme=more.get("scheme"), several=False)
+    assert said in replace(asked, **more).on_absent
 
 
 def test_overlays_of_earlier_fits_in_a_folder_are_not_fitted(run, portraits, model_file, tmp_path):

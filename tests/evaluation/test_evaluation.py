@@ -289,6 +289,12 @@ def test_points_that_the_studio_proposed_are_no_labels(run, folder, scenes, tmp_
     assert [row["true_x"] == "" for row in rows] == [True, True, False, False, False]
 
 
+@pytest.mark.parametrize("given", [("--groups", "groups.csv"), ("--folds", "3"), ("--init", "1,2,3")])
+def test_options_that_a_learning_curve_does_not_use_are_refused(run, tmp_path, given):
+    code, _, err = run("evaluate", tmp_path, "--learning-curve", *given)
+    assert code == 1 and f"compares no groups; leave {given[0]} out" in err
+
+
 def test_the_command_measures_a_learning_curve(run, tmp_path, monkeypatch, rng):
     changed = OPTIONS | {"progress": False}
     monkeypatch.setattr(measure, "train", lambda data, **options: liaam.train(data, **options | changed))

@@ -96,6 +96,14 @@ def test_fits_that_are_not_ok_keep_all_landmarks_for_whom_corrects_them(damaged)
     assert "Absent" not in doubtful.message
 
 
+def test_a_doubtful_fit_says_that_most_of_its_landmarks_are_absent(damaged):
+    doubtful = replace(damaged, status=liaam.FitStatus.DOUBTFUL)
+    assert doubtful.message == liaam.FitStatus.DOUBTFUL.message
+    mostly = replace(doubtful, present=np.full(len(damaged.landmarks), 0.1))
+    assert "the image around most of its landmarks is not what the model expects" in mostly.message
+    assert "quality is low" not in mostly.message
+
+
 def test_absent_landmarks_are_drawn_as_rings(damaged):
     ax = damaged.plot(ellipses=False)
     *_, points, rings = ax.lines

@@ -41,6 +41,18 @@ def test_a_fit_is_read_as_landmarks(tmp_path):
             read_landmarks(path)
 
 
+def test_estimates_of_absent_landmarks_are_placed_but_not_seen(tmp_path):
+    path = tmp_path / "torn.json"
+    points = np.array([*POINTS, [np.nan, np.nan]])
+    for present, invisible in (([0.9, 0.2, 0.1], (1,)), (None, ()), ([None, 0.5, 0.1], ())):
+        write_fit(path, Landmarks(points), {"status": "converged", "present": present}, SIZE)
+        assert read_landmarks(path).invisible == invisible
+    for damaged in ([0.1], 3, ["a", 0.1, 0.1]):
+        write_fit(path, Landmarks(points), {"status": "converged", "present": damaged}, SIZE)
+        with pytest.raises(LandmarkError, match=r"torn\.json"):
+            read_landmarks(path)
+
+
 def test_facts_of_every_kind_become_json():
     facts = {
         "nan": float("nan"),

@@ -112,11 +112,13 @@ def test_groups_are_read_and_found_by_name(tmp_path: Path):
     assert groups_of(["a", "b#2", "c"], groups) == ("male", "female", "")
     with pytest.raises(LiaamError, match="no specimen is in the table of groups, which has names such as wings/a"):
         groups_of(["x"], groups)
+    table.write_text("image,group\na.jpg,male\n", encoding="utf-8")
+    assert read_groups(table) == {"a.jpg": "male"}
     table.write_text("specimen,group\na,male\na,female\n", encoding="utf-8")
     with pytest.raises(LiaamError, match="line 3 has 'a' again"):
         read_groups(table)
     table.write_text("name,sex\na,male\n", encoding="utf-8")
-    with pytest.raises(LiaamError, match="has no columns specimen and group"):
+    with pytest.raises(LiaamError, match=r"has no columns specimen \(or image\) and group"):
         read_groups(table)
 
 

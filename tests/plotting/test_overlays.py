@@ -7,9 +7,9 @@ import pytest
 
 from liaam.datasets import load_heads
 from liaam.datasets.label_faults import find_label_faults
-from liaam.drawing import DOUBTFUL, LANDMARK, LOST, rgb
+from liaam.drawing import ABSENT, DOUBTFUL, LANDMARK, LOST, rgb
 from liaam.fitting import FitResult, FitStatus, Fitter
-from liaam.plotting import enlarged, overlay, overlay_of_faults, overlay_of_fit
+from liaam.plotting import enlarged, overlay, overlay_of_faults, overlay_of_fit, thumbnail
 from liaam.plotting.overlays import LARGE, caption_of
 from liaam.plotting.scales import overlay_of_scale
 from liaam.scale import Bar
@@ -102,3 +102,13 @@ def test_the_label_of_a_scale_is_inside_the_picture():
     _, across = np.nonzero((picture < 40).all(axis=2)[:370])
     assert len(across) > 50
     assert across.max() < 895
+
+
+def test_small_pictures_show_absent_landmarks_as_rings(fitted):
+    image, result = fitted
+    present = np.full(len(result.landmarks), 0.99)
+    whole = replace(result, present=present)
+    damaged = replace(result, present=np.where(np.arange(len(present)) == 3, 0.01, present))
+    assert is_there(thumbnail(image, damaged, 256), ABSENT, 40) and not is_there(
+        thumbnail(image, whole, 256), ABSENT, 40
+    )

@@ -116,6 +116,17 @@ class TestFit:
         assert "Absent: 3, 6." in seen["message"]
         assert seen["shape"][2] is not None  # drawn as a ring
 
+    def test_files_have_no_positions_of_absent_landmarks(self, fits, fitted):
+        present = np.full(len(fitted.result.landmarks), 0.99)
+        present[2] = 0.1
+        damaged = replace(fitted, result=replace(fitted.result, present=present))
+        facts = json.loads(fits.export(damaged, "json", (FRONT, 0.3))[2])
+        assert (facts["landmarks"][2], facts["sd"][2]) == ([None, None], None)
+        assert facts["landmarks"][3] == fitted.result.landmarks[3].tolist()
+        for what in ("ljson", "csv"):
+            assert fits.export(damaged, what, (FRONT, 0.3))[2] != fits.export(fitted, what, (FRONT, 0.3))[2]
+        assert b"nan nan" in fits.export(damaged, "pts", (FRONT, 0.3))[2].lower()
+
     def test_says_where_further_objects_are(self, fitted):
         result = fitted.result
         assert fitted.as_json()["objects"] == []  # there is only one

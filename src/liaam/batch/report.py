@@ -23,6 +23,7 @@ from liaam.batch.work import ERROR, FitRow, failed_row, fit_row
 from liaam.drawing import DOUBTFUL, LANDMARK, LOST
 from liaam.errors import LiaamError
 from liaam.fitting import FitResult, FitStatus
+from liaam.fitting.result import check_absent
 from liaam.io import write_text_atomically
 from liaam.io.atomic import check_output
 from liaam.io.files import count_of, natural_key
@@ -61,15 +62,23 @@ class Entry:
 
 
 def entry_of_fit(
-    result: FitResult, pixels: np.ndarray, path: str, name: str, number: int | None = None, length: Length | None = None
+    result: FitResult,
+    pixels: np.ndarray,
+    path: str,
+    name: str,
+    number: int | None = None,
+    length: Length | None = None,
+    absent: str = "empty",
 ) -> Entry:
     """Make the entry of a fit to the pixels (h, w, 3) of an image file.
 
-    ``number`` is that of the object among several in the image, and ``length`` that of a pixel.
+    ``number`` is that of the object among several in the image, ``length`` that of a pixel, and ``absent`` what the row
+    holds of absent landmarks (:data:`liaam.fitting.result.ABSENT`).
     """
     from liaam.plotting import thumbnail
 
-    row = fit_row(result, path, (pixels.shape[1], pixels.shape[0]), length) | {"object": number, "seconds": None}
+    row = fit_row(result, path, (pixels.shape[1], pixels.shape[0]), length, absent)
+    row |= {"object": number, "seconds": None}
     sd = float(np.median(result.sd)) if result.status.ok else np.nan
     return Entry(name, row, sd, _jpeg(thumbnail(pixels, result, THUMBNAIL)))
 
@@ -85,6 +94,7 @@ def write_report(
     images: Sequence[Any] | None = None,
     *,
     title: str = "",
+    absent: str = "empty",
     progress: Progress | bool | None = None,
 ) -> None:
     """Write fits to one web page, with their pictures, the worst first, filters by status, and the table.
@@ -99,6 +109,8 @@ def write_report(
         The images that were fitted. By default those that the results name, which are read again.
     title : str
         Title of the page. By default the number of fits.
+    absent : {"empty", "estimate"}
+        What its table holds of absent landmarks: nothing, or the estimates of their positions.
     progress : bool or callable, optional
         Whether to show a progress bar; by default on a terminal, after two seconds. Or a function that is called with
         (done, total, what).
@@ -114,6 +126,7 @@ def write_report(
     >>> write_report("report.html", fit_many(model, images, errors="return"), images)     # doctest: +SKIP
     """
     page = check_report(path)
+    check_absent(absent)
     given = [getattr(result, "image", None) for result in results] if images is None else list(images)
     if len(given) != len(results):
         raise LiaamError(f"{len(results)} results and {len(given)} images: give the image of each result")
@@ -121,13 +134,13 @@ def write_report(
     with reported("pictures", progress) as tell:
         for i, (result, image) in enumerate(zip(results, given, strict=True)):
             tell(i, len(results), "pictures")
-            entries.append(_entry(result, image, f"images[{i}]"))
+            entries.append(_entry(result, image, f"images[{i}]", absent))
     fits = [result for result in results if isinstance(result, FitResult)]
     names = fits[0].landmark_names if fits else ()
     write_entries(page, entries, len(fits[0].landmarks) if fits else 0, names, title)
 
 
-def _entry(result: FitResult | LiaamError, image: Any, otherwise: str) -> Entry:
+def _entry(result: FitResult | LiaamError, image: Any, otherwise: str, absent: str) -> Entry:
     """Make the entry of a result, whose image may be an array; it is then named by its place."""
     path = os.fspath(image) if isinstance(image, (str, os.PathLike)) else otherwise
     name = Path(path).name
@@ -135,7 +148,7 @@ def _entry(result: FitResult | LiaamError, image: Any, otherwise: str) -> Entry:
         return entry_of_error(result, path, name)
     if image is None:
         raise LiaamError(f"{otherwise}: the result does not name its image; give images=")
-    return entry_of_fit(result, load_picture(image, path)[0], path, name)
+    return entry_of_fit(result, load_picture(image, path)[0], path, name, absent=absent)
 
 
 def check_report(path: str | os.PathLike[str]) -> Path:
@@ -171,7 +184,7 @@ def write_entries(path: Path, entries: Iterable[Entry], n_points: int, names: Se
     parts = {
         "title": html.escape(title),
         "filters": "\n".join(_filter(status, number) for status, number in counts.items()),
-        "meanings": "\n".join(_meaning(status, ordered) for status in counts),
+        "meanings": "\n".join(_meaning(status) for status in counts),
         "cards": "\n".join(_card(i, entry, path) for i, entry in enumerate(ordered)),
         "rows": "\n".join(_table_row(i, entry) for i, entry in enumerate(ordered)),
         "csv": _in_script(_csv_of(sorted(ordered, key=lambda entry: natural_key(entry.row["path"])), n_points, names)),
@@ -211,12 +224,12 @@ def _filter(status: str, number: int) -> str:
     )
 
 
-def _meaning(status: str, entries: Sequence[Entry]) -> str:
+def _meaning(status: str) -> str:
     """Return what a status means; the message of an error is beside its image."""
     if status == ERROR:
         message = "The image could not be read or fitted. The reason is beside it."
     else:
-        message = next(entry.row["message"] for entry in entries if entry.row["status"] == status)
+        message = FitStatus(status).message
     return f"<dt>{_dot(status)}{status}</dt><dd>{html.escape(message)}</dd>"
 
 

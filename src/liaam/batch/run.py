@@ -6,7 +6,7 @@ import os
 from collections import Counter
 from collections.abc import Generator, Iterable, Iterator
 from contextlib import closing, contextmanager, suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from importlib.util import find_spec
 from pathlib import Path
@@ -17,8 +17,9 @@ from liaam import __version__
 from liaam.batch.journal import Journal
 from liaam.batch.pictures import find_pictures
 from liaam.batch.tables import BatchTable, ParsedRow, check_format, row_of, write_table
-from liaam.batch.work import FitJob, JournalRow, Pool, Settings
+from liaam.batch.work import FitJob, FitRow, JournalRow, Pool, Settings
 from liaam.errors import LiaamError, installing
+from liaam.fitting.result import USABLE
 from liaam.io import Contour, write_text_atomically
 from liaam.io.atomic import check_output
 from liaam.model import load_model
@@ -42,12 +43,15 @@ class Summary:
         Images processed in this run, including errors. The others were finished before.
     seconds : float
         Time of this run's fits.
+    absent : int
+        Number of fits that may be used, with landmarks that are absent.
     """
 
     output: Path
     statuses: dict[str, int]
     fitted: int = 0
     seconds: float = 0.0
+    absent: int = 0
 
     @property
     def total(self) -> int:
@@ -162,7 +166,7 @@ class _Batch:
                 raise LiaamError(f"{self.output}: there is no image to fit; give images, or a folder of images")
             earlier = None if restart else earlier_summary(self.output)
             if earlier is not None and (earlier["settings"], earlier["pictures"]) == (self.facts, journal.digest()):
-                summary = Summary(self.output, earlier["statuses"])
+                summary = Summary(self.output, earlier["statuses"], absent=earlier.get("absent", 0))
             else:
                 summary = self._finish(journal)
             journal.remove()
@@ -205,21 +209,27 @@ class _Batch:
         model = self.job.model
         contours = Contour.all_of(model.contours)
         names = model.landmark_names
+        tally: Counter[str] = Counter()
         table = BatchTable(
-            self._rows(journal), model.n_points, self.job.settings.covariance, self.facts, contours, names
+            self._rows(journal, tally), model.n_points, self.job.settings.covariance, self.facts, contours, names
         )
         write_table(self.output, table)
+        summary = replace(summary, absent=tally["absent"])
         facts = {
             "settings": self.facts,
             "statuses": summary.statuses,
+            "absent": summary.absent,
             "pictures": journal.digest(),
             "bytes": self.output.stat().st_size,
         }
         write_text_atomically(summary_file(self.output), json.dumps(facts, indent=1) + "\n")
         return summary
 
-    def _rows(self, journal: Journal) -> Iterator[ParsedRow]:
-        """Iterate over all rows, as text and parsed. Raise if one is damaged or missing."""
+    def _rows(self, journal: Journal, tally: Counter[str]) -> Iterator[ParsedRow]:
+        """Iterate over all rows, as text and parsed, and count those with absent landmarks.
+
+        Raise if one is damaged or missing.
+        """
         n_rows = 0
         for text in journal.rows():
             n_rows += 1
@@ -227,6 +237,7 @@ class _Batch:
                 row = row_of(each, self.job.model.n_points, self.job.settings.covariance)
                 if row is None:
                     raise journal.damage("a row cannot be read")
+                tally["absent"] += has_absent(row)
                 yield each, row
         if n_rows != journal.total:
             raise journal.damage(f"{journal.total - n_rows} rows are missing")
@@ -289,6 +300,12 @@ class _Batch:
         return Summary(self.output, dict(sorted(statuses.items())), statuses.total() - before, perf_counter() - begin)
 
 
+def has_absent(row: FitRow) -> bool:
+    """Return whether the row of a fit that may be used has absent landmarks."""
+    present = row["present"] or ()
+    return row["status"] in USABLE and any(value is not None and value < 0.5 for value in present)
+
+
 def summary_file(output: Path) -> Path:
     """Return the path of the summary beside a table."""
     return output.with_name(f"{output.name}.json")
@@ -301,10 +318,14 @@ def earlier_summary(output: Path) -> dict[str, Any] | None:
         unchanged = summary["bytes"] == output.stat().st_size
         statuses, settings, pictures = (summary[key] for key in ("statuses", "settings", "pictures"))
         sound = isinstance(settings, dict) and isinstance(pictures, str) and isinstance(statuses, dict)
-        counted = sound and all(type(number) is int and number >= 0 for number in statuses.values())
+        counted = sound and all(map(_is_count, (*statuses.values(), summary.get("absent", 0))))
     except (OSError, ValueError, KeyError, TypeError, RecursionError):
         return None
     return summary if unchanged and counted else None
+
+
+def _is_count(number: Any) -> bool:
+    return type(number) is int and number >= 0
 
 
 @contextmanager

@@ -94,6 +94,9 @@ def batch(
         complain(f"skipped {folder}: it cannot be read; check its permissions")
     if errors := summary.statuses.get(ERROR, 0):
         complain(f"{count_of(errors, 'image')} could not be fitted; see the column 'message'")
+    if summary.absent:
+        what = "estimates" if absent == "estimate" else "empty"
+        say(f"{count_of(summary.absent, 'fit')} with absent landmarks, which are {what}: see the column 'message'")
     # A fit to another object, or to one that is turned, may also not converge.
     if uncertain := sum(summary.statuses.get(status, 0) for status in (FitStatus.DOUBTFUL, FitStatus.MAX_ITERATIONS)):
         turned = TURNED if init is None and rotations == "upright" else ""

@@ -65,8 +65,8 @@ def evaluate(
     groups: Annotated[
         Path | None,
         typer.Option(
-            help="Table .csv with the columns specimen and group, to say by how much differences between groups are "
-            "attenuated."
+            help="Table .csv with the columns specimen (or image) and group, to say by how much differences between "
+            "groups are attenuated."
         ),
     ] = None,
     init: Annotated[
@@ -108,7 +108,9 @@ def evaluate(
     from liaam.model import load_model
     from liaam.training.left_out import describe_objects
 
-    model_file, folder = model_and_folder(sources, 2 if learning_curve and folds is None else folds, init)
+    if learning_curve:
+        refuse_beside_curve({"--folds": folds, "--groups": groups, "--init": init})
+    model_file, folder = model_and_folder(sources, 2 if learning_curve else folds, init)
     model = None if model_file is None else load_model(model_file)
     reading = Reading(strict, category, y_down, stored_orientation)
     data = without_proposals(inputs.read_folder(folder, reading), inputs.folder_of(folder)[0])
@@ -141,6 +143,15 @@ def evaluate(
     if evaluation.agreement is not None:
         say(f"for Methods: {evaluation.agreement.methods()}")
     say(f"written to {output}")
+
+
+def refuse_beside_curve(options: dict[str, Any]) -> None:
+    """Raise if an option is given that a learning curve does not use."""
+    if given := [name for name, value in options.items() if value is not None]:
+        raise LiaamError(
+            "--learning-curve divides the images itself, searches for the objects and compares no groups; leave "
+            f"{', '.join(given)} out"
+        )
 
 
 def model_and_folder(sources: list[Path], folds: int | None, init: str | None) -> tuple[Path | None, Path]:

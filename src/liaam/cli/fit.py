@@ -135,6 +135,9 @@ def fit(
     outputs = Outputs.asked(output, formats, scheme=scheme, several=len(images) > 1 or every)
     if crops and outputs.only is not None:
         raise LiaamError(f"{output} is one file, and --crops writes more; give a folder with -o")
+    if outputs.report is not None:
+        of_files = {"ellipses": ellipses, "numbers": numbers, "names": names, "mesh": mesh, "format": formats != "json"}
+        refuse_for_page(output, [name for name, given in of_files.items() if given])
     outputs = replace(outputs, name_by=name_by, crops=crops, absent=absent)
     inputs.refuse_inputs([output], images)
     model = load_model(model_file)
@@ -153,7 +156,7 @@ def fit(
         except LiaamError as error:
             return error
 
-    report = FitReport(every=every, rotations=rotations)
+    report = FitReport(every=every, rotations=rotations, on_absent=outputs.on_absent)
     threads = min(len(images), all_cores())
     # With a single image, its search may use all cores.
     with one_thread() if threads > 1 else one_blas_thread(), progress_bar() as progress:
@@ -171,11 +174,18 @@ def fit(
                     complain(f"stopped: {i - 1} of {len(images)} images are done; make room, and fit the others")
                     break
     outputs.write_report(model, given)
-    report.show(output, as_table=outputs.report is None)
+    report.show(output, on_page=outputs.report is not None)
     if model.scale is not None and report.rows:
         say(f"images that state no scale have that of the training images, {model.scale} per pixel")
     if report.failed:
         raise typer.Exit(1)
+
+
+def refuse_for_page(page: Path, options: list[str]) -> None:
+    """Raise if options were given that change files of a folder, but not a web page."""
+    if options:
+        names = ", ".join(f"--{name}" for name in options)
+        raise LiaamError(f"{page} shows every fit in one way: leave {names} out, or give a folder with -o")
 
 
 def images_in(path: Path) -> list[Path]:
@@ -203,6 +213,7 @@ class FitReport:
 
     every: bool  # whether every object of an image is fitted
     rotations: str
+    on_absent: str  # what is said of absent landmarks
     rows: list[dict[str, str]] = field(default_factory=list)  # cells by the name of their column
     advice: defaultdict[str, list[str]] = field(default_factory=lambda: defaultdict(list))
     statuses: Counter[str] = field(default_factory=Counter)
@@ -239,7 +250,7 @@ class FitReport:
         if not result.status.ok:
             yield f"{result.status}: {result.message}"
         elif result.absent.any():
-            yield "absent landmarks, which are empty in the files: see the message in .json, or give --absent estimate"
+            yield self.on_absent
         if result.detection_doubtful and not result.status.unusable:
             yield inputs.LOW_SCORE + (inputs.TURNED if self.rotations == "upright" else "")
 
@@ -251,15 +262,15 @@ class FitReport:
             table.add_row(*(cell(row[name] or "–") for name in columns))
         return table
 
-    def show(self, output: Path, *, as_table: bool = True) -> None:
-        """Print the table, if there is any fit, or only the numbers of fits by status; and the advice."""
-        if self.rows:
-            if as_table:
-                show_table(self.table())
-            else:
-                say(in_words(self.statuses))
-            if self.uncalibrated:
-                say("the quality is unknown, and uncertainty and ellipses are not calibrated: see 'liaam show MODEL'")
+    def show(self, output: Path, *, on_page: bool = False) -> None:
+        """Print the table, if there is any fit, or if it is on a page the numbers of fits by status; and the advice."""
+        if on_page:
+            say(in_words(self.statuses))
+        elif self.rows:
+            show_table(self.table())
+        if self.uncalibrated:
+            say("the quality is unknown, and uncertainty and ellipses are not calibrated: see 'liaam show MODEL'")
+        if self.rows or on_page:
             say(f"written to {output}")
         inputs.say_advice(self.advice)
 
@@ -354,6 +365,21 @@ class Outputs:
         suffixes = () if is_picture else (output.suffix,)
         return cls(folder=output.parent, suffixes=suffixes, picture=is_picture, only=output, scheme=scheme)
 
+    @property
+    def on_absent(self) -> str:
+        """What is said of a fit with absent landmarks: how they are in its files, and where they are named."""
+        if self.report is None and not self.suffixes:
+            return "absent landmarks, which have red rings in the picture"
+        if self.scheme is not None:
+            return f"absent landmarks, so that some of {self.scheme} are estimates: fit without --scheme to see which"
+        place = "the files" if self.report is None else "the table of the page"
+        named = "--format json names them" if self.report is None else "the messages there name them"
+        if ".json" in self.suffixes:
+            named = "see the message in .json"
+        if self.absent == "estimate":
+            return f"absent landmarks, which are estimates in {place}: {named}"
+        return f"absent landmarks, which are empty in {place}: {named}, or give --absent estimate"
+
     def path_of(self, name: str, suffix: str) -> Path:
         """Return the path of a landmark file for the fit of a name."""
         return self.only or self.folder / f"{name}{suffix}"
@@ -374,7 +400,7 @@ class Outputs:
     ) -> None:
         """Keep the fit of a specimen for the report, with its facts as in the landmark file."""
         if self.report is not None:
-            entry = entry_of_fit(result, pixels, str(image), image.name, facts.get("object"), length)
+            entry = entry_of_fit(result, pixels, str(image), image.name, facts.get("object"), length, self.absent)
             named = {name: facts[name] for name in ("specimen", "code", "message") if name in facts}
             self.entries.append(replace(entry, row=entry.row | named))
 

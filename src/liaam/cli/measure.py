@@ -135,8 +135,8 @@ def measure(
     groups: Annotated[
         Path | None,
         typer.Option(
-            help="Table .csv with the columns specimen and group: as --scores, and test the differences between the "
-            "groups' mean shapes, which are written with standard errors."
+            help="Table .csv with the columns specimen (or image) and group: as --scores, and test the differences "
+            "between the groups' mean shapes, which are written with standard errors."
         ),
     ] = None,
     compare: Annotated[

@@ -12,14 +12,12 @@ import numpy as np
 
 from liaam.fitting.loop.levels import CoarseToFine, FittedLevel, Target, is_sane
 from liaam.fitting.one_shape_fitter import OneShapeFitter
-from liaam.fitting.result import FitResult, FitStatus, with_prior
+from liaam.fitting.result import LEAST_PRESENT, FitResult, FitStatus, with_prior
 
 ROUNDS = 5  # Largest number of fits from a start; most take two
 ALIKE = 0.02  # Share of the pixels up to which two sets of them are the same
 # Least share of the model's pixels to fit with: a fit to less follows the image wherever it agrees by chance
 LEAST_SHARE = 0.15
-# Share of the landmarks that must be present: a fit of which most landmarks are absent may as well be elsewhere
-LEAST_PRESENT = 0.5
 PLACES = 4  # Largest number of other places to try if that is not so
 # Share of the landmarks, one at least, by which a first fit may have more present ones than the next: pulled by what is
 # absent, it agrees with its border.

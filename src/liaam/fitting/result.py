@@ -104,6 +104,8 @@ _MESSAGES = {
 }
 
 
+# Share of the landmarks that must be present: a fit of which most landmarks are absent may as well be elsewhere
+LEAST_PRESENT = 0.5
 MOST_NAMED = 10  # Largest number of absent landmarks that a message names
 
 _NO_QUALITY = (
@@ -117,6 +119,11 @@ _NOTHING_SAYS_SO = (
     "on more images."
 )
 
+
+_MOSTLY_ABSENT = (
+    "The fit converged, but the image around most of its landmarks is not what the model expects, so that it may as "
+    "well be in the wrong place. Check the landmarks, and start nearer to the object if they are wrong."
+)
 
 _AT_START = "It ended far from its start, so that the landmarks are those of the start."
 
@@ -308,12 +315,15 @@ class FitResult:
         """What happened, and what to do."""
         if self.status.ok and not self.calibrated:
             return f"{self.status.message} {_NO_QUALITY}"
-        has_no_ground = self.status is FitStatus.DOUBTFUL and not self.calibrated
-        if self._absent_text:
-            message = f"{self.status.message}{self._absent_text}"
-        else:
-            message = _NOTHING_SAYS_SO if has_no_ground else self.status.message
+        message = self._doubt if self.status is FitStatus.DOUBTFUL else f"{self.status.message}{self._absent_text}"
         return f"{message} {_AT_START}" if self.at_start else message
+
+    @property
+    def _doubt(self) -> str:
+        """Why the fit is doubtful, and what to do."""
+        if not self.calibrated:
+            return _NOTHING_SAYS_SO
+        return _MOSTLY_ABSENT if (~self.absent).mean() < LEAST_PRESENT else self.status.message
 
     @property
     def quality_text(self) -> str:

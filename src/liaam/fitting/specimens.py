@@ -13,11 +13,17 @@ from liaam.fitting.result import FitResult
 from liaam.io.files import count_of, some_names
 from liaam.photometry.picture import load_picture
 from liaam.trays.codes import read_codes
-from liaam.trays.naming import POSITION, Named, check_name_by, name_specimens, with_fault
+from liaam.trays.naming import POSITION, Named, check_name_by, in_sentences, name_specimens
 from liaam.trays.order import diagonal, is_inside, touching
 
 SMALL = 0.7
 """Size, of the median of fits that are not lost, below which a place with a lost fit is no specimen."""
+
+
+NOTHING_FOUND = (
+    "give a start (--init), search for rotated objects (--rotations all), or fit the best place anyway (without --all)"
+)
+"""What to do about a photograph in which nothing was found."""
 
 
 @dataclass(frozen=True)
@@ -40,7 +46,7 @@ class FittedSpecimens:
 
     def message(self, i: int) -> str:
         """Return what is said of a specimen: of its fit, and what is not clear about it."""
-        return with_fault(self.results[i].message, self.named[i].fault)
+        return in_sentences(self.results[i].message, self.named[i].fault)
 
 
 def fit_specimens(
@@ -81,9 +87,9 @@ def fit_specimens(
     if every:
         found = fitter.find_all(pixels, name)
         objects = [each for each in found if not any(is_inside(each.landmarks, code.corners) for code in codes)]
-        if not objects:
-            raise StartError(f"{name}: nothing but codes was found: give a start (--init), or check the model")
         fits = fitter.fit_each_of(pixels, objects, name)
+        if not fits:  # uncertain detections alone are left beside codes
+            raise StartError(f"{name}: no object was found beside the codes; {NOTHING_FOUND}")
     else:
         fits = [fitter.fit(pixels, init, name)]
     results = without_small_lost(fits)
@@ -94,15 +100,17 @@ def fit_specimens(
 
 
 def _about_lost(fits: list[FitResult], kept: list[FitResult], named: list[Named]) -> list[str]:
-    """Return what is to be said of lost fits among several, which may be no specimens."""
+    """Return what is to be said of places left out, and of fits that may not be used: they may be no specimens."""
     n_left_out = len(fits) - len(kept)
     where = f"{count_of(n_left_out, 'place')} much smaller than the specimens"
     lines = [f"{where}, where the fit was lost, left out"] if n_left_out else []
     numbered = [i for i, each in enumerate(named) if not each.code]
-    lost = [i for i in numbered if kept[i].status.lost]
-    if lost and len(kept) > 1 and lost[0] < numbered[-1]:
-        names = some_names([named[i].name for i in lost])
-        lines.append(f"the fits {names} are lost: if these are no specimens, the numbers after them are too high")
+    unsure = [i for i in numbered if not kept[i].status.ok]
+    if unsure and len(kept) > 1 and unsure[0] < numbered[-1]:
+        names = some_names([named[i].name for i in unsure])
+        lines.append(
+            f"fits that may not be used: {names}; if these are no specimens, the numbers after them are too high"
+        )
     return lines
 
 

@@ -10,8 +10,8 @@ from liaam.io.files import AnyPath, existing_file
 from liaam.io.landmarks.reading import read_text
 from liaam.morphometry.scale_tables import images_of
 
-COLUMNS = ("specimen", "group")
-"""Columns of a table of groups that are read."""
+NAMES = ("specimen", "image")
+"""Columns of a table of groups that may name the specimen: the first that is there is read."""
 
 
 def read_groups(path: AnyPath) -> dict[str, str]:
@@ -24,13 +24,14 @@ def read_groups(path: AnyPath) -> dict[str, str]:
     """
     path = existing_file(path, LiaamError, "table of groups")
     rows = list(csv.DictReader(read_text(path).splitlines()))
-    if not rows or not {*COLUMNS} <= rows[0].keys():
+    column = next((column for column in NAMES if rows and column in rows[0]), None)
+    if column is None or "group" not in rows[0]:
         raise LiaamError(
-            f"{path} has no columns {' and '.join(COLUMNS)}: give a .csv file with one row for each specimen"
+            f"{path} has no columns specimen (or image) and group: give a .csv file with one row for each specimen"
         )
     groups: dict[str, str] = {}
     for number, row in enumerate(rows, 2):
-        name = (row["specimen"] or "").strip()
+        name = (row[column] or "").strip()
         if name in groups:
             raise LiaamError(f"{path}: line {number} has '{name[:60]}' again: keep one line for each specimen")
         groups[name] = (row["group"] or "").strip()

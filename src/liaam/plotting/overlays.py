@@ -306,7 +306,8 @@ def thumbnail(image: np.ndarray, result: "FitResult", size: int) -> np.ndarray:
     width, height = np.maximum(np.rint((high - low) * scale), 1).astype(int).tolist()
     part = as_picture(image[low[1] : high[1], low[0] : high[0]])
     picture = cv2.resize(part, (width, height), interpolation=cv2.INTER_AREA if scale < 1 else cv2.INTER_CUBIC)
-    draw_shape(picture, (points - low + 0.5) * scale - 0.5, result.contours, colour=result.status.colour)
+    shape = (points - low + 0.5) * scale - 0.5
+    draw_shape(picture, shape, result.contours, colour=result.status.colour, absent=result.absent)
     return picture
 
 

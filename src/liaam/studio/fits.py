@@ -333,7 +333,8 @@ class Fits:
             image, _ = self.draw(fit, what, None, light)
             ending = "fit" if what == "overlay" else what
             return f"{stem}_{ending}.png", media_type, png_bytes(image)
-        landmarks = Landmarks(fit.result.landmarks, Contour.all_of(fit.model.contours), fit.model.landmark_names)
+        points, _ = fit.result.reported()
+        landmarks = Landmarks(points, Contour.all_of(fit.model.contours), fit.model.landmark_names)
         if what == "json":
             text = fit_text(landmarks, fit.result.to_dict() | {"image": fit.source.name, "image_size": fit.source.size})
         else:

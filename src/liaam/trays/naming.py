@@ -45,12 +45,13 @@ class Named:
 
     def with_fault(self, fault: str) -> Named:
         """Return it with a further fault."""
-        return replace(self, fault=with_fault(self.fault, fault))
+        return replace(self, fault="; ".join(filter(None, (self.fault, fault))))
 
 
-def with_fault(message: str, fault: str) -> str:
-    """Return a message, and what is not clear about a specimen."""
-    return "; ".join(filter(None, (message, fault)))
+def in_sentences(message: str, fault: str) -> str:
+    """Return a message of whole sentences, and after it what is not clear about a specimen as a further one."""
+    sentence = f"{fault[:1].upper()}{fault[1:]}." if fault else ""
+    return " ".join(filter(None, (message, sentence)))
 
 
 def check_name_by(by: str) -> None:

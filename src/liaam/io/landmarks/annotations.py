@@ -9,6 +9,7 @@ from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import replace
 from functools import cache, partial
 from itertools import chain, count
+from math import isnan
 from pathlib import PureWindowsPath
 from typing import Any
 
@@ -232,7 +233,19 @@ def parse_fit(source: Source) -> list[Landmarks]:
     names = tuple(map(str, fit.get("landmark_names") or ()))
     scale = fit.get("scale")
     length = None if scale is None else rd.parse_number(scale, "the scale")
-    return [Landmarks(points, lines, names, scale=length, unit=str(fit.get("scale_unit") or ""))]
+    unit = str(fit.get("scale_unit") or "")
+    return [Landmarks(points, lines, names, None, _estimates(fit, points), length, unit=unit)]
+
+
+def _estimates(fit: Mapping[str, Any], points: list[tuple[float, ...]]) -> tuple[int, ...]:
+    """Return which points of a fit are estimates of absent landmarks: they are placed, but not seen."""
+    if fit.get("present") is None:
+        return ()
+    present = [rd.parse_number(value, f"present {i}") for i, value in enumerate(fit["present"], 1)]
+    placed = [not any(map(isnan, point)) for point in points]
+    return tuple(
+        i for i, (value, is_placed) in enumerate(zip(present, placed, strict=True)) if is_placed and value < 0.5
+    )
 
 
 def parse_ljson(source: Source) -> list[Landmarks]:

@@ -1,0 +1,61 @@
+"""Specimens of a photograph: what is said where none is left, where some may be none, and where some touch."""
+
+from dataclasses import dataclass, field
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from liaam.errors import StartError
+from liaam.fitting import FitStatus, specimens
+from liaam.fitting.specimens import fit_specimens
+from liaam.trays import Code
+from tests.trays.test_order import SQUARE
+
+PAPER = np.full((300, 300, 3), 200, np.uint8)
+
+
+@dataclass
+class Finder:
+    """A fitter whose objects were fitted before."""
+
+    fits: list[SimpleNamespace] = field(default_factory=list)
+
+    def find_all(self, *_) -> list[SimpleNamespace]:
+        return [SimpleNamespace(landmarks=SQUARE)]
+
+    def fit_each_of(self, *_) -> list[SimpleNamespace]:
+        return self.fits
+
+
+def fitter(*fits: SimpleNamespace) -> Any:
+    return Finder(list(fits))
+
+
+def fit_at(left: float, status: FitStatus = FitStatus.CONVERGED) -> SimpleNamespace:
+    place = SQUARE + np.array([left, 0.0])
+    return SimpleNamespace(landmarks=place, place=place, status=status, message=status.message)
+
+
+def test_where_nothing_is_left_beside_the_codes_it_is_said(monkeypatch):
+    monkeypatch.setattr(specimens, "read_codes", lambda _: [Code("A1", SQUARE + 200.0)])
+    monkeypatch.setattr(specimens, "check_name_by", lambda _: None)
+    with pytest.raises(StartError, match=r"tray\.png: no object was found beside the codes; give a start \(--init\)"):
+        fit_specimens(fitter(), PAPER, name="tray.png", name_by="code")
+
+
+@pytest.mark.parametrize("status", [FitStatus.DOUBTFUL, FitStatus.DIVERGED])
+def test_numbers_after_a_fit_that_may_not_be_used_may_be_too_high(status):
+    fitted = fit_specimens(fitter(fit_at(0, status), fit_at(100)), PAPER, stem="tray")
+    assert fitted.faults == [
+        "fits that may not be used: tray#1; if these are no specimens, the numbers after them are too high"
+    ]
+    assert fit_specimens(fitter(fit_at(0), fit_at(100, status)), PAPER).faults == []  # it is the last
+
+
+def test_messages_are_whole_sentences():
+    width = float(np.ptp(SQUARE[:, 0]))
+    fitted = fit_specimens(fitter(fit_at(0), fit_at(width)), PAPER, stem="tray")
+    assert fitted.message(0) == "The fit converged. It touches tray#2, or nearly: check its landmarks."
+    assert fit_specimens(fitter(fit_at(0)), PAPER).message(0) == "The fit converged."
