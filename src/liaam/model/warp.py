@@ -132,7 +132,8 @@ class PiecewiseAffineWarp:
     @cached_property
     def within_mesh(self) -> np.ndarray:
         """Whether each pixel lies in a triangle of landmarks, not in the surroundings, (n_pixels,) bool."""
-        return (self.frame.triangles[self._owners] < self.shape_model.n_points).all(axis=1)
+        are_landmarks = self.frame.triangles[self._owners] < self.shape_model.n_points
+        return np.asarray(are_landmarks.all(axis=1))
 
     def every(self, spacing: float) -> np.ndarray:
         """Indices of pixels on a square grid of about this spacing, sorted by triangle."""
