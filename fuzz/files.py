@@ -114,7 +114,8 @@ def check_start(given: tuple[str, bytes]) -> None:
 _FACTS = {"liaam": "0.1.0", "model": "ab", "method": "soft-li", "init": None, "camera": {"theta_deg": 122.0}}
 _COLUMNS = (
     *("path", "object", "status", "message", "quality", "score", "n_found", "theta_deg", "cost", "iterations"),
-    *("specimen", "code", "landmarks", "covariance", "scale", "scale_unit", "scale_from", "seconds"),
+    *("specimen", "code", "expansion", "landmarks", "covariance", "present"),
+    *("scale", "scale_unit", "scale_from", "seconds"),
 )
 _ROW = {
     **dict.fromkeys(_COLUMNS),
