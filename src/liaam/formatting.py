@@ -1,5 +1,6 @@
 """Values as text: objects by their fields, numbers as ranges, and arrays for JSON."""
 
+import math
 from collections.abc import Sequence
 from dataclasses import fields
 from typing import Any
@@ -49,3 +50,16 @@ def finite_list(values: np.ndarray) -> list:
 def finite_or_none(value: float) -> float | None:
     """Return a number for JSON, None if it is not finite."""
     return float(value) if np.isfinite(value) else None
+
+
+def json_value(value: object) -> object:
+    """Convert arrays, tuples and numbers to JSON types, with None for numbers that are not finite."""
+    if isinstance(value, dict):
+        return {str(key): json_value(item) for key, item in value.items()}
+    if isinstance(value, np.ndarray):
+        return json_value(value.tolist())
+    if isinstance(value, (list, tuple)):
+        return [json_value(item) for item in value]
+    if isinstance(value, (float, np.floating)):
+        return float(value) if math.isfinite(value) else None
+    return value.item() if isinstance(value, np.generic) else value

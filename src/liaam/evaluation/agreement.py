@@ -19,15 +19,16 @@ which deviations from the mean are multiplied before they serve as predictors.
 import json
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, fields
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from liaam.errors import LiaamError
-from liaam.formatting import finite_or_none, short_repr
+from liaam.formatting import json_value, short_repr
 from liaam.io.files import count_of
 from liaam.morphometry.replicates import anova
 from liaam.morphometry.superimposition import superimpose
+from liaam.morphometry.variation import permutation_probability
 from liaam.plotting.shape_agreement import figure_of_shape_agreement
 from liaam.tables import Columns
 
@@ -189,7 +190,7 @@ class ShapeAgreement:
         """Return all numbers and the sentences for *Methods* as text in JSON; what is unknown is null."""
         values = {field.name: getattr(self, field.name) for field in fields(self)}
         values |= {"reliability": self.reliability, "calibration": self.calibration, "methods": self.methods()}
-        return json.dumps(_plain(values), indent=1) + "\n"
+        return json.dumps(json_value(values), indent=1) + "\n"
 
     def plot(self) -> "Figure":
         """Draw bias and random error of the landmarks, slopes by component, and scores of the first component."""
@@ -378,24 +379,13 @@ def _range(interval: tuple[float, float]) -> str:
     return f"{interval[0]:.2f} to {interval[1]:.2f}"
 
 
-def _plain(value: Any) -> Any:
-    """Return a value with lists for arrays and tuples, and None for NaN."""
-    if isinstance(value, dict):
-        return {name: _plain(each) for name, each in value.items()}
-    if isinstance(value, np.ndarray):
-        return _plain(value.tolist())
-    if isinstance(value, list | tuple):
-        return [_plain(each) for each in value]
-    return finite_or_none(value) if isinstance(value, float) else value
-
-
 def _probability_of(differences: np.ndarray, permutations: int, seed: int) -> float:
     """Return the probability of a mean difference as large by random changes of sign of differences (m, n)."""
     rng = np.random.default_rng(seed)
     observed = np.linalg.norm(differences.mean(axis=0))
     signs = rng.choice([-1.0, 1.0], (permutations, len(differences)))
     by_chance = np.linalg.norm(signs @ differences, axis=1) / len(differences)
-    return float((1 + (by_chance >= observed * (1 - 1e-12)).sum()) / (1 + permutations))
+    return permutation_probability(by_chance, float(observed))
 
 
 def _components(ours: np.ndarray, first: np.ndarray, other: np.ndarray) -> tuple[list[dict[str, float]], np.ndarray]:

@@ -19,7 +19,7 @@ from liaam.evaluation.measure import Task, evaluation_by_parts, task_of
 from liaam.evaluation.result import Evaluation
 from liaam.fitting import Method
 from liaam.fitting.methods import DEFAULT_METHOD
-from liaam.formatting import finite_or_none, short_repr
+from liaam.formatting import json_value, short_repr
 from liaam.plotting.errors import plot_curve
 from liaam.progress import progress_bar
 from liaam.tables import Columns
@@ -126,14 +126,14 @@ class LearningCurve:
     def to_json(self) -> str:
         """Return the curve, the forecast and what it means as text in JSON; what is unknown is null."""
         n = 2 * self.n_pictures
-        values = {
-            name: [each if isinstance(each, str | int) else finite_or_none(each) for each in cells]
-            for name, cells in self.to_columns().items()
-        }
         error, lowest, highest = (100 * each for each in self.forecast())
         forecast = {"pictures": n, "median_percent": error, "interval_percent": [lowest, highest]}
-        people = finite_or_none(100 * self.people)
-        return json.dumps({**values, "forecast": forecast, "people_percent": people, "report": self.report()}, indent=1)
+        values = self.to_columns() | {
+            "forecast": forecast,
+            "people_percent": 100 * self.people,
+            "report": self.report(),
+        }
+        return json.dumps(json_value(values), indent=1)
 
     def plot(self, *, ax: "Axes | None" = None) -> "Axes":
         """Draw the curve with the forecast and, if it is known, the distance between people, with Matplotlib."""

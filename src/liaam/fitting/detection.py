@@ -1,7 +1,8 @@
 """Detections of the search, and which of them are different objects."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from typing import Protocol, TypeVar
 
 import numpy as np
 
@@ -51,14 +52,26 @@ def is_inside(shape: np.ndarray, image: np.ndarray) -> bool:
     return bool(within(shape, image).mean() >= 0.5)
 
 
+class Placed(Protocol):
+    """What has landmarks in an image, such as a detection or a fit."""
+
+    @property
+    def landmarks(self) -> np.ndarray:
+        """Landmarks, (n, 2) float64."""
+        ...
+
+
+PlacedT = TypeVar("PlacedT", bound=Placed)
+
+
 def choose(
-    detections: list[Detection], differ: Callable[[np.ndarray, np.ndarray], bool], most: int | None = None
-) -> list[Detection]:
-    """Return the first detections whose shapes differ from those chosen before them, at most ``most``."""
-    chosen: list[Detection] = []
-    for detection in detections:
-        if len(chosen) != most and all(differ(detection.landmarks, other.landmarks) for other in chosen):
-            chosen.append(detection)
+    places: Sequence[PlacedT], differ: Callable[[np.ndarray, np.ndarray], bool], most: int | None = None
+) -> list[PlacedT]:
+    """Return the first detections or fits whose shapes differ from those chosen before them, at most ``most``."""
+    chosen: list[PlacedT] = []
+    for place in places:
+        if len(chosen) != most and all(differ(place.landmarks, other.landmarks) for other in chosen):
+            chosen.append(place)
     return chosen
 
 
@@ -70,6 +83,16 @@ def are_apart(shape: np.ndarray, other: np.ndarray) -> bool:
 
 def are_beside(shape: np.ndarray, other: np.ndarray) -> bool:
     """Return whether less than the fraction :data:`OVERLAP` of the smaller of two shapes' boxes lies in the other."""
+    smaller = min(area_of_box(shape), area_of_box(other))
+    return common_area(shape, other) / max(smaller, 1e-9) < OVERLAP
+
+
+def area_of_box(shape: np.ndarray) -> float:
+    """Return the area of the box around a shape (n, 2)."""
+    return float(np.prod(np.ptp(shape, axis=0)))
+
+
+def common_area(shape: np.ndarray, other: np.ndarray) -> float:
+    """Return the area that the boxes around two shapes (n, 2) share."""
     sides = np.minimum(shape.max(axis=0), other.max(axis=0)) - np.maximum(shape.min(axis=0), other.min(axis=0))
-    smaller = min(float(np.prod(np.ptp(shape, axis=0))), float(np.prod(np.ptp(other, axis=0))))
-    return float(np.prod(np.maximum(sides, 0.0))) / max(smaller, 1e-9) < OVERLAP
+    return float(np.prod(np.maximum(sides, 0.0)))

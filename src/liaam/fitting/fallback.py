@@ -7,6 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from liaam.fitting.detection import area_of_box, common_area
 from liaam.fitting.result import FitResult
 from liaam.model.shape import ShapeModel, align
 
@@ -42,8 +43,6 @@ def overlap(shape: np.ndarray, other: np.ndarray) -> float:
     """Return the intersection over the union of the boxes around two shapes (n, 2); 0 if one is not finite."""
     if not (np.isfinite(shape).all() and np.isfinite(other).all()):
         return 0.0
-    low = np.maximum(shape.min(axis=0), other.min(axis=0))
-    high = np.minimum(shape.max(axis=0), other.max(axis=0))
-    common = float(np.prod(np.maximum(high - low, 0.0)))
-    union = float(np.prod(np.ptp(shape, axis=0)) + np.prod(np.ptp(other, axis=0))) - common
+    common = common_area(shape, other)
+    union = area_of_box(shape) + area_of_box(other) - common
     return common / union if union > 0.0 else 0.0

@@ -9,7 +9,7 @@ import numpy as np
 
 from liaam.errors import ImageError, StartError, check_options
 from liaam.fitting.damaged import PLACES, without_absent
-from liaam.fitting.detection import DOUBTFUL, Detection, are_apart
+from liaam.fitting.detection import DOUBTFUL, Detection, are_apart, choose
 from liaam.fitting.fallback import start_if_failed_far
 from liaam.fitting.loop.encoded_image import MARGIN
 from liaam.fitting.loop.levels import LinearImage, Target
@@ -18,7 +18,7 @@ from liaam.fitting.methods import DEFAULT_METHOD, Method
 from liaam.fitting.one_shape_fitter import OneShapeFitter
 from liaam.fitting.result import LEAST_QUALITY, FitResult, FitStatus, likeliness, with_prior
 from liaam.fitting.search.finder import Finder
-from liaam.fitting.search.other_places import PlacedFit, likeliest
+from liaam.fitting.search.other_places import PlacedFit, likeliest, other_starts_in
 from liaam.fitting.search.restarts import fit_again
 from liaam.fitting.search.starts import mapped_points, part_of_start, region_of, start_shape
 from liaam.formatting import changed_repr
@@ -168,7 +168,7 @@ class Fitter(OneShapeFitter):
                 "give a start (--init), search for rotated objects (--rotations all), or fit the best place anyway "
                 "(without --all)"
             )
-        return [detection for detection in detections if detection in certain or _is_like(detection, certain[0])]
+        return [each for each in detections if not each.doubtful or _is_like(each, certain[0])]
 
     def fit(self, image, init=None, name: str = "image") -> FitResult:
         """Fit the model to one image.
@@ -231,11 +231,8 @@ class Fitter(OneShapeFitter):
         """
         tried = [(detection, self.fit(image, detection, name)) for detection in detections]
         fits = [fit for detection, fit in tried if fit.status.ok or not detection.doubtful]
-        kept: list[int] = []
-        for i in sorted(range(len(fits)), key=lambda i: likeliness(fits[i]), reverse=True):
-            if all(are_apart(fits[i].landmarks, fits[j].landmarks) for j in kept):
-                kept.append(i)
-        return [fits[kept[i]] for i in reading_order([fits[j].place for j in kept])]
+        kept = choose(sorted(fits, key=likeliness, reverse=True), are_apart)
+        return [kept[i] for i in reading_order([fit.place for fit in kept])]
 
     @property
     def parts(self) -> tuple["Fitter", ...]:
@@ -308,8 +305,7 @@ class Fitter(OneShapeFitter):
         """Return shapes to start from at other places of a region (its corners), the most likely first."""
         if region is None:
             return []
-        low, high = region
-        return [place.landmarks + low for place in self.finder.others_in(target.linear.crop(low, high), PLACES)]
+        return [start for _, start in other_starts_in(self.finder, target, region, PLACES)]
 
     def _with_prior_near(self, result: FitResult) -> FitResult:
         """Return a result with the prior odds of fits near the object in its quality and in the limit of that."""

@@ -116,14 +116,14 @@ class OneShapeFitter:
         """The shape model that the method fits with."""
         return self.view.shape_model
 
-    @property
+    @cached_property
     def reliability(self) -> Reliability | None:
         """Calibration of quality and covariances; None if training has not calibrated the method."""
         view = self.model.views.get(get_method(self.method).view)
         reliabilities = {} if view is None else view.reliabilities
         return next((each for name, each in reliabilities.items() if self._fits_with(name)), None)
 
-    @property
+    @cached_property
     def is_failing(self) -> bool:
         """Whether too few fits of the method to left-out images were right to calibrate it."""
         return any(self._fits_with(name) for name in self.model.failing_methods)

@@ -1,12 +1,12 @@
 """Fit results: all values as .json, and landmarks as .pts, .csv and .tps."""
 
 import json
-import math
 from pathlib import Path
 
 import numpy as np
 
 from liaam.errors import LandmarkError
+from liaam.formatting import json_value
 from liaam.io.atomic import write_text_atomically
 from liaam.io.files import json_object
 from liaam.io.landmarks import LandmarkFile, Landmarks, write_landmarks
@@ -101,17 +101,4 @@ def fit_text(landmarks: Landmarks, facts: dict) -> str:
     """Return the text of a fit's .json file; see :func:`write_fit`."""
     lines = {"contours": [(line.indices, line.closed) for line in landmarks.contours]} if landmarks.contours else {}
     content = {**facts, **lines, "landmarks": landmarks.points}
-    return json.dumps(_plain(content), indent=1, allow_nan=False) + "\n"
-
-
-def _plain(value: object) -> object:
-    """Convert arrays and numbers to JSON types."""
-    if isinstance(value, dict):
-        return {str(key): _plain(item) for key, item in value.items()}
-    if isinstance(value, np.ndarray):
-        return _plain(value.tolist())
-    if isinstance(value, (list, tuple)):
-        return [_plain(item) for item in value]
-    if isinstance(value, (float, np.floating)):
-        return float(value) if math.isfinite(value) else None
-    return value.item() if isinstance(value, np.generic) else value
+    return json.dumps(json_value(content), indent=1, allow_nan=False) + "\n"

@@ -25,7 +25,7 @@ from itertools import combinations
 import numpy as np
 
 from liaam.errors import LiaamError
-from liaam.formatting import finite_or_none, short_repr
+from liaam.formatting import json_value, short_repr
 from liaam.io.files import count_of
 from liaam.morphometry.specimens import Specimen
 from liaam.morphometry.superimposition import superimpose, tangent_covariances
@@ -168,12 +168,12 @@ class ShapeVariation:
             "specimens": len(self.names),
             "left_out": self.n_left_out,
             "variance": self.total,
-            "variance_of_measuring": finite_or_none(self.measuring),
-            "reliability": finite_or_none(self.reliability),
+            "variance_of_measuring": self.measuring,
+            "reliability": self.reliability,
             "components": _rows(self.by_component()),
-            "tests": [{name: _plain(value) for name, value in test.items()} for test in self.tests],
+            "tests": self.tests,
         }
-        return json.dumps(values, indent=1) + "\n"
+        return json.dumps(json_value(values), indent=1) + "\n"
 
 
 def shape_variation(
@@ -317,16 +317,14 @@ def _tests(
                 "specimens": int(members.sum()),
                 "distance": distance,
                 "R2": share,
-                "P": _probability(by_chance, share),
+                "P": permutation_probability(by_chance, share) if permutations else np.nan,
             }
         )
     return tests
 
 
-def _probability(by_chance: np.ndarray, observed: float) -> float:
-    """Return the probability of a value as large by chance, given values by chance (n,); NaN if there are none."""
-    if not len(by_chance):
-        return np.nan
+def permutation_probability(by_chance: np.ndarray, observed: float) -> float:
+    """Return the probability of a value as large by chance, given values by chance (n,); 1 if there are none."""
     return float((1 + (by_chance >= observed * (1 - 1e-12)).sum()) / (1 + len(by_chance)))
 
 
@@ -351,11 +349,6 @@ def _known_mean(values: np.ndarray) -> np.ndarray:
     return values[known].mean(axis=0) if known.any() else np.full(values.shape[1], np.nan)
 
 
-def _plain(value: str | float) -> str | float | None:
-    return value if isinstance(value, str | int) else finite_or_none(value)
-
-
-def _rows(columns: Columns) -> list[dict[str, str | float | None]]:
-    """Return columns as rows, with None for NaN."""
-    cells = ([_plain(cell) for cell in values] for values in columns.values())
-    return [dict(zip(columns, row, strict=True)) for row in zip(*cells, strict=True)]
+def _rows(columns: Columns) -> list[dict[str, str | float]]:
+    """Return columns as rows."""
+    return [dict(zip(columns, row, strict=True)) for row in zip(*columns.values(), strict=True)]

@@ -75,7 +75,11 @@ class LeftOutFit:
     @property
     def landmarks(self) -> np.ndarray:
         """Fitted landmarks, (n, 2) float64, pixels of the frame."""
-        return self.shapes.shape(self._expanded_p)
+        return self.landmarks_at(self.expansion)
+
+    def landmarks_at(self, expansion: float) -> np.ndarray:
+        """Return the landmarks (n, 2) of the shape at as many times its distance from the mean."""
+        return self.shapes.shape(self.shapes.expanded(self.p, expansion))
 
     def expanded(self, expansion: float) -> "LeftOutFit":
         """Return the fit with its shape at as many times its distance from the mean."""

@@ -71,14 +71,17 @@ def expansion_of(fits: LeftOutFits, usual: LeftOutFits) -> float:
     evidence = np.clip((usual.n_near - FEW) / (MANY - FEW), 0.0, 1.0)
     most = _mean_error(usual.near_right) * (1.0 + MOST_INCREASE * evidence)
     for factor in np.linspace(largest, 1.0, TRIED)[:-1].tolist():
-        if _mean_error([fit.expanded(factor) for fit in fits.near_right]) <= most:
+        if _mean_error(fits.near_right, factor) <= most:
             return factor
     return 1.0
 
 
-def _mean_error(fits: Sequence[LeftOutFit]) -> float:
-    """Return the mean distance of fitted from true landmarks, pixels of the frame; NaN without fits."""
-    errors = [np.nanmean(np.linalg.norm(fit.errors, axis=1)) for fit in fits]
+def _mean_error(fits: Sequence[LeftOutFit], factor: float = 1.0) -> float:
+    """Return the mean distance of fitted from true landmarks with a factor, pixels of the frame; NaN without fits."""
+    errors = []
+    for fit in fits:
+        away = fit.landmarks_at(factor) - fit.truth
+        errors.append(np.linalg.norm(away[fit.known], axis=1).mean())
     return float(np.mean(errors)) if errors else np.nan
 
 

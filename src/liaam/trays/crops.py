@@ -2,6 +2,8 @@
 
 import numpy as np
 
+from liaam.trays.order import diagonal
+
 MARGIN = 0.15
 """Margin around the landmarks, of their diagonal: objects end beyond their landmarks."""
 
@@ -26,7 +28,7 @@ def crop_box(points: np.ndarray, size: tuple[int, int], margin: float = MARGIN) 
     finite = points[np.isfinite(points).all(axis=1)]
     if not len(finite):
         return None
-    around = margin * float(np.hypot(*np.ptp(finite, axis=0)))
+    around = margin * diagonal(finite)
     low = np.clip(np.floor(finite.min(axis=0) - around), 0, size)
     high = np.clip(np.ceil(finite.max(axis=0) + around) + 1, 0, size)
     if (high - low < 1).any():

@@ -14,7 +14,7 @@ from liaam.fitting.detection import Detection, are_apart
 from liaam.fitting.loop.levels import Target
 from liaam.fitting.one_shape_fitter import Blurred, OneShapeFitter
 from liaam.fitting.result import LEAST_QUALITY, FitResult, FitStatus, odds_of, with_prior
-from liaam.fitting.search.finder import LARGE, Finder
+from liaam.fitting.search.finder import LARGE, OTHERS, Finder
 from liaam.model.shape import diagonal_of
 
 # What was measured for these is in experiments/notes/engine.md.
@@ -70,11 +70,9 @@ def likeliest(
         return first, prior_of_first
 
     brief = replace(fitter.options, max_iterations=BRIEF)
-    places = finder.others_in(first.target.linear.crop(low, high))
     blurred = []  # each with its place
-    for place in places:
-        target = first.target._replace(start=place.landmarks + low)
-        blurred.append((fitter.fit_blurred(target, brief), place))
+    for place, start in other_starts_in(finder, first.target, region):
+        blurred.append((fitter.fit_blurred(first.target._replace(start=start), brief), place))
     blurred.sort(key=lambda each: odds.of_blurred(each[0]), reverse=True)
 
     fits = [first]
@@ -91,6 +89,15 @@ def likeliest(
     share = prior / (prior + sum(odds_elsewhere)) if prior > 0 else 1.0
     result = replace(best.result, n_starts=1 + len(blurred))
     return replace(best, result=result), min(prior, 1.0) * share
+
+
+def other_starts_in(
+    finder: Finder, target: Target, region: tuple[np.ndarray, np.ndarray], most: int = OTHERS
+) -> list[tuple[Detection, np.ndarray]]:
+    """Return other places in a region (its corners), at most so many, each with its start (n, 2) in the image."""
+    low, high = region
+    places = finder.others_in(target.linear.crop(low, high), most)
+    return [(place, place.landmarks + low) for place in places]
 
 
 def _finish_best(fits: list[PlacedFit], fitter: OneShapeFitter, odds_of_result: Callable[[FitResult], float]) -> int:
