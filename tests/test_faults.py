@@ -14,11 +14,12 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
+from fuzz.faults.commands import Track
 from liaam.batch import Settings, run_batch
 from liaam.batch.work import FitJob
 from liaam.datasets import load_folder
 from liaam.errors import LiaamError
-from liaam.io import VideoReader, write_image, write_landmarks
+from liaam.io import VideoReader, video_writer, write_image, write_landmarks
 from liaam.model.shape import diagonal_of
 from liaam.training import train
 from scenes import Head, make_set
@@ -368,6 +369,27 @@ def test_a_video_that_cannot_be_finished_is_not_there(world, clip, run, tmp_path
 
 
 # Kills ----------------------------------------------------------------------------------------------
+
+
+def test_videos_are_the_same_by_their_frames(tmp_path):
+    """Which the trials of tracks ask for: no encoder promises the same bytes."""
+    frames = np.random.default_rng(0).integers(0, 255, (6, 12, 16, 3)).repeat(8, 1).repeat(8, 2).astype(np.uint8)
+
+    def encoded(frames):
+        with video_writer(tmp_path / "t.mp4") as writer:
+            for frame in frames:
+                writer.write(frame)
+        return (tmp_path / "t.mp4").read_bytes()
+
+    whole = encoded(frames)
+    work = Track([], tmp_path, {"t.mp4": whole, "t.csv": b"frame\n"})
+    free_space = b"\0\0\0\x08free"
+    assert work.same("t.mp4", whole + free_space)
+    assert not work.same("t.mp4", encoded(frames[:-1]))
+    assert not work.same("t.mp4", encoded(frames[::-1]))
+    assert not work.same("t.mp4", whole[: len(whole) // 2])
+    assert not work.same("t.mp4", b"")
+    assert not work.same("t.csv", b"frame\n1\n")
 
 
 @pytest.mark.slow
