@@ -60,7 +60,7 @@ def _thinned(model: Any) -> Any:
     triangles = model.triangles[:-1]
     views = {}
     for name, view in model.views.items():
-        warp = VIEWS[name](view.shape_model, triangles)
+        warp = VIEWS[name](view.shape_model, triangles, model.in_pieces)
         kept = np.arange(warp.frame.n_pixels) % view.warp.frame.n_pixels
         levels = tuple(
             Level(level.blur, {kind: _of_unit_length(each.at(kept)) for kind, each in level.appearances.items()})

@@ -32,6 +32,13 @@ def shapes_of(rng, count: int, mean: np.ndarray = BODY, spread: float = 0.6) -> 
     return np.array(drawn)
 
 
+def bent_at_the_middle(shape: np.ndarray, angle: float) -> np.ndarray:
+    """Turn the upper half of the landmarks about their centre."""
+    centre = shape.mean(axis=0)
+    is_upper = shape[:, 1] < centre[1]
+    return np.where(is_upper[:, None], (shape - centre) @ rotation(angle).T + centre, shape)
+
+
 def mirrored(shapes: np.ndarray) -> np.ndarray:
     return shapes * [-1.0, 1.0] + [SIZE[0] - 1.0, 0.0]
 
@@ -80,6 +87,12 @@ def test_shapes_of_one_kind_are_one_group(rng):
     few = np.where(np.arange(40)[:, None, None] < 3, mirrored(shapes), shapes)
     assert len(shape_groups(few, names_of(40))) == 1
     assert len(shape_groups(np.array([*shapes[:6], *mirrored(shapes[6:12])]), names_of(12))) == 1
+    # Nor does an object that bends: its shapes lie on a curve, without a gap.
+    angles = rng.uniform(-1.2, 1.2, 60)
+    bending = np.array(
+        [bent_at_the_middle(shape, angle) for shape, angle in zip(shapes_of(rng, 60), angles, strict=True)]
+    )
+    assert len(shape_groups(bending, names_of(60))) == 1
     rigid = shapes_of(rng, 20, spread=0.0)
     assert len(shape_groups(rigid, names_of(20))) == 1
     copies = shapes[np.arange(40) % 5]

@@ -64,7 +64,7 @@ class Settings:
         Whether to fit every object that the search finds in an image, with a row for each.
     name_by : str
         What names the specimens (:data:`liaam.trays.NAME_BY`).
-    rotations : str
+    rotations : str, optional
         Orientations to search (:attr:`liaam.fitting.Fitter.rotations`).
     absent : str
         What rows hold of absent landmarks (:data:`liaam.fitting.result.ABSENT`).
@@ -76,7 +76,7 @@ class Settings:
     camera: CameraModel | None = None
     response: str | None = None
     covariance: bool = True
-    rotations: str = "upright"
+    rotations: str | None = None
     every: bool = False
     name_by: str = POSITION
     absent: str = "empty"

@@ -48,7 +48,7 @@ def batch(
     ] = False,
     name_by: NameByOption = "position",
     method: Annotated[str, typer.Option("--method", "-m", help="Fitting method; see 'liaam fit --help'.")] = "soft-li",
-    rotations: RotationsOption = "upright",
+    rotations: RotationsOption = None,
     absent: AbsentOption = "empty",
     given_camera: CameraOption = None,
     jobs: Annotated[int | None, typer.Option(help="Number of threads. By default one per core.", min=1)] = None,
@@ -67,6 +67,8 @@ def batch(
     from liaam.batch.run import in_words
     from liaam.batch.work import ERROR
     from liaam.fitting import FitStatus
+    from liaam.model import load_model
+    from liaam.model.file_format import UPRIGHT
 
     camera, response = camera_in(given_camera)
     how = {"rotations": rotations, "every": every, "name_by": name_by, "absent": absent}
@@ -99,7 +101,8 @@ def batch(
         say(f"{count_of(summary.absent, 'fit')} with absent landmarks, which are {what}: see the column 'message'")
     # A fit to another object, or to one that is turned, may also not converge.
     if uncertain := sum(summary.statuses.get(status, 0) for status in (FitStatus.DOUBTFUL, FitStatus.MAX_ITERATIONS)):
-        turned = TURNED if init is None and rotations == "upright" else ""
+        searched = load_model(model_file).rotations if rotations is None else rotations
+        turned = TURNED if init is None and searched == UPRIGHT else ""
         complain(f"fits that may be wrong: {uncertain}; check those, by the column 'status'{turned}")
     if errors == summary.total:
         raise typer.Exit(1)

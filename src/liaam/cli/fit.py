@@ -107,7 +107,7 @@ def fit(
         str | None,
         typer.Option(help="Write the landmarks of another scheme instead: ibug-68, from those of the model 'face'."),
     ] = None,
-    rotations: inputs.RotationsOption = "upright",
+    rotations: inputs.RotationsOption = None,
     ellipses: inputs.EllipsesOption = False,
     numbers: Annotated[bool, typer.Option("--numbers", help="Draw the number of each landmark, from 1.")] = False,
     names: Annotated[
@@ -124,6 +124,7 @@ def fit(
     from liaam.fitting import Fitter
     from liaam.fitting.result import check_absent
     from liaam.model import load_model
+    from liaam.model.file_format import UPRIGHT
     from liaam.workers import all_cores, in_order, one_blas_thread, one_thread
 
     if every and init is not None:
@@ -156,7 +157,9 @@ def fit(
         except LiaamError as error:
             return error
 
-    report = FitReport(every=every, rotations=rotations, on_absent=outputs.on_absent)
+    report = FitReport(
+        every=every, only_upright=fitter.finder.searched_rotations == UPRIGHT, on_absent=outputs.on_absent
+    )
     threads = min(len(images), all_cores())
     # With a single image, its search may use all cores.
     with one_thread() if threads > 1 else one_blas_thread(), progress_bar() as progress:
@@ -212,7 +215,7 @@ class FitReport:
     """What the command prints: a table of the fits, and below it advice with the names of the images concerned."""
 
     every: bool  # whether every object of an image is fitted
-    rotations: str
+    only_upright: bool  # whether only upright objects were searched for
     on_absent: str  # what is said of absent landmarks
     rows: list[dict[str, str]] = field(default_factory=list)  # cells by the name of their column
     advice: defaultdict[str, list[str]] = field(default_factory=lambda: defaultdict(list))
@@ -252,7 +255,7 @@ class FitReport:
         elif result.absent.any():
             yield self.on_absent
         if result.detection_doubtful and not result.status.unusable:
-            yield inputs.LOW_SCORE + (inputs.TURNED if self.rotations == "upright" else "")
+            yield inputs.LOW_SCORE + (inputs.TURNED if self.only_upright else "")
 
     def table(self) -> Table:
         """Return the table of all fits, without columns that are empty in all."""

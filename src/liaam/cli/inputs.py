@@ -91,9 +91,11 @@ CameraOption = Annotated[
 ]
 EllipsesOption = Annotated[bool, typer.Option("--ellipses", help="Draw the 95 % confidence ellipse of each landmark.")]
 RotationsOption = Annotated[
-    str,
+    str | None,
     typer.Option(
-        "--rotations", help="Orientations to search: upright (as in training), or all (any rotation, slower)."
+        "--rotations",
+        help="Orientations to search: upright, or all (any rotation, slower). By default as the objects are turned in "
+        "the training images.",
     ),
 ]
 AbsentOption = Annotated[

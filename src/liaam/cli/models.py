@@ -149,6 +149,7 @@ def describe(model: "AAM", path: Path) -> dict[str, str]:
     """Describe a model as labels and texts."""
     from liaam import _core
     from liaam.fitting.methods import methods_of
+    from liaam.model.file_format import UPRIGHT
 
     appearances = {k: v for view in model.views.values() for k, v in view.levels[-1].appearances.items()}
     spread = np.sqrt((model.shape_model.eigenvalues.sum()) / model.n_points)
@@ -163,6 +164,8 @@ def describe(model: "AAM", path: Path) -> dict[str, str]:
         more["starts from"] = f"{model.points.n_theirs} points of another landmarker, too"
     if model.regressor is not None:
         more["regressor"] = describe_regressor(model)
+    if any(part.rotations != UPRIGHT for part in model.parts):
+        more["rotations"] = "objects are turned in any direction, and are searched for in all"
     if model.scale is not None:
         more["scale"] = f"{model.scale} per pixel in all training images"
     if model.features is not None:

@@ -20,10 +20,11 @@ from liaam.fitting.result import LEAST_QUALITY, FitResult, FitStatus, likeliness
 from liaam.fitting.search.finder import Finder
 from liaam.fitting.search.other_places import PlacedFit, likeliest, other_starts_in
 from liaam.fitting.search.restarts import fit_again
-from liaam.fitting.search.starts import mapped_points, part_of_start, region_of, start_shape
+from liaam.fitting.search.starts import is_box, mapped_points, part_of_start, region_of, start_shape
 from liaam.formatting import changed_repr
 from liaam.model import AAM
 from liaam.model.aam import named_model
+from liaam.model.file_format import ALL_ROTATIONS
 from liaam.photometry import CameraModel, is_grey
 from liaam.photometry.camera import check_camera
 from liaam.photometry.encoding import refuse_unscaled, stored_values
@@ -74,8 +75,9 @@ class Fitter(OneShapeFitter):
         shapes (:func:`liaam.fitting.search.restarts.other_starts`), and keep the fit of highest quality. This finds
         more turned heads, at about ten times the time of a fit. It has no effect for methods and models without a
         quality, or if ``max_iterations`` is at most 25.
-    rotations : {"upright", "all"}
-        Rotations to search for: about as in the training images, or any.
+    rotations : {"upright", "all"}, optional
+        Rotations to search for: about upright, or any. By default as the objects are turned in the training images
+        (:attr:`liaam.AAM.rotations`). If any, the mean shape in a box that is given is turned as well.
 
     Examples
     --------
@@ -86,7 +88,7 @@ class Fitter(OneShapeFitter):
     camera: CameraModel | None = None
     margin: float = MARGIN
     restarts: bool = True
-    rotations: str = "upright"
+    rotations: str | None = None
 
     __repr__ = changed_repr
 
@@ -263,7 +265,14 @@ class Fitter(OneShapeFitter):
     def _first_fit(self, image, init, name: str) -> _FirstFit:
         """Fit from the first start; see :meth:`fit`."""
         target, detection = self.target(image, init, name)
-        return _FirstFit(self, PlacedFit(self.fit_target(target), target, detection))
+        fits = [PlacedFit(self.fit_target(each), each, detection) for each in self._targets_in_rotations(target, init)]
+        return _FirstFit(self, max(fits, key=lambda fit: likeliness(fit.result)))
+
+    def _targets_in_rotations(self, target: Target, init) -> list[Target]:
+        """Return the target with each start to try: of an object in a box that may be turned in any direction."""
+        if not is_box(init) or self.finder.searched_rotations != ALL_ROTATIONS:
+            return [target]
+        return [target._replace(start=start) for start in self.finder.starts_in_box(target.linear, target.start)]
 
     def _completed(self, fit: PlacedFit, init) -> FitResult:
         """Look elsewhere and start again if a first fit has low quality; see :meth:`fit`."""

@@ -12,6 +12,7 @@ from liaam.io.files import count_of
 from liaam.model.card import EMPTY_CARD, ModelCard
 from liaam.model.file import read_fields
 from liaam.model.file_bytes import file_bytes
+from liaam.model.file_format import UPRIGHT
 from liaam.model.light_basis import LightBasis
 from liaam.model.mesh import ReferenceFrame
 from liaam.model.mirror import mirrored_model
@@ -78,6 +79,12 @@ class AAM:
         was. See :attr:`n_all_missing`.
     scale : Length, optional
         Length of a pixel of the training images, if all have the same.
+    in_pieces : bool
+        Whether the mesh leaves out triangles that poses of the object turn over, as where legs cross. It may be in
+        pieces, each of which has surroundings of its own, and some landmarks may belong to no triangle.
+    rotations : {"upright", "all"}
+        Whether the objects in the training images are about upright, or turned in any direction: what fits search for
+        by default.
     """
 
     views: Mapping[str, View]
@@ -101,6 +108,8 @@ class AAM:
     failing_methods: tuple[str, ...] = ()
     n_missing: np.ndarray | None = None
     scale: Length | None = None
+    in_pieces: bool = False
+    rotations: str = UPRIGHT
 
     def __getstate__(self) -> dict:
         """Leave out the fitters that :func:`liaam.fit` keeps with a model."""

@@ -24,6 +24,8 @@ from liaam.model.file_format import (
     MIRRORED,
     MOST_SHAPES,
     READABLE,
+    ROTATIONS,
+    UPRIGHT,
     prefix_of,
 )
 from liaam.model.file_parts import (
@@ -110,14 +112,17 @@ def _fields(header: dict, tensors: dict[str, np.ndarray]) -> dict[str, Any]:
     search_filter = read_search_filter(tensors)
     contours = _contours(header, n)
     limits = limits_of_appearances(n_images, n_textures, features)
+    in_pieces = bool(header.get("in_pieces", False))
     checked_views = {
-        name: read_view(name, description, tensors, mean, triangles, limits) for name, description in views.items()
+        name: read_view(name, description, tensors, mean, triangles, in_pieces, limits)
+        for name, description in views.items()
     }
     cost.check_cost(checked_views.values())
     has_invariant = "invariant" in checked_views[MESH].levels[-1].appearances
     return {
         "views": checked_views,
         "triangles": triangles,
+        "in_pieces": in_pieces,
         # The header holds the exact angle with which the appearance was learnt; the camera's is rounded.
         "camera": replace(camera, theta=finite(header["theta"]), response=parse_response(header["response"])),
         "n_images": n_images,
@@ -128,6 +133,7 @@ def _fields(header: dict, tensors: dict[str, np.ndarray]) -> dict[str, Any]:
         "scale": _scale(header["scale"]) if "scale" in header else None,
         "failing_methods": _failing_methods(header),
         "same_images": bool(header.get("same_images", False)),
+        "rotations": _rotations(header),
         "n_missing": _n_missing(header, n, n_images),
         "n_textures": n_textures,
         "n_lamps": n_lamps,
@@ -262,6 +268,14 @@ def _failing_methods(header: dict) -> tuple[str, ...]:
     if not isinstance(methods, list) or len(methods) > MOST_METHODS:
         raise ValueError("failing_methods is not a list of methods")
     return tuple(text_of(method) for method in methods)
+
+
+def _rotations(header: dict) -> str:
+    """Return which rotations of the object fits search for; older files do not say, and mean upright ones."""
+    rotations = header.get("rotations", UPRIGHT)
+    if rotations not in ROTATIONS:
+        raise ValueError(f"rotations {shortened(rotations)} are not known; they are {' or '.join(ROTATIONS)}")
+    return rotations
 
 
 def _names(names: list, n: int) -> tuple[str, ...]:

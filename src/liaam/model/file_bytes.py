@@ -96,6 +96,10 @@ def _header(model: "AAM") -> dict[str, Any]:
         header["failing_methods"] = list(model.failing_methods)
     if model.same_images:
         header["same_images"] = True
+    if model.in_pieces:
+        header["in_pieces"] = True
+    if model.rotations != file_format.UPRIGHT:
+        header["rotations"] = model.rotations
     if model.n_missing is not None:
         header["n_missing"] = model.n_missing.tolist()
     if model.features is not None:

@@ -57,6 +57,10 @@ STORED = {
 }
 MOST_STEPS = 10  # Largest number of steps of a regressor
 MOST_WEIGHT = 1e6  # Largest weight of another landmarker's point
+# How objects are turned in training images: about upright, or in any direction
+UPRIGHT = "upright"
+ALL_ROTATIONS = "all"
+ROTATIONS = (UPRIGHT, ALL_ROTATIONS)
 FORMAT = "liaam-aam"  # Format in the headers of model files
 LAMPS_FORMAT = "liaam-lamps"  # Format in the headers of lamp files
 UNNAMED = "soft-li"  # Method whose calibration is stored without its name

@@ -174,9 +174,13 @@ def read_view(
     tensors: dict[str, np.ndarray],
     mean: np.ndarray,
     triangles: np.ndarray,
+    in_pieces: bool,
     limits: dict[str, AppearanceLimits],
 ) -> View:
-    """Make one view from its header ``description``; all views share the mean shape. ``limits`` are by appearance."""
+    """Make one view from its header ``description``; all views share mean shape and mesh.
+
+    ``limits`` are by appearance.
+    """
     if name not in VIEWS:
         raise ValueError(f"view {shortened(name)!r} is unknown; the views are {', '.join(VIEWS)}")
     if not isinstance(description, dict):
@@ -205,7 +209,7 @@ def read_view(
         raise ValueError(f"view {name} lacks an appearance")
     if signed_areas(mean, triangles).sum() > ROOMY * n_pixels:
         raise ValueError(f"the reference frame of view {name} does not match its number of pixels")
-    warp = VIEWS[name](_shape_model(description, tensors, mean), triangles)
+    warp = VIEWS[name](_shape_model(description, tensors, mean), triangles, in_pieces)
     if n_pixels != warp.frame.n_pixels:
         raise ValueError(f"the reference frame of view {name} does not match its number of pixels")
     warp = replace(warp, from_right=bool(description.get("from_right", False)))

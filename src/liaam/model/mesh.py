@@ -1,5 +1,6 @@
 """The triangulated mesh over the mean shape, and the reference frame's pixels in it (paper eq 3)."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -104,20 +105,96 @@ def surroundings(points: np.ndarray, triangles: np.ndarray, width: float = SURRO
     shape and commutes with affine maps. Return the matrix (n + r, n) that maps landmarks to all vertices, the landmarks
     and then the ring; and the triangles of the mesh, and then of the strip between its hull and the ring.
     """
+    hull = _hull(points)
+    n = len(points)
+    beyond = np.full((len(hull), n), -width / n)
+    beyond[np.arange(len(hull)), hull] += 1.0 + width
+    return _with_strips(points, triangles, [hull], [beyond])
+
+
+def surroundings_of_pieces(
+    points: np.ndarray, triangles: np.ndarray, width: float = SURROUND
+) -> tuple[np.ndarray, np.ndarray]:
+    """Add a ring of vertices around each piece of a mesh that is in pieces (:func:`pieces_of`).
+
+    The ring's vertices lie outside those of the piece's hull, at ``width`` times the root mean square distance of the
+    landmarks from their centre, or half as far as the piece is thin. They follow the landmarks of the piece linearly
+    and commute with affine maps, as those of :func:`surroundings`, which also says what is returned.
+    """
+    apart = width * float(np.sqrt(np.square(points - points.mean(axis=0)).sum(axis=1).mean()))
+    hulls = []
+    rings = []
+    for piece in pieces_of(triangles):
+        members = np.unique(triangles[piece])
+        hull = members[_hull(points[members])]
+        centred = points[members] - points[members].mean(axis=0)
+        thickness = float(np.linalg.svd(centred, compute_uv=False)[-1] / np.sqrt(len(members)))
+        outwards = _outwards(points[hull]) * min(apart, 0.5 * thickness)
+        # The weights of least norm that move a vertex so far
+        moves = outwards @ np.linalg.inv(centred.T @ centred) @ centred.T
+        beyond = np.zeros((len(hull), len(points)))
+        beyond[:, members] = moves
+        beyond[np.arange(len(hull)), hull] += 1.0
+        hulls.append(hull)
+        rings.append(beyond)
+    return _with_strips(points, triangles, hulls, rings)
+
+
+def pieces_of(triangles: np.ndarray) -> list[np.ndarray]:
+    """Indices of the triangles (t, 3) of each piece of a mesh: those that are connected by shared edges."""
+    from scipy.sparse import coo_array
+    from scipy.sparse.csgraph import connected_components
+
+    owners = np.repeat(np.arange(len(triangles)), 3)
+    edges = np.sort(np.stack([triangles, np.roll(triangles, -1, axis=1)], axis=-1).reshape(-1, 2), axis=1)
+    _, edge_numbers = np.unique(edges, axis=0, return_inverse=True)
+    edge_numbers = edge_numbers.ravel()
+    has_edge = coo_array((np.ones(len(owners), int), (owners, edge_numbers))).tocsr()
+    count, labels = connected_components(has_edge @ has_edge.T, directed=False)
+    return [np.flatnonzero(labels == label) for label in range(count)]
+
+
+def _hull(points: np.ndarray) -> np.ndarray:
+    """Indices of the points (n, 2) on their convex hull, in the order that gives a ring's triangles positive areas."""
     import cv2
 
-    # Counter-clockwise: the ring's triangles have positive areas.
     hull = cv2.convexHull(points.astype(np.float32), clockwise=False, returnPoints=False).ravel().astype(int)
-    n = len(points)
-    r = len(hull)
-    if r < 3:
+    if len(hull) < 3:
         raise TrainingError(_NO_MESH)
-    beyond = np.full((r, n), -width / n)
-    beyond[np.arange(r), hull] += 1.0 + width
-    corner = np.arange(r)
-    nxt = np.roll(np.arange(r), -1)
-    strip = np.concatenate([np.stack([hull, n + corner, hull[nxt]], 1), np.stack([hull[nxt], n + corner, n + nxt], 1)])
-    extension = np.concatenate([np.eye(n), beyond])
+    return hull
+
+
+MITRE = 2.0  # Largest distance of a ring's vertex from that of a sharp corner, in units of the ring's width
+
+
+def _outwards(hull: np.ndarray) -> np.ndarray:
+    """Displacements (r, 2) of the vertices of a convex polygon (r, 2) that move each of its edges outwards by 1."""
+    edges = np.roll(hull, -1, axis=0) - hull
+    normals = np.stack([edges[:, 1], -edges[:, 0]], axis=1) / np.linalg.norm(edges, axis=1, keepdims=True)
+    before = np.roll(normals, 1, axis=0)
+    moves = (before + normals) / (1.0 + (before * normals).sum(axis=1, keepdims=True))
+    lengths = np.linalg.norm(moves, axis=1, keepdims=True)
+    return moves * np.minimum(1.0, MITRE / lengths)
+
+
+def _with_strips(
+    points: np.ndarray, triangles: np.ndarray, hulls: Sequence[np.ndarray], rings: Sequence[np.ndarray]
+) -> tuple[np.ndarray, np.ndarray]:
+    """Add rings of vertices, rows (r, n) of weights of the landmarks, around hulls (r,) to a mesh of points (n, 2).
+
+    Return the weights of all vertices, and the triangles of the mesh and of the strips between hulls and rings.
+    """
+    strips = []
+    n_before = len(points)
+    for hull in hulls:
+        ring = n_before + np.arange(len(hull))
+        next_of_hull = np.roll(hull, -1)
+        next_of_ring = np.roll(ring, -1)
+        strips.append(np.stack([hull, ring, next_of_hull], 1))
+        strips.append(np.stack([next_of_hull, ring, next_of_ring], 1))
+        n_before += len(hull)
+    strip = np.concatenate(strips)
+    extension = np.concatenate([np.eye(len(points)), *rings])
     areas = signed_areas(extension @ points, strip)
     strip = strip[areas > 1e-6 * np.abs(areas).sum()]
     return extension, np.concatenate([triangles, strip]).astype(np.int32)

@@ -34,7 +34,7 @@ def mirrored_model(model: "AAM", order: np.ndarray) -> "AAM":
     if model.features is not None:
         raise ModelFileError("a model with features of a function cannot be mirrored; train it without them")
     triangles = order[model.triangles][:, ::-1].astype(np.int32)
-    views = _MirroredViews(model.views, triangles, order)
+    views = _MirroredViews(model.views, triangles, order, model.in_pieces)
     search_filter = model.search_filter
     if search_filter is not None:
         search_filter = np.ascontiguousarray(search_filter[:, ::-1] * np.array([-1, 1], np.float32))
@@ -53,12 +53,16 @@ def mirrored_model(model: "AAM", order: np.ndarray) -> "AAM":
 class _MirroredViews(Mapping[str, View]):
     """Views that are mirrored when they are first needed, since this takes a quarter of the time of reading a file."""
 
-    def __init__(self, views: Mapping[str, View], triangles: np.ndarray, order: np.ndarray) -> None:
-        self.views, self.triangles, self.order, self.made = views, triangles, order, dict[str, View]()
+    def __init__(self, views: Mapping[str, View], triangles: np.ndarray, order: np.ndarray, in_pieces: bool) -> None:
+        self.views = views
+        self.triangles = triangles
+        self.order = order
+        self.in_pieces = in_pieces
+        self.made: dict[str, View] = {}
 
     def __getitem__(self, name: str) -> View:
         if name not in self.made:
-            self.made[name] = _view(name, self.views[name], self.triangles, self.order)
+            self.made[name] = _view(name, self.views[name], self.triangles, self.order, self.in_pieces)
         return self.made[name]
 
     def __iter__(self) -> Iterator[str]:
@@ -68,13 +72,13 @@ class _MirroredViews(Mapping[str, View]):
         return len(self.views)
 
 
-def _view(name: str, view: View, triangles: np.ndarray, order: np.ndarray) -> View:
+def _view(name: str, view: View, triangles: np.ndarray, order: np.ndarray, in_pieces: bool) -> View:
     model = view.shape_model
     mirrored = np.array([-1.0, 1.0])
     modes = (model.modes.reshape(len(model.modes), -1, 2) * mirrored)[:, order].reshape(model.modes.shape)
     unexplained = None if model.unexplained is None else _covariances(model.unexplained)[order]
     shapes = replace(model, mean=(model.mean * mirrored)[order], modes=modes, unexplained=unexplained)
-    warp = VIEWS[name](shapes, triangles)
+    warp = VIEWS[name](shapes, triangles, in_pieces)
     frame = warp.frame
     other = view.warp.frame
     width, height = other.size

@@ -14,11 +14,12 @@ from liaam.model.warp import PiecewiseAffineWarp, mesh_warp, surrounded_warp
 MESH = "mesh"
 SURROUNDINGS = "surroundings"
 
-VIEWS: dict[str, Callable[[ShapeModel, np.ndarray], PiecewiseAffineWarp]] = {
+VIEWS: dict[str, Callable[..., PiecewiseAffineWarp]] = {
     MESH: mesh_warp,
     SURROUNDINGS: surrounded_warp,
 }
-"""Views by name: functions that make the warp of a view from the shape model and the triangles."""
+"""Views by name: functions that make the warp of a view from the shape model, the triangles, and whether these are in
+pieces."""
 
 # Fraction of the log odds at typical below which a quality is low: 0.816 on 924 fits of unseen persons under four
 # lamps. All 34 that poor starts led to a wrong place are below 0.815, all right ones above 0.84.

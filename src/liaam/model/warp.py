@@ -10,7 +10,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from liaam.model.mesh import ReferenceFrame, model_frame, surroundings
+from liaam.model.mesh import ReferenceFrame, model_frame, surroundings, surroundings_of_pieces
 from liaam.model.shape import ShapeModel, Similarity
 
 
@@ -191,14 +191,15 @@ def _inverse(matrices: np.ndarray, flat: np.ndarray) -> np.ndarray:
     return np.ascontiguousarray(np.moveaxis(back, 2, 0))
 
 
-def mesh_warp(shape_model: ShapeModel, triangles: np.ndarray) -> PiecewiseAffineWarp:
-    """Make the warp of a mesh on the mean shape."""
+def mesh_warp(shape_model: ShapeModel, triangles: np.ndarray, in_pieces: bool = False) -> PiecewiseAffineWarp:
+    """Make the warp of a mesh on the mean shape, which may be in pieces."""
     return PiecewiseAffineWarp(model_frame(shape_model.mean, triangles), shape_model)
 
 
-def surrounded_warp(shape_model: ShapeModel, triangles: np.ndarray) -> PiecewiseAffineWarp:
-    """Make the warp of a mesh and its surroundings (see :func:`liaam.model.mesh.surroundings`)."""
-    extension, wider = surroundings(shape_model.mean, triangles)
+def surrounded_warp(shape_model: ShapeModel, triangles: np.ndarray, in_pieces: bool = False) -> PiecewiseAffineWarp:
+    """Make the warp of a mesh and its surroundings (:func:`liaam.model.mesh.surroundings`), or those of its pieces."""
+    surround = surroundings_of_pieces if in_pieces else surroundings
+    extension, wider = surround(shape_model.mean, triangles)
     return PiecewiseAffineWarp(model_frame(extension @ shape_model.mean, wider), shape_model, extension)
 
 

@@ -19,7 +19,7 @@ from liaam.io.images import as_pixels
 from liaam.io.landmarks.base import Contour, contour_of
 from liaam.io.landmarks.formats import needs_image
 from liaam.model.file import MAX_POINTS
-from liaam.model.mesh import FOLD_TOLERANCE, delaunay, folded_share, signed_areas, triangles_from_edges
+from liaam.model.mesh import FOLD_TOLERANCE, folded_share
 from liaam.model.missing import Missing
 from liaam.model.shape import align
 from liaam.progress import Progress, reported
@@ -359,23 +359,12 @@ def check_flat(mean: np.ndarray, shapes: np.ndarray) -> None:
     )
 
 
-def mesh_of(mean: np.ndarray, given: np.ndarray | None, edges: np.ndarray) -> np.ndarray:
-    """Return the triangles of a mesh of landmarks, (t, 3) int32, with positive areas on their mean shape (n, 2).
-
-    These are the given ones, or the landmark files' connectivity (``edges``) if it is a mesh, or the Delaunay
-    triangulation.
-    """
-    if given is None:
-        mesh = triangles_from_edges(mean, edges) if len(edges) else None
-        return delaunay(mean) if mesh is None else mesh
-    triangles = np.asarray(given)
-    has_form = triangles.ndim == 2 and triangles.shape[1] == 3 and triangles.dtype.kind in "iu" and len(triangles) > 0
-    if not has_form or triangles.min() < 0 or triangles.max() >= len(mean):
-        raise TrainingError(f"triangles must be (t, 3) integers from 0 to {len(mean) - 1}")
-    triangles = triangles.astype(np.int32)
-    # Triangles may be given in either orientation, as long as it is the same for all.
-    are_reversed = (signed_areas(mean, triangles) < 0).mean() > 0.5
-    return triangles[:, ::-1].copy() if are_reversed else triangles
+def folded_shares(entries: Sequence[Entry], mean: np.ndarray, triangles: np.ndarray) -> np.ndarray:
+    """Return the fraction of a mesh's area that the landmarks of each sample turn over, (m,), 0 to 1."""
+    aligned = [align(entry.points, mean)(entry.points) for entry in entries]
+    return np.array(
+        [folded_share(points, triangles, entry.known) for points, entry in zip(aligned, entries, strict=True)]
+    )
 
 
 def without_folded(
@@ -385,10 +374,7 @@ def without_folded(
 
     Raises a TrainingError if there are too few of them, if most samples fold the mesh, or, if ``strict``, if any does.
     """
-    aligned = [align(entry.points, mean)(entry.points) for entry in entries]
-    shares = np.array(
-        [folded_share(points, triangles, entry.known) for points, entry in zip(aligned, entries, strict=True)]
-    )
+    shares = folded_shares(entries, mean, triangles)
     sound = np.flatnonzero(shares <= FOLD_TOLERANCE)
     if len(sound) == len(entries):
         return sound

@@ -27,7 +27,6 @@ from liaam.training.entries import (
     Entry,
     TrainingData,
     check_flat,
-    mesh_of,
     read_entries,
     with_all_landmarks,
     without_folded,
@@ -40,10 +39,12 @@ from liaam.training.left_out import ViewSettings, calibrated, can_be_calibrated,
 from liaam.training.options import AUTO, TrainingOptions
 from liaam.training.points import Points, map_of_points, points_of
 from liaam.training.regressor import LEAST_OBJECTS, Regression, RegressorData
+from liaam.training.rotations import rotations_of
 from liaam.training.search_filter import FilterLearner
 from liaam.training.shapes import shape_groups
 from liaam.training.symmetry import describe_offset, sideways_offset
 from liaam.training.textures import FITTED, Sampled, Steps, Wanted, learning_cost, level_appearances, sample_all
+from liaam.training.triangulation import MeshOfLandmarks, mesh_of
 from liaam.workers import one_blas_thread
 
 
@@ -182,8 +183,8 @@ class _Shapes:
         Settings of the covariance, by view.
     models : dict of ShapeModel
         Shape models, by view.
-    triangles : (t, 3) int32
-        Mesh of the mean shape, indices of landmarks.
+    mesh : MeshOfLandmarks
+        Mesh of the mean shape.
     """
 
     landmarks: np.ndarray
@@ -192,7 +193,7 @@ class _Shapes:
     mean: np.ndarray
     recipes: dict[str, Recipe]
     models: dict[str, ShapeModel]
-    triangles: np.ndarray
+    mesh: MeshOfLandmarks
 
 
 def _train_one(data: TrainingData, points: Points | None, task: _Task) -> AAM:
@@ -203,7 +204,7 @@ def _train_one(data: TrainingData, points: Points | None, task: _Task) -> AAM:
     model = _without_appearances(data, shapes, task)
     entries, grey = check_images(data.entries, model.warp, camera.response)
     while True:
-        sound = without_folded(data.entries, shapes.mean, shapes.triangles, options.strict)
+        sound = without_folded(data.entries, shapes.mean, shapes.mesh.triangles, options.strict)
         if len(sound) == len(entries):
             break
         # Learn again from the images that do not fold the mesh, which have been checked already.
@@ -213,6 +214,9 @@ def _train_one(data: TrainingData, points: Points | None, task: _Task) -> AAM:
         points = points_of(points, sound)
         shapes = _learn_shapes(data, options)
         model = _without_appearances(data, shapes, task)
+    if shapes.mesh.in_pieces:
+        about_mesh = shapes.mesh.describe(len(entries), data.landmark_names, model.n_points)
+        warnings.warn(about_mesh, stacklevel=4)  # the caller of train, which is decorated
 
     encoder = None if task.features is None else encoder_of(task.features, entries, shapes.mean, camera)
     lamps = _lamps(task, entries, shapes.mean) if options.n_copies else None
@@ -280,7 +284,7 @@ def _learn_shapes(data: TrainingData, options: TrainingOptions) -> _Shapes:
     folds = folds_of(data.names)
     mean = scaled_mean(landmarks, options.diagonal)
     check_flat(mean, landmarks)
-    triangles = mesh_of(mean, options.triangles, data.edges)  # first, so that its faults are raised soon
+    mesh = mesh_of(data, mean, options.triangles)  # first, so that its faults are raised soon
     prior_of = options.priors(landmarks.shape[1])
     # Views with the same prior share recipe and shape model, which take time to learn.
     missing = data.missing
@@ -298,24 +302,28 @@ def _learn_shapes(data: TrainingData, options: TrainingOptions) -> _Shapes:
         mean=mean,
         recipes={view: recipes[prior_of[view]] for view in VIEWS},
         models={view: models[prior_of[view]] for view in VIEWS},
-        triangles=triangles,
+        mesh=mesh,
     )
 
 
 def _without_appearances(data: TrainingData, shapes: _Shapes, task: _Task) -> AAM:
     """Return a model of shapes and mesh, whose views have no levels yet."""
+    mesh = shapes.mesh
     views = {
-        view: View(warp=warp_of(shapes.models[view], shapes.triangles), levels=()) for view, warp_of in VIEWS.items()
+        view: View(warp=warp_of(shapes.models[view], mesh.triangles, mesh.in_pieces), levels=())
+        for view, warp_of in VIEWS.items()
     }
     return AAM(
         views=views,
-        triangles=shapes.triangles,
+        triangles=mesh.triangles,
+        in_pieces=mesh.in_pieces,
         camera=task.camera,
         n_images=len(data.entries),
         contours=data.contours,
         landmark_names=data.landmark_names,
         name=task.name,
         n_missing=None if data.missing is None else data.missing.counts,
+        rotations=rotations_of(shapes.landmarks, shapes.mean),
     )
 
 

@@ -29,7 +29,7 @@ from liaam.fitting.search.templates import (
 )
 from liaam.model import AAM
 from liaam.model.aam import named_model
-from liaam.model.shape import Similarity, align, diagonal_of, rotation
+from liaam.model.shape import Similarity, align, corners_of, diagonal_of, in_box, rotation
 from liaam.photometry import Response
 from liaam.photometry.picture import described, load_picture
 from liaam.workers import in_threads
@@ -46,6 +46,11 @@ PADDING = 0.25  # largest distance that an object may extend beyond the image, a
 MOST_PIXELS = 3_000_000
 SETTINGS = SolverOptions(max_iterations=10, tolerance=0.1)  # of the fits of places
 VISITED = 0.25  # margin around a place that its fit may use, as a fraction of the object's diagonal
+# Sizes searched where the object is known to be, from its box: that of an object depends on its rotation and its pose.
+SIZES_NEAR = (-3, -2, -1, 0, 1, 2)  # powers of STEP, of the box's diagonal
+TURNED_STARTS = 3  # number of rotations of the mean shape in a box that fits start from
+TURNED_APART = np.deg2rad(40.0)  # least difference of two of these, radians
+LEAST_SIDE = 16  # least side of the region that is searched then, pixels
 GROWTH = (0.5, 2.0)  # limits on the change of size in the fit of a place; beyond them it has diverged
 SHAPE_PENALTY = 0.05  # on the score, per unit of the mean squared shape mode in standard deviations
 MOST = 20  # objects in an image
@@ -94,8 +99,9 @@ class Finder:
     Attributes
     ----------
     model : AAM
-    rotations : {"upright", "all"}
-        Rotations searched: up to about 25 degrees, or all, at four times the time.
+    rotations : {"upright", "all"}, optional
+        Rotations searched: up to about 25 degrees, or all, at four times the time. By default as the objects are turned
+        in the training images (:attr:`liaam.AAM.rotations`).
 
     Examples
     --------
@@ -104,7 +110,7 @@ class Finder:
     """
 
     model: AAM
-    rotations: str = "upright"
+    rotations: str | None = None
 
     def __post_init__(self) -> None:
         """Raise an error if the model is not one, or the rotations are unknown."""
@@ -112,8 +118,13 @@ class Finder:
             raise ModelFileError(
                 f"{described(self.model)} is not a model; give a model first; of a file, give liaam.load_model(path)"
             )
-        if self.rotations not in TURNS:
+        if self.searched_rotations not in TURNS:
             raise MethodError(f"unknown rotations {self.rotations!r}; choose from {', '.join(TURNS)}")
+
+    @property
+    def searched_rotations(self) -> str:
+        """Rotations that are searched: those given, or else those of the training images."""
+        return self.model.rotations if self.rotations is None else self.rotations
 
     @cached_property
     def small(self) -> AAM:
@@ -128,14 +139,14 @@ class Finder:
     @cached_property
     def templates(self) -> Bank:
         """All templates of the reduced model."""
-        return Bank(make_templates(self.small, self.rotations), self._padding)
+        return Bank(make_templates(self.small, self.searched_rotations), self._padding)
 
     @cached_property
     def filters(self) -> Bank:
         """The model's learnt filter in several rotations; the templates if it has none."""
         if self.model.search_filter is None:
             return self.templates
-        rotated = rotated_filters(self.model.search_filter, self.rotations, self.small)
+        rotated = rotated_filters(self.model.search_filter, self.searched_rotations, self.small)
         return Bank(rotated, self._padding, normalised=True)
 
     @property
@@ -194,17 +205,38 @@ class Finder:
         mean = self.model.shape_model.mean
         return [replace(place, landmarks=align(mean, place.landmarks)(mean)) for place in places]
 
+    def starts_in_box(self, linear: LinearImage, start: np.ndarray) -> list[np.ndarray]:
+        """Return starts (n, 2) for an object that may be turned in any direction, in the box of a start.
+
+        The object is searched for around the box, at about its size. The other starts are the mean shape in the box in
+        those of the searched rotations from which the reduced model's fits have the highest scores.
+        """
+        low, high = corners_of(start)
+        diagonal = diagonal_of(start)
+        limits = np.array(linear.image.shape[1::-1])
+        first = np.clip(low - VISITED * diagonal, 0, limits - LEAST_SIDE).astype(int)
+        last = np.clip(np.ceil(high + VISITED * diagonal).astype(int), first + LEAST_SIDE, limits)
+        around = linear.crop(first, last)
+        sizes = diagonal * STEP ** np.array(SIZES_NEAR)
+        search = _Search(self, around, count=PLACES + PLACES_PER_OBJECT, bank=self.templates, sizes=sizes)
+        found = [detection.landmarks for detection in _best_first(search.for_all())[:1]]
+        return [shape + first for shape in [*found, *search.turned(start - first, TURNED_STARTS)]]
+
     def _fit_place(self, linear: LinearImage, place: "_Place") -> Detection:
         """Fit the reduced model at a place, and score the result; 0 if the fit diverges."""
         warp = self.level.objectives[0].warp
         pose = Similarity(rotation(place.template.turn) * place.scale, place.centre)
-        start = pose(warp.shape(place.template.p))
+        return self._fit_start(linear, pose(warp.shape(place.template.p)), place.field)
+
+    def _fit_start(self, linear: LinearImage, start: np.ndarray, field: Field) -> Detection:
+        """Fit the reduced model from a shape (n, 2), and score the result; 0 if the fit diverges."""
+        warp = self.level.objectives[0].warp
         (level,) = self.level.fit(Target(linear, start, margin=VISITED), SETTINGS)
         shape = level.reached
         growth = diagonal_of(shape) / diagonal_of(start)
         if not (np.isfinite(shape).all() and GROWTH[0] < growth < GROWTH[1]):
             return self._detection(start, 0.0)
-        strength = place.field.strength(level.pose(warp.points(level.solution.p)))
+        strength = field.strength(level.pose(warp.points(level.solution.p)))
         return self._detection(shape, self._score(level, strength))
 
     def _score(self, level: FittedLevel, strength: np.ndarray) -> float:
@@ -267,16 +299,20 @@ class _Search:
         Largest number of places to fit.
     bank : Bank
         Templates that the image is compared with.
+    sizes : (k,) float64, optional
+        Diagonals of objects to search for, pixels, from small to large; by default those of :func:`search_sizes`.
     """
 
-    def __init__(self, finder: Finder, linear: LinearImage, count: int, bank: Bank) -> None:
+    def __init__(
+        self, finder: Finder, linear: LinearImage, count: int, bank: Bank, sizes: np.ndarray | None = None
+    ) -> None:
         self.finder = finder
         self.linear = linear
         self.image = linear.image
         self.count = count
         self.bank = bank
         diagonal = finder.small.diagonal
-        self.sizes = search_sizes(self.image.shape[:2], diagonal)
+        self.sizes = search_sizes(self.image.shape[:2], diagonal) if sizes is None else sizes
         self.grey = Grey.of(self.image, linear.response, self.sizes[0] / diagonal)
         self.fields: list[Field] = []
         self.peaks_of_fields: list[Peaks] = []
@@ -341,7 +377,7 @@ class _Search:
         Templates respond little there, because they extend beyond the image.
         """
         size = np.array(self.image.shape[1::-1])
-        rotations = self.finder.rotations
+        rotations = self.finder.searched_rotations
         templates = [self.bank.templates[TURNS[rotations].index(turn)] for turn in FILLING_TURNS[rotations]]
         places = []
         for template in templates:
@@ -349,6 +385,23 @@ class _Search:
                 scale = fraction * size.min() / self.finder.small.diagonal
                 places.append(_Place(0.5 * (size - 1.0), scale, template, self._field_of(scale)))
         return [self.finder._fit_place(self.linear, place) for place in places]
+
+    def turned(self, start: np.ndarray, count: int) -> list[np.ndarray]:
+        """Return the mean shape in the box of a start (n, 2) in the likeliest rotations, at most so many."""
+        low, high = corners_of(start)
+        mean = self.finder.model.shape_model.mean
+        reduced_mean = self.finder.small.shape_model.mean
+        turns = np.deg2rad(TURNS[self.finder.searched_rotations])
+        starts = [in_box(mean @ rotation(turn).T, 0.5 * (low + high), diagonal_of(start)) for turn in turns]
+        fields = [self._field_of(align(reduced_mean, shape).scale) for shape in starts]
+        scores = [
+            self.finder._fit_start(self.linear, shape, field).score for shape, field in zip(starts, fields, strict=True)
+        ]
+        best: list[int] = []
+        for i in np.argsort(np.negative(scores), kind="stable").tolist():
+            if len(best) < count and all(np.cos(turns[i] - turns[j]) < np.cos(TURNED_APART) for j in best):
+                best.append(i)
+        return [starts[i] for i in best]
 
     def _field_of(self, scale: float) -> Field:
         """Return the field whose scale is nearest."""

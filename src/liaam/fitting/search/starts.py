@@ -140,6 +140,11 @@ def region_of(init, image: np.ndarray) -> tuple[np.ndarray, np.ndarray] | None:
     return low, np.clip(np.ceil(high).astype(int), low + LEAST_REGION, limits)
 
 
+def is_box(init) -> bool:
+    """Return whether a start is a box (x0, y0, x1, y1), or a centre and a size (x, y, diagonal)."""
+    return np.shape(getattr(init, "points", init)) in ((4,), (3,))
+
+
 def part_of_start(model: AAM, init, name: str = "image") -> int | None:
     """Return the index of the model's part that a whole shape belongs to; None for other starts."""
     if init is None or not model.others:
