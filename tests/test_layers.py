@@ -42,7 +42,7 @@ FITTING_LAYERS = (
     ("result",),
     ("loop",),
     ("reference",),
-    ("detection", "landmarkers", "methods"),
+    ("detection", "landmarkers", "methods", "thresholds"),
 )
 """The same for ``fitting``: its modules and the packages in it."""
 

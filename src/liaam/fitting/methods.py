@@ -37,6 +37,16 @@ the channels of log RGB. ``features`` has as many rows as the model compares cha
 INVARIANT_AT = {"invariant": (0, 0), "soft": (2, 2)}
 """Metrics that depend on the angles: the row that holds L(theta), and the first of its three channels."""
 
+GRADIENT_ROWS = 2
+"""Number of rows of ``soft`` that are gradients, the first ones; the others are colour."""
+
+ALL_COLOUR = 0.99
+"""Share of usable colours around a sample of ``soft`` from which its colour counts, in training and in fits."""
+
+CORRELATED = np.array([8.0, 30.0])
+"""Factors on the number of correlated pixels for the model's errors in gradients and in colour: they are patches rather
+than grains, and widest in colour."""
+
 FREE_ANGLES = {
     "none": np.zeros((2, 0)),
     "image": np.array([[0.0], [1.0]]),

@@ -25,7 +25,7 @@ from liaam.fitting.loop.encoded_image import (
 from liaam.fitting.loop.objective import Objective, State
 from liaam.fitting.loop.options import SolverOptions, spare
 from liaam.fitting.methods import Method
-from liaam.fitting.reference.thresholds import THRESHOLDS
+from liaam.fitting.thresholds import THRESHOLDS
 from liaam.model.sampling import AveragedImage
 from liaam.model.shape import Similarity, align, diagonal_of, own_parameters
 from liaam.photometry import NoiseModel, Response, is_grey
