@@ -36,6 +36,7 @@ LAYERS = (
 FITTING_LAYERS = (
     ("many", "single", "solution", "specimens"),
     ("fitter",),
+    ("low_quality",),
     ("damaged", "search"),
     ("fallback", "one_shape_fitter"),
     ("quality",),

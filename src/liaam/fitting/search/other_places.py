@@ -13,7 +13,7 @@ import numpy as np
 from liaam.fitting.detection import Detection, are_apart
 from liaam.fitting.loop.levels import Target
 from liaam.fitting.one_shape_fitter import Blurred, OneShapeFitter
-from liaam.fitting.result import LEAST_QUALITY, FitResult, FitStatus, odds_of, with_prior
+from liaam.fitting.result import FitResult, FitStatus, odds_of
 from liaam.fitting.search.finder import LARGE, OTHERS, Finder
 from liaam.model.shape import diagonal_of
 
@@ -34,14 +34,24 @@ class PlacedFit:
 
 
 @dataclass(frozen=True)
-class _PlaceOdds:
+class PlaceOdds:
     """Odds that fits are right, with the prior of their place."""
 
     large: float  # diagonal of an object whose prior is 1, image pixels
 
+    @classmethod
+    def in_region(cls, region: tuple[np.ndarray, np.ndarray]) -> "PlaceOdds":
+        """Return the odds of places in a region (its corners)."""
+        low, high = region
+        return cls(large=LARGE * float((high - low).min()))
+
     def prior(self, shape: np.ndarray, quality: float) -> float:
         """Return the prior odds of the place of a shape (n, 2); 0 if the fit has no quality."""
         return (diagonal_of(shape) / self.large) ** 2 if quality > 0 else 0.0
+
+    def prior_of(self, result: FitResult) -> float:
+        """Return the prior odds of the place of a fit, at most 1."""
+        return min(self.prior(result.landmarks, result.quality), 1.0)
 
     def of(self, shape: np.ndarray, quality: float) -> float:
         """Return the odds that a fit with this shape and quality is right."""
@@ -57,18 +67,16 @@ class _PlaceOdds:
 
 
 def likeliest(
-    fitter: OneShapeFitter, finder: Finder, first: PlacedFit, region: tuple[np.ndarray, np.ndarray]
+    fitter: OneShapeFitter,
+    finder: Finder,
+    first: PlacedFit,
+    region: tuple[np.ndarray, np.ndarray],
+    odds: PlaceOdds,
 ) -> tuple[PlacedFit, float]:
-    """Return the most likely fit in a region (its corners), and the factor on its odds.
+    """Return the most likely of the first fit and those at other places, and the factor on its odds.
 
-    That is the first one if it is more likely right than wrong.
+    The places are in a region (its corners).
     """
-    low, high = region
-    odds = _PlaceOdds(large=LARGE * float((high - low).min()))
-    prior_of_first = min(odds.prior(first.result.landmarks, first.result.quality), 1.0)
-    if with_prior(first.result, prior_of_first).quality >= LEAST_QUALITY:
-        return first, prior_of_first
-
     brief = replace(fitter.options, max_iterations=BRIEF)
     blurred = []  # each with its place
     for place, start in other_starts_in(finder, first.target, region):
