@@ -118,6 +118,15 @@ def test_imports_run_downwards():
     assert not upward, "\n".join(upward)
 
 
+def test_what_a_fit_is_worth_has_one_door():
+    door = "liaam.fitting.quality"
+    outside = [module for module in UNITS if not module.startswith(door)]
+    beside = [
+        f"{module} imports {name}" for module in outside for name in imports(module) if name.startswith(f"{door}.")
+    ]
+    assert not beside, "\n".join(beside)
+
+
 def fitting_unit_of(module: str) -> str:
     return module.split(".")[2]
 

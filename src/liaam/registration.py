@@ -15,7 +15,7 @@ from liaam.fitting.loop.encoded_image import slope_noise_gain
 from liaam.fitting.loop.levels import FittedLevel, LinearImage, Target, is_sane, solve_levels
 from liaam.fitting.loop.objective import Objective
 from liaam.fitting.loop.options import scored
-from liaam.fitting.quality.uncertainty import covariance
+from liaam.fitting.quality import covariance
 from liaam.formatting import finite_list
 from liaam.model.appearance import AppearanceModel
 from liaam.model.sampling import make_patch

@@ -8,7 +8,7 @@ import pytest
 from liaam.fitting import Fitter, SolverOptions
 from liaam.fitting.loop.levels import is_sane
 from liaam.fitting.loop.objective import Objective
-from liaam.fitting.one_shape_fitter import SLOW
+from liaam.fitting.quality import SLOW
 from liaam.fitting.search import restarts
 from liaam.fitting.search.restarts import APART, MODES, fit_again, other_starts
 from liaam.model import SURROUNDINGS
@@ -107,9 +107,9 @@ def test_doubtful_fits_are_begun_again_and_slow_ones_of_little_quality(calibrate
     own = replace(calibrated.views[SURROUNDINGS].reliabilities["soft-li"], typical=0.9)  # 0.81 is little then
     ours = Fitter(calibrated.with_view(SURROUNDINGS, reliabilities={"soft-li": own}))
     made = Fitter(calibrated, restarts=False).fit(lit_scene.image, disturb(lit_scene.landmarks))
-    assert ours.falls_short(replace(made, quality=quality, n_iterations=steps)) is again
+    assert ours.judge.falls_short(replace(made, quality=quality, n_iterations=steps)) is again
     few = replace(ours, options=SolverOptions(max_iterations=SLOW))
-    assert not few.falls_short(replace(made, quality=quality, n_iterations=steps))
+    assert not few.judge.falls_short(replace(made, quality=quality, n_iterations=steps))
 
 
 def test_no_iterations_leave_the_start_as_it_is(calibrated, lit_scene):

@@ -5,7 +5,7 @@
 - Parts of it may be absent: it is fitted without them (:mod:`liaam.fitting.damaged`).
 - If the fit still fails, its start may be nearer to the object (:mod:`liaam.fitting.fallback`).
 
-What low quality is, says :meth:`liaam.fitting.one_shape_fitter.OneShapeFitter.falls_short`.
+What low quality is, says :meth:`liaam.fitting.quality.Judge.falls_short`.
 """
 
 from dataclasses import dataclass, replace
@@ -75,7 +75,7 @@ def fit_elsewhere(fitter: OneShapeFitter, finder: Finder, first: PlacedFit, init
     elsewhere = Elsewhere(finder, region)
     fit, prior = _fit_at_likeliest_place(fitter, first, elsewhere)
     result = fit.result
-    if restarts and fitter.falls_short(with_prior(result, prior)):
+    if restarts and fitter.judge.falls_short(with_prior(result, prior)):
         result = fit_again(fitter, fit.target, result)
     result = without_absent(fitter, fit.target, result, partial(elsewhere.places_in, fit.target))
     result = with_prior(result, prior)
@@ -101,7 +101,7 @@ def fit_where_found(fitter: "Fitter", image: Any, detection: Detection, name: st
 
 def is_judged(fitter: OneShapeFitter) -> bool:
     """Return whether training has tried to calibrate the method. Its fits to left-out images are as they are."""
-    return fitter.reliability is not None or fitter.is_failing
+    return fitter.reliability is not None or fitter.calibration.is_failing
 
 
 def _fit_at_likeliest_place(fitter: OneShapeFitter, first: PlacedFit, elsewhere: Elsewhere) -> tuple[PlacedFit, float]:
@@ -109,7 +109,7 @@ def _fit_at_likeliest_place(fitter: OneShapeFitter, first: PlacedFit, elsewhere:
 
     A place can be judged by its fit only if that has a quality.
     """
-    if elsewhere.region is None or fitter.reliability_for(first.result) is None:
+    if elsewhere.region is None or fitter.judge.reliability_for(first.result) is None:
         return first, 1.0
     odds = PlaceOdds.in_region(elsewhere.region)
     prior = odds.prior_of(first.result)
@@ -122,7 +122,7 @@ def _is_likely_wrong(fitter: OneShapeFitter, result: FitResult) -> bool:
     """Return whether a fit is doubtful, or would be if it had converged within its iterations."""
     if result.status is FitStatus.DOUBTFUL:
         return True
-    return fitter.reliability_for(result) is not None and result.quality < LEAST_QUALITY
+    return fitter.judge.reliability_for(result) is not None and result.quality < LEAST_QUALITY
 
 
 def _with_prior_near(fitter: OneShapeFitter, result: FitResult) -> FitResult:

@@ -211,9 +211,9 @@ class FitResult:
     residual_variance : float
         Variance of a residual at weight 1: what the model leaves unexplained in this image. The landmarks' covariances
         grow with it.
-    evidence : (2,) float64
+    evidence : (k,) float64
         Explained contrast, and the shape's distance from the mean
-        (:func:`liaam.fitting.quality.uncertainty.quality_features`).
+        (:func:`liaam.fitting.quality.quality_features`).
     quality : float
         Probability, 0 to 1, that the fit is right, calibrated on left-out training images, with as many right fits as
         among those from starts near the object; for equal odds if an uncertain detection was the start. 0 if the fit
