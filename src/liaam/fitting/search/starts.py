@@ -9,7 +9,7 @@ import numpy as np
 
 from liaam.errors import LandmarkError, StartError
 from liaam.fitting.landmarkers import LANDMARKERS
-from liaam.io.files import existing_file, read_bytes
+from liaam.io.files import companions, existing_file, read_bytes
 from liaam.io.images import read_image
 from liaam.io.landmarks import LANDMARK_SUFFIXES, Landmarks, read_landmarks
 from liaam.model import AAM
@@ -45,12 +45,18 @@ def read_start(text: str, image: Path, size: tuple[int, int]) -> Landmarks | lis
     return _parsed(text, f"--init {shown}: there is no such file or folder, and it")
 
 
+def read_with_start(image: Path, init: str | None) -> tuple[np.ndarray, Landmarks | list[float] | None]:
+    """Read an image, and its start if one is given (:func:`read_start`)."""
+    pixels = read_image(image)
+    return pixels, None if init is None else read_start(init, image, pixels.shape[1::-1])
+
+
 def start_file(text: str, image: Path) -> Path | None:
     """Return the file that holds the start of an image, or None if there is no such file."""
     path = Path(text)
     kind = _kind(text)
     if kind == "folder":
-        candidates = (path / f"{image.stem}{suffix}" for suffix in (*LANDMARK_SUFFIXES, BOX_SUFFIX))
+        candidates = companions(path, [image.stem], (*LANDMARK_SUFFIXES, BOX_SUFFIX))
         return next((candidate for candidate in candidates if _kind(str(candidate)) == "file"), None)
     return path if kind == "file" else None
 
