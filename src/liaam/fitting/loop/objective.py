@@ -89,8 +89,11 @@ class Objective:
 
     @property
     def is_compiled(self) -> bool:
-        """Whether the core can fit this objective; the reference fits any."""
-        return _core.BUILT and isinstance(self.warp, PiecewiseAffineWarp) and not self.method.normalise
+        """Whether the core fits this objective; where it could not be built, the reference does.
+
+        Photometric normalisation (the paper's [1]), which the experiments compare with, is in the reference only.
+        """
+        return _core.BUILT and not self.method.normalise
 
     @cached_property
     def compiled(self) -> Any:
@@ -270,7 +273,8 @@ class Objective:
     def solve(self, image: EncodedImage, state: State, options: Any, evaluate_last: bool = True) -> Any:
         """Minimise the cost over one image from a state (:class:`liaam.fitting.loop.options.SolverOptions`).
 
-        A fit that fails is returned, not raised. The solution is a ``Solution`` of the core or of the reference.
+        A fit that fails is returned, not raised. The solution is a ``Solution`` of the core or of the reference, which
+        alone has the joint elimination of the appearance (the paper's, for the experiments).
         """
         p = state.p
         angles = tuple(state.angles.tolist())

@@ -1,8 +1,8 @@
 """The level of a fit in NumPy, as one would write it beside the paper: residual, weights, derivatives.
 
 :class:`Problem` defines the results of the compiled core (``src/core``), which is tested against it, and replaces it
-where the core could not be built. It also fits what the core leaves out: homographies, photometric normalisation, and
-the joint elimination of the appearance. The loop over it is :mod:`liaam.fitting.reference.loop`.
+where the core could not be built. It also fits what the core leaves out (:mod:`liaam.fitting.reference`). The loop over
+it is :mod:`liaam.fitting.reference.loop`.
 
 Arrays of pixels are (n, k) float64, for k rows of the metric P.
 """
