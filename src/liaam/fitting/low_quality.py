@@ -18,18 +18,59 @@ from liaam.fitting.damaged import PLACES, without_absent
 from liaam.fitting.detection import Detection
 from liaam.fitting.fallback import start_if_failed_far
 from liaam.fitting.loop.levels import Target
-from liaam.fitting.one_shape_fitter import OneShapeFitter
-from liaam.fitting.result import LEAST_QUALITY, FitResult, FitStatus, with_prior
-from liaam.fitting.search.finder import Finder
-from liaam.fitting.search.other_places import PlacedFit, PlaceOdds, likeliest, other_starts_in
+from liaam.fitting.one_shape_fitter import Blurred, OneShapeFitter
+from liaam.fitting.result import LEAST_QUALITY, FitResult, FitStatus, odds_of, with_prior
+from liaam.fitting.search.finder import LARGE, Finder
+from liaam.fitting.search.other_places import PlacedFit, likeliest, other_starts_in
 from liaam.fitting.search.restarts import fit_again
-from liaam.fitting.search.starts import region_of
+from liaam.model.shape import diagonal_of
 
 if TYPE_CHECKING:
     from liaam.fitting.fitter import Fitter
 
+# Margin searched around a box given as a start, as a fraction of its sides, and the smallest width in pixels. A box, as
+# of a detector, is approximate; a shape given as a start is not searched for.
+AROUND_BOX = 0.3
+LEAST_REGION = 16
+
 Region = tuple[np.ndarray, np.ndarray]
 """Corners of the part of an image that is searched: (x, y) of the first pixel, and of that beyond the last."""
+
+
+@dataclass(frozen=True)
+class PlaceOdds:
+    """Odds that fits are right, with the prior of their place.
+
+    That is proportional to the place's area, because there are more small places than large ones.
+    """
+
+    large: float  # diagonal of an object whose prior is 1, image pixels
+
+    @classmethod
+    def in_region(cls, region: Region) -> "PlaceOdds":
+        """Return the odds of places in a region (its corners)."""
+        low, high = region
+        return cls(large=LARGE * float((high - low).min()))
+
+    def prior(self, shape: np.ndarray, quality: float) -> float:
+        """Return the prior odds of the place of a shape (n, 2); 0 if the fit has no quality."""
+        return (diagonal_of(shape) / self.large) ** 2 if quality > 0 else 0.0
+
+    def prior_of(self, result: FitResult) -> float:
+        """Return the prior odds of the place of a fit, at most 1."""
+        return min(self.prior(result.landmarks, result.quality), 1.0)
+
+    def of(self, shape: np.ndarray, quality: float) -> float:
+        """Return the odds that a fit with this shape and quality is right."""
+        return self.prior(shape, quality) * odds_of(quality)
+
+    def of_blurred(self, fit: Blurred) -> float:
+        """Return the odds that a fit at the blurred levels is right."""
+        return self.of(fit.shape, fit.quality)
+
+    def of_result(self, result: FitResult) -> float:
+        """Return the odds that a fit at all levels is right."""
+        return self.of(result.landmarks, result.quality)
 
 
 @dataclass(frozen=True, eq=False)
@@ -77,7 +118,8 @@ def fit_elsewhere(fitter: OneShapeFitter, finder: Finder, first: PlacedFit, init
     result = fit.result
     if restarts and fitter.judge.falls_short(with_prior(result, prior)):
         result = fit_again(fitter, fit.target, result)
-    result = without_absent(fitter, fit.target, result, partial(elsewhere.places_in, fit.target))
+    if result.absent.any():
+        result = without_absent(fitter, fit.target, result, partial(elsewhere.places_in, fit.target))
     result = with_prior(result, prior)
     if is_judged(fitter) and (result.status.lost or _is_likely_wrong(fitter, result)):
         # A fit from a start that was given is not compared with a place that was searched for.
@@ -97,6 +139,20 @@ def fit_where_found(fitter: "Fitter", image: Any, detection: Detection, name: st
     if not there.quality < there.least_quality:
         return there
     return max(there, fitter.fit(image, None, name), key=lambda fit: fit.quality)
+
+
+def region_of(init: Any, image: np.ndarray) -> Region | None:
+    """Return the corners of the region to search: all without a start, around a box, None for other starts."""
+    limits = np.array(image.shape[1::-1])
+    if init is None:
+        return np.zeros(2, int), limits
+    box = getattr(init, "points", init)
+    if np.shape(box) != (4,):
+        return None
+    low, high = np.asarray(box, np.float64).reshape(2, 2)
+    low, high = low - AROUND_BOX * (high - low), high + AROUND_BOX * (high - low)
+    low = np.clip(low, 0, limits - LEAST_REGION).astype(int)
+    return low, np.clip(np.ceil(high).astype(int), low + LEAST_REGION, limits)
 
 
 def is_judged(fitter: OneShapeFitter) -> bool:

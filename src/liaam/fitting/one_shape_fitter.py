@@ -230,7 +230,10 @@ class OneShapeFitter:
         return len(self.objectives) - 1
 
     def _blurred_levels(self, target: Target, options: SolverOptions) -> list[FittedLevel]:
-        """Fit all levels but the sharpest, or the only one."""
+        """Fit all levels but the sharpest, or the only one.
+
+        The last of these is as loose as in a whole fit, and those before it are looser: the loop loosens them again.
+        """
         return self.coarse_to_fine.fit(target, spare(options), last=max(1, len(self.objectives) - 1))
 
     def fit_blurred(self, target: Target, options: SolverOptions) -> Blurred:
