@@ -19,7 +19,7 @@ from liaam.fitting.loop.options import scored
 from liaam.fitting.quality import covariance
 from liaam.fitting.reference.loop import solve_level
 from liaam.formatting import finite_list
-from liaam.model.appearance import AppearanceModel
+from liaam.model.appearance import CHANNELS, AppearanceModel
 from liaam.model.sampling import make_patch
 from liaam.model.shape import Similarity
 from liaam.model.warp import GROUPS, HomographyWarp, apply_homography, picture_corners
@@ -337,7 +337,7 @@ def _levels(
         if selected.sum() < LEAST_PIXELS or max(blur, 1.0) > LARGEST_BLUR * min(size):
             continue
         mean = patch.channels[::stride, ::stride][selected]
-        mean = np.ascontiguousarray(mean[:, : 2 if method.encoding == "orientation" else 3])
+        mean = np.ascontiguousarray(mean[:, : CHANNELS[method.encoding_name]])
         if method.appearance == "invariant":
             mean = mean @ method.image_metric(theta).T.astype(np.float32)
         blank = np.zeros((0, *mean.shape), np.float32)

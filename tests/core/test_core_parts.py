@@ -10,7 +10,7 @@ from scipy.linalg import eigh
 from scipy.optimize import minimize_scalar
 
 from liaam import _core
-from liaam.encoding_constants import TABLE
+from liaam.encoding_constants import ENCODINGS, TABLE
 from liaam.fitting import METHODS
 from liaam.fitting.loop.angles import SEARCH, _minimise_on_arc
 from liaam.fitting.loop.encoded_image import NEAR
@@ -53,6 +53,13 @@ def test_the_core_has_no_values_of_its_own_for_the_encodings():
     code = " ".join(line.partition("//")[0] for line in fields.splitlines())
     assert "=" not in code
     assert {name for name in re.findall(r"\w+", code) if name not in ("float", "std", "array", "3")} == set(TABLE)
+
+
+def test_the_core_numbers_the_encodings_as_their_table():
+    header = (ROOT / "src/core/encoding.hpp").read_text(encoding="utf-8")
+    ((names, last),) = re.findall(r"enum class Encoding \{ (.*?) \};.*?kLastEncoding = Encoding::(\w+);", header, re.S)
+    assert names.split(", ") == list(ENCODINGS)
+    assert last == list(ENCODINGS)[-1]
 
 
 @pytest.mark.parametrize(

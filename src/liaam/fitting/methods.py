@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from liaam.encoding_constants import GRADIENTS
 from liaam.errors import MethodError
 from liaam.image_reference import CHANNELS
 from liaam.model import AAM, MESH, SURROUNDINGS, VIEWS
@@ -55,18 +56,13 @@ FREE_ANGLES = {
 }
 """d (theta_1, theta_2) / d (free angles) of each choice of free angles, (2, n_free)."""
 
-ENCODING_OF = {
-    "value": "value",
-    "varied": "value",
-    "log": "log",
-    "invariant": "log",
-    "orientation": "orientation",
-    "soft": "soft",
-    "features": "features",
-}
+ENCODING_OF = {name: name for name in ENCODINGS} | {"varied": "value", "invariant": "log", "features": "features"}
 """Encoding of each appearance; ``features`` is any function of the user."""
 
-PROJECTED_APPEARANCES = ("invariant", "orientation", "soft", "features")
+OWN_METRICS = tuple(name for name in METRICS if name in ENCODING_OF.values())
+"""Encodings that have a metric of their name, which is their only one."""
+
+PROJECTED_APPEARANCES = ("invariant", *GRADIENTS, "features")
 """Appearances that are learnt after the projection, so that P(theta_1) is not applied to them again."""
 
 LEARNT_FROM_RELIT = {"varied", "illumination"}
@@ -178,7 +174,7 @@ class Method:
         encoding = self.encoding_name
         if ENCODING_OF[self.appearance] != encoding:
             return f"{encoding} images do not suit a {self.appearance} appearance"
-        for name in ("orientation", "soft", "features"):  # each of these is an encoding and its only metric
+        for name in OWN_METRICS:
             if (self.metric == name) != (encoding == name):
                 return f"metric {self.metric} does not suit encoding {encoding}"
         if self.weights == "rows" and encoding != "soft":

@@ -10,6 +10,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from liaam.encoding_constants import GRADIENTS
 from liaam.fitting.loop.levels import FittedLevel
 from liaam.fitting.loop.objective import Objective
 
@@ -102,7 +103,7 @@ def _contrast(objective: Objective, sums: np.ndarray) -> tuple[float, float]:
     those of weights, samples, their squares, and squares of the residual.
     """
     weight, total, squares, left = sums.T
-    if objective.method.encoding in ("value", "log"):
+    if objective.method.encoding_name not in (*GRADIENTS, "features"):
         about_mean = squares - total**2 / np.maximum(weight, 1e-300)
         squares = np.where(about_mean > 1e-9 * squares, about_mean, 0.0)  # else it is rounding
     return float(squares.sum()), float(left.sum())
