@@ -21,8 +21,8 @@ import liaam
 from liaam import FitResult
 from liaam.cli.main import app
 from liaam.datasets import label_faults
-from liaam.fitting.reference.thresholds import THRESHOLDS
 from liaam.fitting.search import finder
+from liaam.fitting.thresholds import THRESHOLDS
 from liaam.io import video_writer
 from liaam.io.images import VIDEO_SUFFIXES
 from liaam.model.views import VIEWS

@@ -36,13 +36,14 @@ LAYERS = (
 FITTING_LAYERS = (
     ("many", "single", "solution", "specimens"),
     ("fitter",),
+    ("low_quality",),
     ("damaged", "search"),
     ("fallback", "one_shape_fitter"),
     ("quality",),
     ("result",),
     ("loop",),
     ("reference",),
-    ("detection", "landmarkers", "methods"),
+    ("detection", "landmarkers", "methods", "thresholds"),
 )
 """The same for ``fitting``: its modules and the packages in it."""
 
@@ -115,6 +116,15 @@ def test_imports_run_downwards():
         if name != "liaam" and RANK[unit_of(name)] > RANK[unit_of(module)]
     ]
     assert not upward, "\n".join(upward)
+
+
+def test_what_a_fit_is_worth_has_one_door():
+    door = "liaam.fitting.quality"
+    outside = [module for module in UNITS if not module.startswith(door)]
+    beside = [
+        f"{module} imports {name}" for module in outside for name in imports(module) if name.startswith(f"{door}.")
+    ]
+    assert not beside, "\n".join(beside)
 
 
 def fitting_unit_of(module: str) -> str:

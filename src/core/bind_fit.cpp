@@ -37,7 +37,7 @@ std::unique_ptr<PreparedFit> prepare(const nb::dict& given) {
     auto prepared = std::make_unique<PreparedFit>();
     Fields fields(given, prepared->kept);
     const Doubles mean = fields.numbers<double>("mean");
-    prepared->encoding = numbered<Encoding>(fields.value<int>("encoding"), Encoding::soft, "encoding");
+    prepared->encoding = numbered<Encoding>(fields.value<int>("encoding"), kLastEncoding, "encoding");
     prepared->theta_1 = fields.value<double>("theta_1");
     prepared->has_invariant = fields.value<bool>("has_invariant");
     prepared->keeps_samples = fields.value<bool>("keeps_samples");

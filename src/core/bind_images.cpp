@@ -88,7 +88,7 @@ nb::object encode_light(const Array<float, 3>& light, const std::optional<Array<
         means.finite = numbers_of(*finite);
     }
     const EncodingConstants& constants = encoding_constants();
-    EncodingOptions options{numbered<Encoding>(encoding, Encoding::soft, "encoding"), floor, blur, pixel, turn};
+    EncodingOptions options{numbered<Encoding>(encoding, kLastEncoding, "encoding"), floor, blur, pixel, turn};
     Channels channels;
     {
         const Unlocked unlocked;

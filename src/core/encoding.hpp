@@ -13,7 +13,8 @@ constexpr std::size_t kChannels = 8;  // of an encoded pixel; the last is its we
 
 constexpr double kWidestBlur = 1e4;   // standard deviation in pixels, above which a blur is a mistake and takes minutes
 
-enum class Encoding { value, log, orientation, soft };
+enum class Encoding { value, log, orientation, soft };  // in the order of liaam.encoding_constants.ENCODINGS
+constexpr Encoding kLastEncoding = Encoding::soft;
 
 // Constants of the encodings. Their values, and the reasons, are in liaam.encoding_constants.
 struct EncodingConstants {

@@ -1,5 +1,5 @@
 // Every threshold at which the loop of a level stops, accepts or refuses, with its reason. The table of
-// liaam.fitting.reference.thresholds is the same; a test compares them. Measurements are in experiments/notes/engine.md.
+// liaam.fitting.thresholds is the same; a test compares them. Measurements are in experiments/notes/engine.md.
 #pragma once
 
 namespace liaam::thresholds {

@@ -1,6 +1,50 @@
-"""Constants of the encodings. The compiled core receives this table when it is imported."""
+"""The encodings and their constants. The compiled core receives the constants when it is imported."""
+
+from dataclasses import dataclass
 
 import numpy as np
+
+
+@dataclass(frozen=True)
+class EncodingFacts:
+    """What all of liaam needs to know of an encoding; see :func:`liaam.photometry.encoding.encode`.
+
+    Attributes
+    ----------
+    channels : int
+        Number of channels of an encoded image, without the weight of the pixel.
+    learnt : int
+        Number of channels of an appearance in this encoding, the first ones if there are more.
+    is_logarithmic : bool
+        Whether dark and saturated pixels are unusable.
+    is_gradient : bool
+        Whether the first two channels are a gradient along x and y. It is learnt from the copies of images too, and
+        compared as it is.
+    """
+
+    channels: int
+    learnt: int
+    is_logarithmic: bool = False
+    is_gradient: bool = False
+
+
+ENCODINGS = {
+    "value": EncodingFacts(3, learnt=3),
+    "log": EncodingFacts(3, learnt=3, is_logarithmic=True),
+    "orientation": EncodingFacts(3, learnt=2, is_gradient=True),
+    "soft": EncodingFacts(6, learnt=3, is_logarithmic=True, is_gradient=True),
+}
+"""The encodings by name, in the order of the core's (``src/core/encoding.hpp``).
+
+- ``value``: sRGB-encoded values in [0, 1].
+- ``log``: natural logarithm of linear light.
+- ``orientation``: cosine and sine of the direction of luminance's gradient, third channel zero (Tzimiropoulos,
+  Zafeiriou and Pantic, "Subspace learning from image gradient orientations", PAMI 2012).
+- ``soft``: softly normalised gradient of log brightness, log of linear light, and the weight of that log. Appearances
+  hold the gradient and the invariant.
+"""
+
+GRADIENTS = tuple(name for name, facts in ENCODINGS.items() if facts.is_gradient)
 
 # Weights of linear R, G and B in the brightness for the gradients of ``soft``. On simulated scenes equal weights have a
 # sixth less error by noise than luminance, which is mostly green.

@@ -5,19 +5,21 @@ a homography, and the method is any of :data:`liaam.fitting.METHODS`.
 """
 
 from dataclasses import dataclass, replace
+from typing import Any
 
 import cv2
 import numpy as np
 
 from liaam.errors import ImageError, MethodError
 from liaam.fitting import FitStatus, Method, SolverOptions, get_method
-from liaam.fitting.loop.encoded_image import slope_noise_gain
+from liaam.fitting.loop.encoded_image import EncodedImage, slope_noise_gain
 from liaam.fitting.loop.levels import FittedLevel, LinearImage, Target, is_sane, solve_levels
-from liaam.fitting.loop.objective import Objective
+from liaam.fitting.loop.objective import Objective, State
 from liaam.fitting.loop.options import scored
-from liaam.fitting.quality.uncertainty import covariance
+from liaam.fitting.quality import covariance
+from liaam.fitting.reference.loop import solve_level
 from liaam.formatting import finite_list
-from liaam.model.appearance import AppearanceModel
+from liaam.model.appearance import CHANNELS, AppearanceModel
 from liaam.model.sampling import make_patch
 from liaam.model.shape import Similarity
 from liaam.model.warp import GROUPS, HomographyWarp, apply_homography, picture_corners
@@ -145,6 +147,24 @@ class Registration:
         covered = np.ones(second.shape[:2], np.float32)
         mask = warp_picture(covered, self.homography, self.size) > 0.999
         return warp_picture(second, self.homography, self.size), np.asarray(mask)
+
+
+@dataclass(frozen=True, eq=False)
+class PlaneObjective(Objective):
+    """The cost of a method for a plane at one level.
+
+    Its loop is the one in NumPy, also where the core is built: the core sums over the triangles of a mesh.
+    """
+
+    @property
+    def is_compiled(self) -> bool:
+        """False."""
+        return False
+
+    def solve(self, image: EncodedImage, state: State, options: SolverOptions, evaluate_last: bool = True) -> Any:
+        """Minimise the cost over one image from a state; see :meth:`Objective.solve`."""
+        p, angles, lam = state
+        return solve_level(self, image, p, tuple(angles.tolist()), lam, options, image.blur, evaluate_last)
 
 
 def register(
@@ -317,13 +337,13 @@ def _levels(
         if selected.sum() < LEAST_PIXELS or max(blur, 1.0) > LARGEST_BLUR * min(size):
             continue
         mean = patch.channels[::stride, ::stride][selected]
-        mean = np.ascontiguousarray(mean[:, : 2 if method.encoding == "orientation" else 3])
+        mean = np.ascontiguousarray(mean[:, : CHANNELS[method.encoding_name]])
         if method.appearance == "invariant":
             mean = mean @ method.image_metric(theta).T.astype(np.float32)
         blank = np.zeros((0, *mean.shape), np.float32)
         appearance = AppearanceModel(mean, blank, np.zeros(0), np.ones(len(mean), np.float32))
         warp = HomographyWarp(selected, from_a(corners), float(stride), group)
-        levels.append(Objective(method, warp, appearance, theta, prior=np.zeros(warp.n_parameters), blur=blur))
+        levels.append(PlaneObjective(method, warp, appearance, theta, prior=np.zeros(warp.n_parameters), blur=blur))
     return levels, from_a.inverse()
 
 

@@ -321,7 +321,7 @@ def test_messages_name_starts_as_they_were_named(world, tmp_path, monkeypatch):
 
 
 def test_a_fault_of_ours_is_a_row_too(world, tmp_path, monkeypatch):
-    monkeypatch.setattr("liaam.batch.work.read_image", lambda path: 1 / 0)
+    monkeypatch.setattr("liaam.fitting.search.starts.read_image", lambda path: 1 / 0)
     summary = batch_of(world, tmp_path / "r.csv")
     assert set(summary.statuses) == {"error"}
     assert "unexpected ZeroDivisionError" in rows_of(tmp_path / "r.csv")[0]["message"]

@@ -10,12 +10,14 @@ from scipy.linalg import eigh
 from scipy.optimize import minimize_scalar
 
 from liaam import _core
-from liaam.encoding_constants import TABLE
+from liaam.encoding_constants import ENCODINGS, TABLE
 from liaam.fitting import METHODS
 from liaam.fitting.loop.angles import SEARCH, _minimise_on_arc
-from liaam.fitting.methods import LOSSES, gaussian_median
+from liaam.fitting.loop.encoded_image import NEAR
+from liaam.fitting.methods import CORRELATED, GRADIENT_ROWS, LOSSES, gaussian_median
 from liaam.fitting.reference import loop as reference_loop, problem as reference
-from liaam.fitting.reference.thresholds import THRESHOLDS
+from liaam.fitting.thresholds import THRESHOLDS
+from liaam.image_reference import CHANNELS
 
 ROOT = Path(__file__).resolve().parents[2]
 seeds, dampings = st.integers(0, 999), st.sampled_from([0.0, 1e-3, 1.0, 1e4])
@@ -51,6 +53,30 @@ def test_the_core_has_no_values_of_its_own_for_the_encodings():
     code = " ".join(line.partition("//")[0] for line in fields.splitlines())
     assert "=" not in code
     assert {name for name in re.findall(r"\w+", code) if name not in ("float", "std", "array", "3")} == set(TABLE)
+
+
+def test_the_core_numbers_the_encodings_as_their_table():
+    header = (ROOT / "src/core/encoding.hpp").read_text(encoding="utf-8")
+    ((names, last),) = re.findall(r"enum class Encoding \{ (.*?) \};.*?kLastEncoding = Encoding::(\w+);", header, re.S)
+    assert names.split(", ") == list(ENCODINGS)
+    assert last == list(ENCODINGS)[-1]
+
+
+@pytest.mark.parametrize(
+    ("file", "name", "value"),
+    [
+        ("weights.cpp", "kCorrelated[2]", set(CORRELATED)),
+        ("weights.cpp", "kGradientRows", {GRADIENT_ROWS}),
+        ("weights.cpp", "kUnknown", {reference.UNKNOWN}),
+        ("weights.cpp", "kLeastUnexplained", {reference.LEAST_UNEXPLAINED}),
+        ("weights.cpp", "kMostDirectionNoise", {reference.MOST_DIRECTION_NOISE}),
+        ("encoding.hpp", "kChannels", {CHANNELS}),
+        ("fit.cpp", "kNear", {NEAR}),
+    ],
+)
+def test_other_constants_are_the_same(file, name, value):
+    (text,) = re.findall(rf"constexpr .*\b{re.escape(name)} = ([^;]+);", (ROOT / "src/core" / file).read_text())
+    assert {float(each) for each in re.findall(r"\d[\d.e]*", text)} == value
 
 
 @pytest.mark.parametrize("file", ["level.cpp", "step.cpp"])

@@ -7,6 +7,7 @@ import pytest
 
 from liaam.fitting import FitStatus, Fitter
 from liaam.fitting.fallback import LEAST_OVERLAP, overlap, start_if_failed_far
+from liaam.fitting.low_quality import is_judged
 from liaam.model import SURROUNDINGS
 from setups import disturb
 
@@ -82,4 +83,4 @@ def test_fits_to_left_out_images_are_as_they_are(calibrated, rng):
     wall = (255 * rng.random((180, 240, 3))).astype(np.uint8)
     bare = calibrated.with_view(SURROUNDINGS, reliabilities={})
     assert not Fitter(bare).fit(wall, (60, 40, 180, 150)).at_start
-    assert Fitter(replace(bare, failing_methods=("soft-li",)))._is_judged
+    assert is_judged(Fitter(replace(bare, failing_methods=("soft-li",))))

@@ -9,7 +9,7 @@ from liaam import load_model
 from liaam.errors import StartError, TrainingError
 from liaam.fitting import Fitter, SolverOptions
 from liaam.fitting.loop.levels import solve_levels
-from liaam.fitting.quality.uncertainty import covariance
+from liaam.fitting.quality import covariance
 from liaam.io import write_landmarks
 from liaam.model.shape import diagonal_of
 from liaam.training.entries import Entry

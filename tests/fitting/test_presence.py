@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from liaam.fitting import Fitter
-from liaam.fitting.quality.presence import Surroundings
+from liaam.fitting.quality import Surroundings
 from liaam.model.mirror import mirrored_model
 from liaam.model.presence import PRIOR_ODDS, Agreement, Presence, fisher_z
 from liaam.model.shape import mirror_order

@@ -9,9 +9,10 @@ from safetensors.numpy import save_file
 
 from liaam.errors import ModelFileError
 from liaam.fitting import METHODS, Detection, FitStatus, Fitter
-from liaam.fitting.quality.uncertainty import landmark_covariances
+from liaam.fitting.quality import FEATURES, landmark_covariances
 from liaam.model import MESH, SURROUNDINGS, load_model
 from liaam.model.shape import Recipe, Similarity, diagonal_of, shape_model_on
+from liaam.model.views import N_QUALITY_FEATURES
 from liaam.training import train
 from liaam.training.covariances import (
     LARGEST_FACTOR,
@@ -308,6 +309,15 @@ def test_a_strange_shape_never_speaks_for_a_fit(rng):
     weights = _weights(evidence, np.repeat([True, False], 10))
     assert weights[1] > 0
     assert weights[2] == 0
+
+
+def test_the_model_knows_how_many_features_the_quality_has():
+    assert len(FEATURES) == N_QUALITY_FEATURES
+
+
+def test_a_model_that_is_older_than_a_feature_gives_it_no_weight(calibrated):
+    known = calibrated.views[SURROUNDINGS].reliabilities["soft-li"]
+    assert known.quality(np.array([0.5, 1.0, 99.0])) == known.quality(np.array([0.5, 1.0]))
 
 
 def test_the_quality_is_one_half_where_right_and_wrong_fits_come_closest():

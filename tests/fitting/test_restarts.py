@@ -7,10 +7,12 @@ import pytest
 
 from liaam.fitting import Fitter, SolverOptions
 from liaam.fitting.loop.levels import is_sane
-from liaam.fitting.one_shape_fitter import SLOW
+from liaam.fitting.loop.objective import Objective
+from liaam.fitting.quality import SLOW
 from liaam.fitting.search import restarts
-from liaam.fitting.search.restarts import APART, fit_again, other_starts
+from liaam.fitting.search.restarts import APART, MODES, fit_again, other_starts
 from liaam.model import SURROUNDINGS
+from liaam.model.cost import STARTS
 from liaam.model.shape import diagonal_of
 from liaam.tracking import Tracker
 from setups import MOVING_FRAMES, disturb, model_pixels, moving_scene, train_on
@@ -26,6 +28,23 @@ def both(calibrated, lit_scene):
     far = [(np.exp(rng.uniform(np.log(0.7), np.log(1.35))), tuple(rng.uniform(-0.2, 0.2, 2))) for _ in range(20)]
     starts = [disturb(lit_scene.landmarks, *by) for by in far]
     return [[Fitter(calibrated, restarts=on).fit(lit_scene.image, start) for start in starts] for on in (False, True)]
+
+
+def test_the_cost_of_a_model_counts_the_starts_at_the_coarsest_level(calibrated, lit_scene, monkeypatch):
+    own = Fitter(calibrated)
+    target, _ = own.target(lit_scene.image, lit_scene.landmarks)
+    begun = []
+    solve = Objective.solve
+
+    def counted(objective, *given, **named):
+        begun.append(objective)
+        return solve(objective, *given, **named)
+
+    monkeypatch.setattr(Objective, "solve", counted)
+    monkeypatch.setattr(restarts, "_best", lambda stages, count, _start: stages[:count])  # as if all were apart
+    other_starts(own.objectives[0], target, SolverOptions())
+    assert own.objectives[0].warp.n_parameters - 4 >= MODES
+    assert len(begun) == STARTS.coarsest
 
 
 @pytest.mark.slow
@@ -88,9 +107,9 @@ def test_doubtful_fits_are_begun_again_and_slow_ones_of_little_quality(calibrate
     own = replace(calibrated.views[SURROUNDINGS].reliabilities["soft-li"], typical=0.9)  # 0.81 is little then
     ours = Fitter(calibrated.with_view(SURROUNDINGS, reliabilities={"soft-li": own}))
     made = Fitter(calibrated, restarts=False).fit(lit_scene.image, disturb(lit_scene.landmarks))
-    assert ours.falls_short(replace(made, quality=quality, n_iterations=steps)) is again
+    assert ours.judge.falls_short(replace(made, quality=quality, n_iterations=steps)) is again
     few = replace(ours, options=SolverOptions(max_iterations=SLOW))
-    assert not few.falls_short(replace(made, quality=quality, n_iterations=steps))
+    assert not few.judge.falls_short(replace(made, quality=quality, n_iterations=steps))
 
 
 def test_no_iterations_leave_the_start_as_it_is(calibrated, lit_scene):

@@ -9,7 +9,7 @@ import pytest
 from liaam.fitting import Fitter, SolverOptions, get_method
 from liaam.fitting.methods import LOSSES
 from liaam.fitting.reference import loop as reference_loop
-from liaam.fitting.reference.thresholds import THRESHOLDS
+from liaam.fitting.thresholds import THRESHOLDS
 from liaam.photometry import linear_to_srgb, noise_deviation
 from setups import disturb, finest_objective, make_level, model_pixels
 

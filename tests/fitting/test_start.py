@@ -7,7 +7,8 @@ import numpy as np
 import pytest
 
 from liaam.errors import StartError
-from liaam.fitting.search.starts import region_of, start_shape
+from liaam.fitting.low_quality import region_of
+from liaam.fitting.search.starts import start_shape
 from liaam.io import Landmarks
 from liaam.model.shape import diagonal_of
 

@@ -8,7 +8,7 @@ import pytest
 from liaam.fitting import FitStatus, Fitter, SolverOptions
 from liaam.fitting.loop.levels import LinearImage
 from liaam.fitting.loop.objective import Objective
-from liaam.fitting.quality.status import status_of
+from liaam.fitting.quality import status_of
 from liaam.model.shape import align
 
 

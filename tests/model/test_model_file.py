@@ -15,7 +15,6 @@ from safetensors.numpy import save
 
 from liaam.errors import MethodError, ModelFileError
 from liaam.fitting import Fitter
-from liaam.fitting.loop.objective import THINNING
 from liaam.model import AAM, MESH, SURROUNDINGS, ModelCard, cost, load_model
 from liaam.model.file_format import LONGEST_OF_CARD
 from liaam.model.shape import diagonal_of, similarity_modes
@@ -649,10 +648,6 @@ def test_work_grows_with_the_square_of_the_modes_and_with_the_starts(tiny_file):
     assert cost.work_of([calibrated]) == cost.STARTS[0] * cost.work_of([one])
     sparse = replace(one, levels=(replace(one.levels[0], blur=2.0),))
     assert cost.work_of([sparse]) == pytest.approx(cost.work_of([one]) / 9)
-
-
-def test_the_cost_knows_how_fits_thin_out_pixels():
-    assert cost.THINNING == THINNING
 
 
 @pytest.mark.parametrize("count", [-1, 10**10, 0.5, float("nan")])

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from liaam.fitting import Fitter
-from liaam.fitting.quality.uncertainty import fitted_covariances
+from liaam.fitting.quality import fitted_covariances
 from liaam.model import SURROUNDINGS
 from liaam.model.shape import rotation
 from liaam.tracking.motion import LARGEST, Motion, landmark_covariances, rescaled

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from liaam.fitting.quality.uncertainty import expanded_covariance, fitted_covariances
+from liaam.fitting.quality import expanded_covariance, fitted_covariances
 from liaam.model.shape import ShapeModel, similarity_modes
 from liaam.training.left_out_fits import RIGHT, LeftOutFit, LeftOutFits
 from liaam.training.shrinkage import SHARE, expansion_of, least_shrunk, most_reliable, reliability

@@ -6,7 +6,7 @@ import re
 import tempfile
 from collections.abc import Callable, Sequence
 from concurrent.futures import Future
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
 from time import perf_counter
@@ -15,17 +15,18 @@ from typing import Any
 import numpy as np
 
 from liaam.errors import LiaamError, StartError
-from liaam.fitting import FitResult, Fitter, SolverOptions
+from liaam.fitting import FitResult, Fitter
 from liaam.fitting.many import refuse_one_start
 from liaam.fitting.methods import DEFAULT_METHOD
 from liaam.fitting.result import check_absent
-from liaam.fitting.search.starts import check_start, read_start, start_file
-from liaam.fitting.specimens import fit_specimens
+from liaam.fitting.search.starts import check_start, start_file
+from liaam.fitting.single import kept_fitter
+from liaam.fitting.specimens import fit_photograph
 from liaam.formatting import finite_or_none
-from liaam.io import is_raw, read_image
+from liaam.io import is_raw
 from liaam.model import AAM, load_model
 from liaam.photometry import CameraModel
-from liaam.scale.choice import columns_of, length_for
+from liaam.scale.choice import columns_of
 from liaam.scale.lengths import Length
 from liaam.trays.naming import POSITION, check_name_by
 
@@ -114,10 +115,9 @@ class FitJob:
     model_file: bytes
     settings: Settings
     folder: str
-    _fitters: dict[bool, Fitter] = field(default_factory=dict, init=False, repr=False)
 
     def __reduce__(self) -> tuple:
-        """Pickle without the cached model and fitters."""
+        """Pickle without the cached model."""
         return type(self), (self.model_file, self.settings, self.folder)
 
     def check(self) -> None:
@@ -137,12 +137,9 @@ class FitJob:
     def fitter(self, raw: bool) -> Fitter:
         """Return the fitter for RAW files, or for other images."""
         settings = self.settings
-        if raw not in self._fitters:
-            camera = (settings.camera or self.model.camera).suited_to(raw=raw, response=settings.response)
-            options = SolverOptions(max_iterations=settings.iterations)
-            fitter = Fitter(self.model, settings.method, options, camera=camera, rotations=settings.rotations)
-            self._fitters[raw] = fitter
-        return self._fitters[raw]
+        camera = (settings.camera or self.model.camera).suited_to(raw=raw, response=settings.response)
+        options = {"max_iterations": settings.iterations, "rotations": settings.rotations}
+        return kept_fitter(self.model, settings.method, camera, **options)
 
     def absolute(self, path: str) -> str:
         """Return the absolute path of an existing file, or else the text itself, which may be numbers."""
@@ -184,19 +181,13 @@ class FitJob:
 
     def _fit(self, path: str) -> list[FitRow]:
         picture = Path(self.folder, path)
-        pixels = read_image(picture)
-        size = pixels.shape[1::-1]
-        start = self._start(path)
-        if start is not None:
-            start = read_start(start, picture, size)
-        fitter = self.fitter(is_raw(picture))
         every = self.settings.every
-        names = {"name": picture.name, "stem": _printable(picture.stem), "name_by": self.settings.name_by}
-        fitted = fit_specimens(fitter, pixels, start, every=every, **names)
-        length = length_for(picture, start, fitter.model.scale)
+        names = {"stem": _printable(picture.stem), "name_by": self.settings.name_by}
+        photograph = fit_photograph(self.fitter(is_raw(picture)), picture, self._start(path), every=every, **names)
+        fitted = photograph.specimens
         rows = []
         for i, (result, specimen) in enumerate(zip(fitted.results, fitted.named, strict=True)):
-            row = fit_row(result, path, size, length, self.settings.absent)
+            row = fit_row(result, path, photograph.size, photograph.length, self.settings.absent)
             number = i + 1 if every else None
             named = {"object": number, "specimen": specimen.name, "code": specimen.code, "message": fitted.message(i)}
             rows.append(row | named)
@@ -225,24 +216,24 @@ def fit_row(
 
     ``absent`` is what it holds of absent landmarks (:data:`liaam.fitting.result.ABSENT`).
     """
-    positions, covariances = result.reported(absent)
+    facts = result.to_dict(absent, rounded=False)
     return {
         "path": _printable(path),
-        "status": str(result.status),
-        "message": result.message,
-        "quality": _short(result.quality),
+        "status": facts["status"],
+        "message": facts["message"],
+        "quality": _short(facts["quality"]),
         "object": None,
         "specimen": "",
         "code": "",
-        "score": None if result.found is None else _short(result.found.score),
-        "n_found": result.n_found,
-        "theta_deg": _short(result.theta_degrees),
-        "cost": finite_or_none(result.cost),
-        "iterations": result.n_iterations,
-        "expansion": _short(result.expansion),
-        "landmarks": _shorts(positions),
-        "covariance": _shorts(covariances[:, (0, 0, 1), (0, 1, 1)]),
-        "present": None if result.present is None else _shorts(np.round(result.present, 4)),
+        "score": _short(facts["score"]),
+        "n_found": facts["n_found"],
+        "theta_deg": _short(facts["theta_deg"]),
+        "cost": facts["cost"],
+        "iterations": facts["iterations"],
+        "expansion": _short(facts["expansion"]),
+        "landmarks": _shorts(facts["landmarks"]),
+        "covariance": _shorts(facts["covariance"]),
+        "present": None if facts["present"] is None else _shorts(facts["present"]),
         "size": size,
         **columns_of(length),
     }
@@ -263,11 +254,12 @@ def _printable(text: str) -> str:
 
 
 def _short(value: float | None) -> float | None:
-    return None if value is None else _shorts(np.array([value]))[0]
+    return None if value is None else _shorts([value])[0]
 
 
-def _shorts(values: np.ndarray) -> list[float | None]:
-    """Return values as the shortest decimals that give the same float32."""
+def _shorts(values: list) -> list[float | None]:
+    """Return all numbers of (nested) lists, of which some may be None, as the shortest decimals of the same float32."""
+    numbers = np.array(values, np.float64).ravel()  # None becomes NaN
     with np.errstate(over="ignore"):  # values beyond float32 become None
         # str would depend on print options.
-        return [finite_or_none(float(np.format_float_scientific(value))) for value in values.ravel().astype(np.float32)]
+        return [finite_or_none(float(np.format_float_scientific(value))) for value in numbers.astype(np.float32)]

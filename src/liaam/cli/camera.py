@@ -12,6 +12,7 @@ import typer
 from liaam.cli import inputs
 from liaam.cli.terminal import complain, progress_bar, say
 from liaam.errors import CameraError, ImageError
+from liaam.fitting.search.starts import read_with_start
 from liaam.io import read_image
 from liaam.io.atomic import check_output
 
@@ -164,7 +165,7 @@ def faces(
     with progress_bar() as progress:
         for i, path in enumerate(images):
             progress(i, len(images), path.name)
-            results.append(fitter.fit(*inputs.read_with_start(path, init), path.name))
+            results.append(fitter.fit(*read_with_start(path, init), path.name))
     finish_angle(theta_from_fits(results), camera, f"faces, {len(images)} fits with {method}", output)
 
 

@@ -23,7 +23,7 @@ from liaam.io.atomic import is_disk_full
 from liaam.io.files import count_of, natural_key
 from liaam.io.fit_files import FIT_SUFFIXES, corrected_file, read_fit, write_fit
 from liaam.morphometry.schemes import in_scheme
-from liaam.scale.choice import facts_of, length_for
+from liaam.scale.choice import facts_of
 from liaam.scale.lengths import Length
 from liaam.trays.crops import crop_box
 from liaam.trays.naming import POSITION, check_name_by
@@ -428,19 +428,19 @@ def fit_file(
     Also return the names of the files: ``stem``, or ``stem_1``, ``stem_2``, ... in reading order if `every` object is
     fitted.
     """
-    from liaam.fitting.specimens import fit_specimens
+    from liaam.fitting.specimens import fit_photograph
 
-    pixels, start = inputs.read_with_start(image, init)
     if not every:
         refuse_to_overwrite([outputs.path_of(stem, suffix) for suffix in outputs.suffixes])
-    names = {"name": image.name, "stem": stem, "name_by": outputs.name_by}
-    fitted = fit_specimens(fitter, pixels, start, every=every, **names)
+    photograph = fit_photograph(fitter, image, init, every=every, stem=stem, name_by=outputs.name_by)
+    pixels = photograph.pixels
+    fitted = photograph.specimens
+    length = photograph.length
     stems = [f"{stem}_{i}" for i in range(1, len(fitted.results) + 1)] if every else [stem]
     for name in stems if every else []:
         refuse_to_overwrite([outputs.path_of(name, suffix) for suffix in outputs.suffixes])
     if outputs.crops:
         refuse_images([outputs.path_of(name, CROP) for name in stems])
-    length = length_for(image, start, fitter.model.scale)
     for i, (name, result, specimen) in enumerate(zip(stems, fitted.results, fitted.named, strict=True)):
         facts = result.to_dict(outputs.absent) | {"image": image.name, "specimen": specimen.name}
         facts |= {"object": i + 1} if every else {}

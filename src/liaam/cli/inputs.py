@@ -14,8 +14,7 @@ import typer
 from liaam.cli.terminal import complain, say
 from liaam.datasets import Dataset, Sample, load_folder
 from liaam.errors import CameraError, ImageError, LiaamError
-from liaam.fitting.search.starts import read_start
-from liaam.io import Landmarks, is_raw, read_image
+from liaam.io import is_raw
 from liaam.io.files import existing_file, is_number, real_path, some_names
 from liaam.io.images import PICTURE_SUFFIXES, UNREAD_SUFFIXES, VIDEO_SUFFIXES
 from liaam.io.landmarks.formats import KNOWN_FILES
@@ -176,12 +175,6 @@ def read_sample(image: Path) -> Sample:
     if sample_of_image is None:
         raise LiaamError(f"{image}: no landmarks beside this image; add a landmark file such as {image.stem}.pts")
     return sample_of_image
-
-
-def read_with_start(image: Path, init: str | None) -> tuple[np.ndarray, Landmarks | list[float] | None]:
-    """Read an image, and --init for it if given."""
-    pixels = read_image(image)
-    return pixels, None if init is None else read_start(init, image, pixels.shape[1::-1])
 
 
 def unique_stems(images: list[Path]) -> list[str]:

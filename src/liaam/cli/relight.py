@@ -11,6 +11,7 @@ import typer
 from liaam.cli import inputs
 from liaam.cli.terminal import complain, progress_bar, say
 from liaam.errors import CameraError, ImageError, LiaamError
+from liaam.fitting.search.starts import read_with_start
 from liaam.io import IMAGE_SUFFIXES, make_folder, read_image, write_image
 from liaam.io.atomic import check_output
 from liaam.io.files import existing_file
@@ -166,7 +167,7 @@ def relight_file(fitter: "Fitter", image: Path, path: Path, change: Change, repo
     """Fit an image file, and write it to a path in another light."""
     from liaam.relighting.relighter import UNCERTAIN, separated, shown, uncertainty_of
 
-    pixels, start = inputs.read_with_start(image, change.init)
+    pixels, start = read_with_start(image, change.init)
     relighter, result = separated(fitter, pixels, start, str(image))
     is_uncertain = relighter.certain < UNCERTAIN
     if report.strict and (is_uncertain or not result.status.ok):

@@ -30,7 +30,7 @@ SELECTED = 0.2
 def without_absent(
     fitter: OneShapeFitter, target: Target, result: FitResult, other_places: Callable[[], Iterable[np.ndarray]]
 ) -> FitResult:
-    """Repeat a fit without the pixels of absent parts if a landmark is absent.
+    """Repeat a fit of which a landmark is absent, without the pixels of absent parts.
 
     If most landmarks remain absent, the fits from other places (shapes (n, 2), image pixels, most likely first) are
     tried too, and if they do everywhere, the fit is doubtful.
@@ -40,8 +40,6 @@ def without_absent(
     FitResult
         The fit of which most landmarks are likely present.
     """
-    if not result.absent.any():
-        return result
     best = _fitted_without_absent(fitter, target, result)
     if not _is_mostly_present(best):
         for place in other_places():

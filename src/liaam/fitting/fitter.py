@@ -8,19 +8,17 @@ from inspect import signature
 import numpy as np
 
 from liaam.errors import ImageError, StartError, check_options
-from liaam.fitting.damaged import PLACES, without_absent
 from liaam.fitting.detection import DOUBTFUL, Detection, are_apart, choose
-from liaam.fitting.fallback import start_if_failed_far
 from liaam.fitting.loop.encoded_image import MARGIN
 from liaam.fitting.loop.levels import LinearImage, Target
 from liaam.fitting.loop.options import SolverOptions
+from liaam.fitting.low_quality import fit_elsewhere
 from liaam.fitting.methods import DEFAULT_METHOD, Method
 from liaam.fitting.one_shape_fitter import OneShapeFitter
-from liaam.fitting.result import LEAST_QUALITY, FitResult, FitStatus, likeliness, with_prior
+from liaam.fitting.result import FitResult, likeliness
 from liaam.fitting.search.finder import Finder
-from liaam.fitting.search.other_places import PlacedFit, likeliest, other_starts_in
-from liaam.fitting.search.restarts import fit_again
-from liaam.fitting.search.starts import is_box, mapped_points, part_of_start, region_of, start_shape
+from liaam.fitting.search.other_places import PlacedFit
+from liaam.fitting.search.starts import is_box, mapped_points, part_of_start, start_shape
 from liaam.formatting import changed_repr
 from liaam.model import AAM
 from liaam.model.aam import named_model
@@ -274,58 +272,10 @@ class Fitter(OneShapeFitter):
             return [target]
         return [target._replace(start=start) for start in self.finder.starts_in_box(target.linear, target.start)]
 
-    def _completed(self, fit: PlacedFit, init) -> FitResult:
-        """Look elsewhere and start again if a first fit has low quality; see :meth:`fit`."""
-        prior = 1.0  # factor on the odds that the fit is right, by its place
-        given = None if init is None else fit.target.start
-        region = region_of(init, fit.target.image)
-        may_look_elsewhere = init is None or self.restarts
-        if region is not None and may_look_elsewhere and self.reliability_for(fit.result) is not None:
-            fit, prior = likeliest(self, self.finder, fit, region)
-        result = fit.result
-        if self.restarts and self.falls_short(with_prior(result, prior)):
-            result = fit_again(self, fit.target, result)
-        searched = region if may_look_elsewhere else None
-        result = without_absent(self, fit.target, result, lambda: self._places_in(fit.target, searched))
-        result = with_prior(result, prior)
-        if self._is_judged and (result.status.lost or self._is_likely_wrong(result)):
-            result = start_if_failed_far(result, fit.target.start if given is None else given, self.shapes)
-        if fit.detection is None or not fit.detection.doubtful:  # the start is near the object
-            result = self._with_prior_near(result)
-        return replace(
-            result,
-            found=fit.detection,
-            contours=self.model.contours,
-            landmark_names=self.model.landmark_names,
-        )
-
-    @property
-    def _is_judged(self) -> bool:
-        """Whether training has tried to calibrate the method. Its fits to left-out images are as they are."""
-        return self.reliability is not None or self.is_failing
-
-    def _is_likely_wrong(self, result: FitResult) -> bool:
-        """Return whether a fit is doubtful, or would be if it had converged within its iterations."""
-        if result.status is FitStatus.DOUBTFUL:
-            return True
-        return self.reliability_for(result) is not None and result.quality < LEAST_QUALITY
-
-    def _places_in(self, target: Target, region: tuple[np.ndarray, np.ndarray] | None) -> list[np.ndarray]:
-        """Return shapes to start from at other places of a region (its corners), the most likely first."""
-        if region is None:
-            return []
-        return [start for _, start in other_starts_in(self.finder, target, region, PLACES)]
-
-    def _with_prior_near(self, result: FitResult) -> FitResult:
-        """Return a result with the prior odds of fits near the object in its quality and in the limit of that."""
-        reliability = self.reliability
-        if reliability is None:
-            return result
-        return replace(
-            result,
-            quality=reliability.with_prior(result.quality),
-            least_quality=reliability.with_prior(LEAST_QUALITY),
-        )
+    def _completed(self, first: PlacedFit, init) -> FitResult:
+        """Look elsewhere if a first fit has low quality; see :meth:`fit`."""
+        result = fit_elsewhere(self, self.finder, first, init, restarts=self.restarts)
+        return replace(result, contours=self.model.contours, landmark_names=self.model.landmark_names)
 
     def target(self, image, init=None, name: str = "image") -> tuple[Target, Detection | None]:
         """Check image and start (see :meth:`fit`); return them as a target, and the detection if there was a search."""

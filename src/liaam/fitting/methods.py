@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from liaam.encoding_constants import GRADIENTS
 from liaam.errors import MethodError
 from liaam.image_reference import CHANNELS
 from liaam.model import AAM, MESH, SURROUNDINGS, VIEWS
@@ -37,6 +38,16 @@ the channels of log RGB. ``features`` has as many rows as the model compares cha
 INVARIANT_AT = {"invariant": (0, 0), "soft": (2, 2)}
 """Metrics that depend on the angles: the row that holds L(theta), and the first of its three channels."""
 
+GRADIENT_ROWS = 2
+"""Number of rows of ``soft`` that are gradients, the first ones; the others are colour."""
+
+ALL_COLOUR = 0.99
+"""Share of usable colours around a sample of ``soft`` from which its colour counts, in training and in fits."""
+
+CORRELATED = np.array([8.0, 30.0])
+"""Factors on the number of correlated pixels for the model's errors in gradients and in colour: they are patches rather
+than grains, and widest in colour."""
+
 FREE_ANGLES = {
     "none": np.zeros((2, 0)),
     "image": np.array([[0.0], [1.0]]),
@@ -45,18 +56,13 @@ FREE_ANGLES = {
 }
 """d (theta_1, theta_2) / d (free angles) of each choice of free angles, (2, n_free)."""
 
-ENCODING_OF = {
-    "value": "value",
-    "varied": "value",
-    "log": "log",
-    "invariant": "log",
-    "orientation": "orientation",
-    "soft": "soft",
-    "features": "features",
-}
+ENCODING_OF = {name: name for name in ENCODINGS} | {"varied": "value", "invariant": "log", "features": "features"}
 """Encoding of each appearance; ``features`` is any function of the user."""
 
-PROJECTED_APPEARANCES = ("invariant", "orientation", "soft", "features")
+OWN_METRICS = tuple(name for name in METRICS if name in ENCODING_OF.values())
+"""Encodings that have a metric of their name, which is their only one."""
+
+PROJECTED_APPEARANCES = ("invariant", *GRADIENTS, "features")
 """Appearances that are learnt after the projection, so that P(theta_1) is not applied to them again."""
 
 LEARNT_FROM_RELIT = {"varied", "illumination"}
@@ -168,7 +174,7 @@ class Method:
         encoding = self.encoding_name
         if ENCODING_OF[self.appearance] != encoding:
             return f"{encoding} images do not suit a {self.appearance} appearance"
-        for name in ("orientation", "soft", "features"):  # each of these is an encoding and its only metric
+        for name in OWN_METRICS:
             if (self.metric == name) != (encoding == name):
                 return f"metric {self.metric} does not suit encoding {encoding}"
         if self.weights == "rows" and encoding != "soft":

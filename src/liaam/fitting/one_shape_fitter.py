@@ -11,26 +11,14 @@ from liaam.fitting.loop.encoded_image import NEAR
 from liaam.fitting.loop.levels import CoarseToFine, FittedLevel, Target, is_sane
 from liaam.fitting.loop.objective import Objective, make_objectives
 from liaam.fitting.loop.options import SolverOptions, scored, spare
-from liaam.fitting.methods import DEFAULT_METHOD, METHODS, Method, get_method
-from liaam.fitting.quality.presence import Surroundings
-from liaam.fitting.quality.status import status_of
-from liaam.fitting.quality.uncertainty import (
-    covariance,
-    expanded_covariance,
-    explains_more_than_noise,
-    landmark_covariances,
-    quality_features,
-)
-from liaam.fitting.result import LEAST_QUALITY, FitResult, FitStatus, explained_fraction, trace
+from liaam.fitting.methods import DEFAULT_METHOD, Method, get_method
+from liaam.fitting.quality import Calibration, Judge, Surroundings
+from liaam.fitting.result import FitResult, explained_fraction
 from liaam.model import AAM, Reliability, View
 from liaam.model.presence import Presence
 from liaam.model.regressor import LandmarkRegressor
 from liaam.model.sampling import within
-from liaam.model.shape import ShapeModel, align, own_parameters
-
-# Number of steps beyond which a fit of low quality is restarted, even if its status is not doubtful. Correct fits may
-# have low quality in harder light than that of training, but take about 15 steps; 11 wrong ones took 27 and more.
-SLOW = 25
+from liaam.model.shape import ShapeModel, align
 
 # Largest blur of the levels that a fit from another landmarker's points uses, as a multiple of the points' root mean
 # square error on left-out images. Measured on the spot protocol with simulated points, on average 5, 10 and 20 % of the
@@ -72,14 +60,20 @@ class OneShapeFitter:
     def objectives(self) -> tuple[Objective, ...]:
         """The objectives of model and method, one per level, coarse to fine."""
         method = scored(get_method(self.method), self.options)
-        return make_objectives(self.model, method, final_prior=self._final_prior)
+        final_prior = self.options.final_prior
+        if final_prior is None:
+            final_prior = self.calibration.final_prior
+        return make_objectives(self.model, method, final_prior=final_prior)
 
-    @property
-    def _final_prior(self) -> float:
-        """Weight of the prior on the shape at the finest level: of the options, or else as the model has learnt."""
-        if self.options.final_prior is not None:
-            return self.options.final_prior
-        return 1.0 if self.reliability is None else self.reliability.final_prior
+    @cached_property
+    def calibration(self) -> Calibration:
+        """What training has learnt of the method's fits."""
+        return Calibration.of(self.model, self.method, self.options)
+
+    @cached_property
+    def judge(self) -> Judge:
+        """What makes the results of fits."""
+        return Judge(self.model, self.objectives[-1], self.options, self.calibration)
 
     @cached_property
     def coarse_to_fine(self) -> CoarseToFine:
@@ -89,12 +83,12 @@ class OneShapeFitter:
     @property
     def presence(self) -> Presence | None:
         """Calibration of whether landmarks are present; None if training has not learnt it for the method."""
-        return None if self.reliability is None else self.reliability.presence
+        return self.calibration.presence
 
-    @cached_property
+    @property
     def surroundings(self) -> Surroundings:
         """Windows in which image and fit are compared at the sharpest level."""
-        return Surroundings(self.objectives[-1])
+        return self.judge.surroundings
 
     @cached_property
     def nearest_pixels(self) -> tuple[np.ndarray, ...]:
@@ -116,37 +110,10 @@ class OneShapeFitter:
         """The shape model that the method fits with."""
         return self.view.shape_model
 
-    @cached_property
+    @property
     def reliability(self) -> Reliability | None:
         """Calibration of quality and covariances; None if training has not calibrated the method."""
-        view = self.model.views.get(get_method(self.method).view)
-        reliabilities = {} if view is None else view.reliabilities
-        return next((each for name, each in reliabilities.items() if self._fits_with(name)), None)
-
-    @cached_property
-    def is_failing(self) -> bool:
-        """Whether too few fits of the method to left-out images were right to calibrate it."""
-        return any(self._fits_with(name) for name in self.model.failing_methods)
-
-    def _fits_with(self, name: str) -> bool:
-        """Return whether a name is that of the method."""
-        return METHODS.get(name) == scored(get_method(self.method), self.options)
-
-    def reliability_for(self, result: FitResult) -> Reliability | None:
-        """Return the calibration if it says something about a fit: not if that was limited to few iterations."""
-        if result.status.unusable or self.options.max_iterations <= SLOW:
-            return None
-        return self.reliability
-
-    def falls_short(self, result: FitResult) -> bool:
-        """Return whether a fit has low quality, so that another start may be better."""
-        reliability = self.reliability_for(result)
-        if reliability is None:
-            return False
-        least = LEAST_QUALITY
-        if result.n_iterations > SLOW:
-            least = max(least, reliability.low)
-        return result.quality < least
+        return self.calibration.reliability
 
     def fit_target(self, target: Target, options: SolverOptions | None = None) -> FitResult:
         """Fit all levels; from another landmarker's points those that are sharp enough.
@@ -161,7 +128,7 @@ class OneShapeFitter:
         if self.regressor is None:
             return self.result_of(target, self.coarse_to_fine.fit(target, options))
         first = self._fit_regressed(target, options)
-        if first is not None and self.reliability is not None and not self.falls_short(first):
+        if first is not None and self.reliability is not None and not self.judge.falls_short(first):
             return first
         second = self._fit_blurred_and_regressed(target, options)
         if first is None or explained_fraction(second) > explained_fraction(first):
@@ -263,17 +230,19 @@ class OneShapeFitter:
         return len(self.objectives) - 1
 
     def _blurred_levels(self, target: Target, options: SolverOptions) -> list[FittedLevel]:
-        """Fit all levels but the sharpest, or the only one."""
+        """Fit all levels but the sharpest, or the only one.
+
+        The last of these is as loose as in a whole fit, and those before it are looser: the loop loosens them again.
+        """
         return self.coarse_to_fine.fit(target, spare(options), last=max(1, len(self.objectives) - 1))
 
     def fit_blurred(self, target: Target, options: SolverOptions) -> Blurred:
         """Fit all levels but the sharpest."""
         stages = self._blurred_levels(target, options)
         shape = stages[-1].reached
-        reliability = self.reliability
-        if reliability is None or not is_sane(shape, target.start):
+        if self.reliability is None or not is_sane(shape, target.start):
             return Blurred(target, stages=[], shape=target.start, quality=0.0)
-        return Blurred(target, stages, shape, quality=reliability.quality(quality_features(stages[-1])))
+        return Blurred(target, stages, shape, quality=self.judge.quality_of(stages[-1]))
 
     def fit_sharpest(self, fit: Blurred, options: SolverOptions) -> FitResult:
         """Fit the sharpest level, from the shape that the others have reached."""
@@ -288,78 +257,5 @@ class OneShapeFitter:
         return self.result_of(fit.target, [*fit.stages, *self.coarse_to_fine.fit(from_there, options, first=n_blurred)])
 
     def result_of(self, target: Target, stages: Sequence[FittedLevel], doubt: float = 0.0) -> FitResult:
-        """Make the result of a fit from its levels: compute status, quality and covariances.
-
-        ``doubt`` is the squared distance to where the model's regressor leads from there (:meth:`_doubt_about`).
-        """
-        last = stages[-1]
-        history = trace(stages)
-        solution = last.solution
-        method = last.objective.method
-        reliability = self.reliability
-
-        fitted_p = np.zeros(len(self.shapes.basis))  # the last level may have fewer modes
-        fitted_p[own_parameters(len(solution.p), len(fitted_p))] = solution.p
-        theta_model, theta = solution.angles if method.has_angles else (np.nan, np.nan)
-
-        prior_strength = self.options.shape_prior / solution.prior_scale
-        spread = covariance(last, whole=self.objectives[-1], strength=prior_strength, pull=target.pull)
-        if reliability is not None:
-            spread = reliability.variance_factor * spread
-        landmarks = history[-1].landmarks
-        shift = None
-        p = fitted_p
-        expansion = 1.0 if reliability is None else reliability.expansion
-        if expansion > 1.0:
-            p = self.shapes.expanded(fitted_p, expansion)
-            spread = expanded_covariance(spread, len(p), expansion)
-            shift = last.pose(self.shapes.shape(p)) - landmarks
-            landmarks = landmarks + shift
-        residual_variance = last.objective.noise_variance(solution)
-
-        evidence = quality_features(last, doubt)
-        status = status_of(target.linear, history, last, self.model, self.shapes)
-        if reliability is None:
-            quality = np.nan
-            explains = explains_more_than_noise(last)
-        else:
-            quality = 0.0 if status.lost else reliability.quality(evidence)
-            explains = evidence[0] > 0.0
-        # Also without calibration, a fit is doubtful that explains nothing, or whose like were wrong in training.
-        if status.ok and (quality < LEAST_QUALITY or not explains or self.is_failing):
-            status = FitStatus.DOUBTFUL
-        return FitResult(
-            landmarks=landmarks,
-            status=status,
-            theta=float(theta),
-            theta_model=float(theta_model),
-            p=p,
-            pose=last.pose,
-            lam=solution.lam,
-            cost=float(solution.costs[-1]),
-            n_iterations=sum(stage.solution.n_iterations for stage in stages),
-            history=history,
-            covariance=spread,
-            landmark_covariances=landmark_covariances(
-                self.shapes,
-                pose=last.pose,
-                p=p,
-                spread=spread,
-                contours=self.model.contours,
-                reliability=reliability,
-                unit=residual_variance,
-            ),
-            residual_variance=residual_variance,
-            evidence=evidence,
-            quality=quality,
-            method=method,
-            expansion=expansion,
-            shift=shift,
-            present=self._present_in(last),
-        )
-
-    def _present_in(self, stage: FittedLevel) -> np.ndarray | None:
-        """Return the probability that each landmark is present, (n,); None if the fit does not say."""
-        if self.presence is None or stage.objective.blur != self.objectives[-1].blur:
-            return None
-        return self.presence.probabilities(self.surroundings.compared_in(stage.solution).landmarks)
+        """Make the result of a fit from its levels; see :meth:`liaam.fitting.quality.Judge.result_of`."""
+        return self.judge.result_of(target, stages, doubt)

@@ -5,7 +5,7 @@ from dataclasses import dataclass, replace
 from enum import StrEnum
 from math import inf, isnan
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -211,9 +211,9 @@ class FitResult:
     residual_variance : float
         Variance of a residual at weight 1: what the model leaves unexplained in this image. The landmarks' covariances
         grow with it.
-    evidence : (2,) float64
+    evidence : (k,) float64
         Explained contrast, and the shape's distance from the mean
-        (:func:`liaam.fitting.quality.uncertainty.quality_features`).
+        (:func:`liaam.fitting.quality.quality_features`).
     quality : float
         Probability, 0 to 1, that the fit is right, calibrated on left-out training images, with as many right fits as
         among those from starts near the object; for equal odds if an uncertain detection was the start. 0 if the fit
@@ -390,13 +390,15 @@ class FitResult:
         estimated = self.method.free_angles != "none" and np.isfinite(self.theta)
         return float(np.rad2deg(self.theta)) if estimated else None
 
-    def to_dict(self, absent: str = "empty") -> dict:
+    def to_dict(self, absent: str = "empty", *, rounded: bool = True) -> dict:
         """Convert the result to a dictionary that JSON can hold.
 
         Parameters
         ----------
         absent : {"empty", "estimate"}
             What stands for the positions of absent landmarks, and their sd and covariance: None, or the estimates.
+        rounded : bool
+            Whether quality, sd and covariances have the decimals that are worth reading, or all.
 
         Returns
         -------
@@ -408,6 +410,7 @@ class FitResult:
         from liaam import __version__
 
         positions, covariances = self.reported(absent)
+        decimals = _rounded if rounded else _all_decimals
         return {
             "image": self.image.name if isinstance(self.image, Path) else None,
             "start": "given" if self.found is None else "searched",
@@ -421,13 +424,13 @@ class FitResult:
             "theta_deg": self.theta_degrees,
             "cost": self.cost if np.isfinite(self.cost) else None,
             "iterations": self.n_iterations,
-            "expansion": round(self.expansion, 4),
+            "expansion": decimals(self.expansion, 4),
             "at_start": self.at_start,
-            "quality": round(self.quality, 4) if self.calibrated else None,
+            "quality": decimals(self.quality, 4) if self.calibrated else None,
             "calibrated": self.calibrated,
             "present": None if self.present is None else np.round(self.present, 4).tolist(),
-            "sd": finite_list(np.round(deviations(covariances), 3)),
-            "covariance": finite_list(np.round(covariances[:, (0, 0, 1), (0, 1, 1)], 6)),
+            "sd": finite_list(decimals(deviations(covariances), 3)),
+            "covariance": finite_list(decimals(covariances[:, (0, 0, 1), (0, 1, 1)], 6)),
             "liaam": __version__,
             "landmark_names": list(self.landmark_names),
             "landmarks": finite_list(positions),
@@ -489,6 +492,16 @@ class FitResult:
         self.plot(pixels, ax=ax)
         zoom_to(ax, self.landmarks, (pixels.shape[1], pixels.shape[0]))
         return png_bytes(figure)
+
+
+def _rounded(values: Any, decimals: int) -> Any:
+    """Return a number or an array rounded to decimals."""
+    return np.round(values, decimals) if isinstance(values, np.ndarray) else round(values, decimals)
+
+
+def _all_decimals(values: Any, _decimals: int) -> Any:
+    """Return a number or an array as it is."""
+    return values
 
 
 def deviations(covariances: np.ndarray) -> np.ndarray:

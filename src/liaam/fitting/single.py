@@ -12,23 +12,23 @@ from liaam.model.aam import named_model
 from liaam.photometry import CameraModel
 
 FITTERS_KEPT = 4
-"""Number of fitters that :func:`fit` keeps with a model, so that calls in a loop cost what :meth:`Fitter.fit` costs."""
+"""Number of fitters that are kept with a model: :func:`fit` in a loop then costs what :meth:`Fitter.fit` costs."""
 
 _turn = Lock()
 
 
-def _kept_fitter(model: AAM | str, method: str | Method, camera: CameraModel | None, **settings) -> Fitter:
-    """Return a fitter, of an earlier call if there is one; a model's are dropped with it."""
+def kept_fitter(model: AAM | str, method: str | Method, camera: CameraModel | None, **settings) -> Fitter:
+    """Return a fitter, of an earlier call with equal settings if it is kept; a model's are dropped with it."""
     named = named_model(model)
     cache = vars(named).setdefault("_fitters", {}) if isinstance(named, AAM) else {}
-    key = method, id(camera), *sorted(settings.items())
+    key = method, camera, *sorted(settings.items())
     try:
         hash(key)
     except TypeError:  # no setting is a list or an array: refused by name
         return Fitter.of(named, method, camera=camera, caller=fit, **settings)
     with _turn:
         fitter = cache.get(key)
-    if fitter is None or fitter.camera is not camera:
+    if fitter is None:
         fitter = Fitter.of(named, method, camera=camera, caller=fit, **settings)
     with _turn:
         cache.pop(key, None)
@@ -77,7 +77,7 @@ def fit(
         If an argument is invalid.
     """
     settings = {"rotations": rotations, "restarts": restarts, "margin": margin, **options}
-    return _with_image(_kept_fitter(model, method, camera, **settings).fit(image, init), image)
+    return _with_image(kept_fitter(model, method, camera, **settings).fit(image, init), image)
 
 
 def fit_all(
@@ -109,7 +109,7 @@ def fit_all(
         If an argument is invalid, or if no object is found.
     """
     settings = {"rotations": rotations, "restarts": restarts, "margin": margin, **options}
-    return [_with_image(result, image) for result in _kept_fitter(model, method, camera, **settings).fit_all(image)]
+    return [_with_image(result, image) for result in kept_fitter(model, method, camera, **settings).fit_all(image)]
 
 
 def _with_image(result: FitResult, image) -> FitResult:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -10,8 +11,11 @@ import numpy as np
 from liaam.errors import StartError
 from liaam.fitting.fitter import Fitter
 from liaam.fitting.result import FitResult
+from liaam.fitting.search.starts import read_with_start
 from liaam.io.files import count_of, some_names
 from liaam.photometry.picture import load_picture
+from liaam.scale.choice import length_for
+from liaam.scale.lengths import Length
 from liaam.trays.codes import read_codes
 from liaam.trays.naming import POSITION, Named, check_name_by, in_sentences, name_specimens
 from liaam.trays.order import diagonal, is_inside, touching
@@ -47,6 +51,54 @@ class FittedSpecimens:
     def message(self, i: int) -> str:
         """Return what is said of a specimen: of its fit, and what is not clear about it."""
         return in_sentences(self.results[i].message, self.named[i].fault)
+
+
+@dataclass(frozen=True, eq=False)
+class FittedPhotograph:
+    """A photograph from a file, and the fits to its specimens.
+
+    Attributes
+    ----------
+    pixels : (h, w, 3) uint8, uint16 or float32
+    specimens : FittedSpecimens
+    length : Length, optional
+        Length of a pixel: of its start, its tags, or else the training images.
+    """
+
+    pixels: np.ndarray
+    specimens: FittedSpecimens
+    length: Length | None
+
+    @property
+    def size(self) -> tuple[int, int]:
+        """Width and height."""
+        height, width = self.pixels.shape[:2]
+        return width, height
+
+
+def fit_photograph(
+    fitter: Fitter, file: Path, init: str | None = None, *, every: bool, stem: str, name_by: str = POSITION
+) -> FittedPhotograph:
+    """Read a photograph and its start, fit its specimens, and measure its pixels: what ``liaam fit`` and batches do.
+
+    Parameters
+    ----------
+    fitter : Fitter
+    file : Path
+        The photograph.
+    init : str, optional
+        Its start, as :func:`liaam.fitting.search.starts.read_start` takes it.
+    every, stem, name_by
+        As for :func:`fit_specimens`.
+
+    Raises
+    ------
+    LiaamError
+        For invalid input, if no object is found, or if codes cannot be read.
+    """
+    pixels, start = read_with_start(file, init)
+    specimens = fit_specimens(fitter, pixels, start, every=every, name=file.name, stem=stem, name_by=name_by)
+    return FittedPhotograph(pixels, specimens, length_for(file, start, fitter.model.scale))
 
 
 def fit_specimens(

@@ -6,7 +6,7 @@ import math
 import os
 import re
 import unicodedata
-from collections.abc import Iterator, Sequence
+from collections.abc import Collection, Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from itertools import chain
 from pathlib import Path
@@ -97,6 +97,13 @@ def existing_file(path: AnyPath, error: type[LiaamError], kind: str) -> Path:
     if fault:
         raise error(f"{path} {fault}")
     return path
+
+
+def companions(folder: Path, names: Iterable[str], suffixes: Collection[str]) -> Iterator[Path]:
+    """Yield where files of some names, such as the stem of an image, may lie in a folder, the preferred first."""
+    for name in names:
+        for suffix in suffixes:
+            yield folder / f"{name}{suffix}"
 
 
 def read_bytes(path: Path, error: type[LiaamError], limit: int) -> bytes:

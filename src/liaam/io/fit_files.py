@@ -8,7 +8,7 @@ import numpy as np
 from liaam.errors import LandmarkError
 from liaam.formatting import json_value
 from liaam.io.atomic import write_text_atomically
-from liaam.io.files import json_object
+from liaam.io.files import companions, json_object
 from liaam.io.landmarks import LandmarkFile, Landmarks, write_landmarks
 from liaam.io.landmarks.annotations import is_fit
 from liaam.io.landmarks.reading import read_text
@@ -58,7 +58,7 @@ def corrected_file(path: Path, fit: dict) -> Path | None:
         raise LandmarkError(
             f"{path}: the landmarks are damaged ({fault}): remove it, and fit the image again"
         ) from fault
-    files = [path.with_suffix(suffix) for suffix in FIT_SUFFIXES[:-1]]
+    files = companions(path.parent, [path.stem], FIT_SUFFIXES[:-1])
     points = {file: _points_or_none(file, fit) for file in files if file.is_file()}
     changed = [file for file, placed in points.items() if placed is None or _differ(placed, fitted)]
     return max(changed, key=lambda file: (points[file] is not None, file.stat().st_mtime), default=None)

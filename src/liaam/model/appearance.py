@@ -6,15 +6,13 @@ from functools import cached_property
 
 import numpy as np
 
+from liaam.encoding_constants import ENCODINGS, GRADIENTS
 from liaam.model.pca import Components, centred, chunks, components_by, explained_by_others, gram_about, strongest
 from liaam.photometry.features import WIDEST
 
 CHANNELS = {
-    "value": 3,
-    "log": 3,
-    "orientation": 2,
+    **{name: facts.learnt for name, facts in ENCODINGS.items()},
     "search": 2,
-    "soft": 3,
     "invariant": 1,
     "varied": 3,
     "illumination": 3,
@@ -22,9 +20,9 @@ CHANNELS = {
 }
 """Appearances that a model can contain, and their numbers of channels.
 
-- ``value``, ``log``, ``orientation``: in the encoding of that name.
+- The name of an encoding: in that encoding. Of ``soft``, they are the two components of the softly normalised gradient,
+  and L(theta) . log RGB, which are correlated.
 - ``search``: the strongest modes of ``orientation`` at the coarsest level, for the search.
-- ``soft``: the two components of the softly normalised gradient, and L(theta) . log RGB, which are correlated.
 - ``invariant``: L(theta) . log RGB, projected before the PCA (the paper's LIT).
 - ``varied``: values of the images and of their relit copies in one PCA (the paper's [11]).
 - ``illumination``: additional modes for the part of the relit copies that ``value`` does not explain (the illumination
@@ -36,7 +34,7 @@ CHANNELS = {
 # Appearances that a method can compare an image with
 APPEARANCES = tuple(name for name in CHANNELS if name not in ("illumination", "search"))
 # Appearances learnt from the training images and their copies. The others are learnt from the images only.
-COPIED_APPEARANCES = ("orientation", "search", "soft", "varied", "illumination")
+COPIED_APPEARANCES = (*GRADIENTS, "search", "varied", "illumination")
 
 
 @dataclass(frozen=True, eq=False)

@@ -12,16 +12,13 @@ import numpy as np
 
 from liaam.model.appearance import CHANNELS, AppearanceModel
 from liaam.model.views import Level, View
+from liaam.model.warp import thinning_of
 
 # Largest work of a fit: multiplications in one step of every start. Those of the faces that come with liaam take 5e8,
 # and with a second of processor time for 3e8 about 15 s are the most; models of 300 pixels instead of 150 take 2e9.
 MOST_WORK = 5e9
 # Largest memory of a model and of a fitter for one method, bytes. Those faces take 4e8.
 MOST_MEMORY = 2e9
-
-# Distance between sampled pixels, in standard deviations of the blur (liaam.fitting.loop.objective.THINNING)
-THINNING = 1.5
-EVERYWHERE = "orientation"  # The appearance that is compared at every pixel
 
 
 class Starts(NamedTuple):
@@ -114,5 +111,5 @@ def _n_kept(level: Level, kind: str) -> float:
 
 def _n_samples(level: Level, appearance: AppearanceModel, kind: str) -> float:
     """Return how many pixels a fit compares, about."""
-    step = 1.0 if kind == EVERYWHERE else max(1.0, float(np.rint(THINNING * level.blur)))
+    step = max(1.0, float(np.rint(thinning_of(kind) * level.blur)))
     return len(appearance.mean) / step**2

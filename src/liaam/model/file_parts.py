@@ -48,7 +48,7 @@ from liaam.model.presence import Presence
 from liaam.model.regressor import N_FEATURES, SIZE, LandmarkRegressor, RegressionStep
 from liaam.model.rounding import decoded
 from liaam.model.shape import ShapeModel, diagonal_of, similarity_modes
-from liaam.model.views import MESH, VIEWS, Level, Reliability, View
+from liaam.model.views import MESH, N_QUALITY_FEATURES, VIEWS, Level, Reliability, View
 from liaam.photometry.features import LARGEST, WIDEST, Features
 
 
@@ -224,6 +224,7 @@ def _lacks_appearance(view: str, levels: list[Level]) -> bool:
     return not all(level.appearances for level in levels)
 
 
+FEWEST_WEIGHTS = 3  # Of the quality in the oldest files: for 1 and two features
 # Key of the weights of a method's calibration
 WEIGHTS_KEY = re.compile(r"(?P<calibration>reliability(?:/(?P<method>[a-z0-9-]{1,40}))?)\.weights")
 
@@ -289,7 +290,9 @@ def _reliability(tensors: dict[str, np.ndarray], prefix: str, n: int) -> Reliabi
     check_magnitude(f"{prefix}.variance_factor", np.array(factor), MAX_FACTOR)
     if not 0.0 <= typical <= 1.0:
         raise ValueError(f"{prefix}.typical is not a probability")
-    weights = checked_tensor(tensors, f"{prefix}.weights", np.float64, (3,))
+    weights = checked_tensor(tensors, f"{prefix}.weights", np.float64, (None,))
+    if not FEWEST_WEIGHTS <= len(weights) <= 1 + N_QUALITY_FEATURES:
+        raise ValueError(f"{prefix}.weights has type {weights.dtype} and shape {weights.shape}")
     check_magnitude(f"{prefix}.weights", weights, MAX_FACTOR)
     return Reliability(
         landmarks=landmarks,

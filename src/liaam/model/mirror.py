@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from liaam.encoding_constants import GRADIENTS
 from liaam.errors import ModelFileError
 from liaam.model.appearance import AppearanceModel
 from liaam.model.presence import Presence
@@ -14,7 +15,7 @@ from liaam.model.views import VIEWS, Level, Reliability, View
 if TYPE_CHECKING:
     from liaam.model.aam import AAM
 
-GRADIENTS = ("orientation", "search", "soft")  # Appearances whose first channel is a gradient along x
+BY_X_AND_Y = (*GRADIENTS, "search")  # Appearances whose first channel is a gradient along x
 
 
 def mirrored_model(model: "AAM", order: np.ndarray) -> "AAM":
@@ -109,7 +110,7 @@ def _reliability(reliability: Reliability, order: np.ndarray) -> Reliability:
 def _appearance(kind: str, appearance: AppearanceModel, pixels: np.ndarray) -> AppearanceModel:
     mean, modes = (np.take(values, pixels, axis=-2) for values in (appearance.mean, appearance.modes))
     errors = None if appearance.unexplained is None else appearance.unexplained[pixels]
-    if kind in GRADIENTS:
+    if kind in BY_X_AND_Y:
         for values in (mean, modes):
             values[..., 0] *= -1.0
         if errors is not None:

@@ -25,6 +25,9 @@ pieces."""
 # lamps. All 34 that poor starts led to a wrong place are below 0.815, all right ones above 0.84.
 LOW = 2 / 3
 
+N_QUALITY_FEATURES = 2
+"""Number of features of the quality of a fit (:data:`liaam.fitting.quality.FEATURES`)."""
+
 
 @dataclass(frozen=True, eq=False)
 class Level:
@@ -56,9 +59,9 @@ class Reliability:
         Covariance of the remaining errors of fits to left-out images, beyond that of a fit.
     unit : float
         Mean variance of a residual at weight 1 in these fits. ``bias`` grows in proportion to that of a fit.
-    weights : (3,) float64
-        Log odds that a fit is right: intercept, and coefficients of the fraction of the image that the fit explains
-        and of its shape's distance to the mean.
+    weights : (1 + k,) float64
+        Log odds that a fit is right: intercept, and coefficients of the features of the quality
+        (:data:`liaam.fitting.quality.FEATURES`), of which models that are older than the last ones have fewer.
     variance_factor : float
         Factor, at least 1, by which the variances of a fit's parameters are too small, since the model biases them.
     typical : float
@@ -96,8 +99,9 @@ class Reliability:
         return self.landmarks + unit / self.unit * self.bias
 
     def quality(self, evidence: np.ndarray) -> float:
-        """Probability, 0 to 1, that a fit with the given evidence (2,) is right, for equal prior odds."""
-        odds = self.weights[0] + self.weights[1:] @ evidence
+        """Probability, 0 to 1, that a fit with the given evidence (k,) is right, for equal prior odds."""
+        slopes = self.weights[1:]
+        odds = self.weights[0] + slopes @ evidence[: len(slopes)]
         return float(1.0 / (1.0 + np.exp(-np.clip(odds, -50.0, 50.0)))) if np.isfinite(odds) else 0.0
 
     def with_prior(self, quality: float) -> float:

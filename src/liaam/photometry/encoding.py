@@ -10,7 +10,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from liaam import _core
+from liaam import _core, encoding_constants
 from liaam.encoding_constants import ALL, UNUSABLE
 from liaam.errors import ImageError, LiaamError, MethodError
 from liaam.io.images import as_pixels
@@ -18,19 +18,8 @@ from liaam.photometry.features import Encoder
 from liaam.photometry.invariant import LUMINANCE
 from liaam.photometry.response import Response, from_linear, linear_to_srgb, log_slope, srgb_to_linear, to_linear
 
-ENCODINGS = ("value", "log", "orientation", "soft")
-"""Names of the encodings.
-
-- ``value``: sRGB-encoded values in [0, 1].
-- ``log``: natural logarithm of linear light.
-- ``orientation``: cosine and sine of the direction of luminance's gradient, third channel zero (Tzimiropoulos,
-  Zafeiriou and Pantic, "Subspace learning from image gradient orientations", PAMI 2012).
-- ``soft``: softly normalised gradient of log brightness, log of linear light, and the weight of that log (six channels,
-  see :func:`encode`).
-"""
-
-LOGARITHMIC = ("log", "soft")  # these are unusable in dark and saturated pixels
-WIDTHS = {"value": 3, "log": 3, "orientation": 3, "soft": 6}  # channels, without the weight of the pixel
+ENCODINGS = tuple(encoding_constants.ENCODINGS)
+"""Names of the encodings (:data:`liaam.encoding_constants.ENCODINGS`)."""
 
 Encoding = str | Encoder
 """A name of :data:`ENCODINGS`, or a function of the user with a model's projection."""
@@ -304,7 +293,7 @@ def light_of_floats(image: np.ndarray, encoding: Encoding, response: Response) -
     if not finite.all():
         stored = np.where(finite[..., None], stored, np.float32(0.0))
     usable = finite
-    if encoding in LOGARITHMIC:
+    if is_logarithmic(encoding):
         low, high = usable_range(response)
         usable = finite & in_all_channels((stored >= low) & (stored <= high))
     # A curve may map highlights of float images beyond the range of single precision.
@@ -323,8 +312,8 @@ def encode_means(
 ) -> np.ndarray:
     """Encode averaged light to eight channels (h, w, 8) float32, as the core samples them.
 
-    These are the encoding's channels (``WIDTHS``), zeros, and last the weight of the pixel in {0, 1}. The means are
-    from :func:`block_means` for the same encoding; for the other parameters see :func:`encode`.
+    These are the encoding's channels (:func:`width_of`), zeros, and last the weight of the pixel in {0, 1}. The means
+    are from :func:`block_means` for the same encoding; for the other parameters see :func:`encode`.
     """
     if callable(encoding):  # unusable pixels hardly count in the blur
         usable = (means.light[..., 3] > ALL).astype(np.float32)
@@ -349,7 +338,12 @@ def encode_means(
 
 def width_of(encoding: Encoding) -> int:
     """Number of channels of an encoding, without the weight of the pixel."""
-    return WIDTHS[encoding] if isinstance(encoding, str) else encoding.width
+    return encoding_constants.ENCODINGS[encoding].channels if isinstance(encoding, str) else encoding.width
+
+
+def is_logarithmic(encoding: Encoding) -> bool:
+    """Return whether dark and saturated pixels are unusable in an encoding."""
+    return isinstance(encoding, str) and encoding_constants.ENCODINGS[encoding].is_logarithmic
 
 
 @lru_cache(maxsize=16)
@@ -369,7 +363,7 @@ def light_table(dtype: str, encoding: Encoding, response: Response) -> np.ndarra
     top = np.iinfo(dtype).max
     values = np.arange(top + 1)
     table = np.ones((3, top + 1, 4), np.float32)
-    low, high = usable_range(response) if encoding in LOGARITHMIC else (0.0, 1.0)
+    low, high = usable_range(response) if is_logarithmic(encoding) else (0.0, 1.0)
     table[..., 3] = (low * top <= values) & (values <= high * top)
     table[range(3), :, range(3)] = _table(dtype, "linear", response)
     return table

@@ -17,6 +17,7 @@ from liaam.error_measures import point_error
 from liaam.errors import LiaamError, MethodError
 from liaam.fitting.detection import Detection
 from liaam.fitting.fitter import Fitter
+from liaam.fitting.low_quality import fit_where_found
 from liaam.fitting.methods import DEFAULT_METHOD, methods_of
 from liaam.fitting.result import FitResult
 from liaam.formatting import finite_list, finite_or_none
@@ -257,9 +258,8 @@ class Fits:
             began = time.perf_counter()
             begin = self._detection(source, image, current) if start is None else start
             searched = time.perf_counter()
-            result = fitter.fit(image, begin, source.name)
-            if start is None and result.quality < result.least_quality:  # try the search's other places
-                result = max(result, fitter.fit(image, None, source.name), key=lambda fit: fit.quality)
+            fit_from = partial(fit_where_found, fitter) if start is None else fitter.fit
+            result = fit_from(image, begin, source.name)
             fitted = time.perf_counter()
             no_flat = layers.why_not_flat(fitter, image, result)
             result = layers.scaled(result, (image.shape[1], image.shape[0]), source.size)

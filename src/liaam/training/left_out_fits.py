@@ -5,7 +5,7 @@ from functools import cached_property
 
 import numpy as np
 
-from liaam.fitting.quality.uncertainty import expanded_covariance, fitted_covariances
+from liaam.fitting.quality import expanded_covariance, fitted_covariances
 from liaam.io.files import count_of
 from liaam.model.contours import Contours, contour_turns, outline_errors
 from liaam.model.shape import ShapeModel, diagonal_of
@@ -29,7 +29,7 @@ class LeftOutFit:
     error : float
         Mean distance of the landmarks from the true ones, or of those on contours from the true contours, as a fraction
         of the shape's diagonal.
-    evidence : (2,) float64
+    evidence : (k,) float64
     unit : float
         Variance of a residual at weight 1.
     shapes : ShapeModel

@@ -9,6 +9,7 @@ import numpy as np
 from liaam.errors import TrainingError
 from liaam.fitting.landmarkers import LANDMARKERS
 from liaam.io import LANDMARK_SUFFIXES, read_landmarks
+from liaam.io.files import companions
 from liaam.model.file_format import MAX_POINTS
 from liaam.model.point_map import PointMap, learn_point_map
 from liaam.photometry.encoding import as_colour
@@ -79,7 +80,7 @@ def _points_of(points: Points, entries: Sequence[Entry]) -> Iterator[np.ndarray 
             raise TrainingError(f"points: {folder} is not a folder; give the folder of the other landmarker's files")
         for entry in entries:  # a file has the name of the sample, with or without its subfolder
             names = dict.fromkeys((entry.name, Path(entry.name).name))
-            files = (folder / f"{name}{suffix}" for name in names for suffix in LANDMARK_SUFFIXES)
+            files = companions(folder, names, LANDMARK_SUFFIXES)
             file_of_entry = next((file for file in files if file.is_file()), None)
             yield (
                 None if file_of_entry is None else read_landmarks(file_of_entry, entry.read_image().shape[1::-1]).points

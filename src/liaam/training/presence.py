@@ -13,7 +13,7 @@ from liaam.fitting.fitter import Fitter
 from liaam.fitting.loop.encoded_image import EncodedImage
 from liaam.fitting.loop.objective import State
 from liaam.fitting.methods import Method
-from liaam.fitting.quality.presence import Surroundings
+from liaam.fitting.quality import Surroundings
 from liaam.fitting.result import FitResult
 from liaam.model.presence import Agreement, Presence, fisher_z
 from liaam.model.shape import diagonal_of, rotation

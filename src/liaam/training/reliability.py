@@ -16,6 +16,7 @@ from liaam.fitting.detection import Detection
 from liaam.fitting.loop.levels import LinearImage
 from liaam.fitting.loop.options import SolverOptions
 from liaam.fitting.methods import Method
+from liaam.fitting.quality import FEATURES
 from liaam.fitting.search.finder import Finder
 from liaam.fitting.search.templates import is_searchable
 from liaam.model import AAM, Reliability
@@ -197,12 +198,26 @@ def _moved(shape: np.ndarray, rng: np.random.Generator, turn: float, shift: floa
 
 
 def _weights(evidence: np.ndarray, right: np.ndarray) -> np.ndarray:
-    """Return weights (3,) of the log odds by the evidence (m, 2), with a weight of at most 0 for unusual shapes."""
+    """Return weights (1 + k,) of the log odds by the evidence (m, k).
+
+    Features that would speak for a fit where they may only speak against it, or the other way round, have the weight 0.
+    The first one, what a fit explains, is left to the caller.
+    """
     # Add a fit that explains nothing as an example of a wrong one.
-    evidence = np.concatenate([evidence, [[0.0, float(np.median(evidence[:, 1]))]]])
+    explains_nothing = np.median(evidence, axis=0)
+    explains_nothing[0] = 0.0
+    evidence = np.concatenate([evidence, explains_nothing[None]])
     right = np.append(right, False)
-    weights = _logistic(evidence, right)
-    return weights if weights[2] <= 0 else np.append(_logistic(evidence[:, :1], right), 0.0)
+    signs = np.array([feature.sign for feature in FEATURES])
+    used = np.arange(len(FEATURES))
+    while True:
+        weights = np.zeros(1 + len(FEATURES))
+        weights[np.append(0, 1 + used)] = _logistic(np.take(evidence, used, axis=1), right)
+        contradicts = weights[1:] * signs < 0
+        contradicts[0] = False
+        if not contradicts.any():
+            return weights
+        used = np.setdiff1d(used, np.flatnonzero(contradicts))
 
 
 def _logistic(features: np.ndarray, right: np.ndarray, ridge: float = RIDGE, steps: int = 50) -> np.ndarray:

@@ -6,7 +6,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from liaam.fitting.methods import ENCODING_OF
+from liaam.fitting.methods import ALL_COLOUR, ENCODING_OF
 from liaam.model import AAM
 from liaam.model.appearance import (
     CHANNELS,
@@ -33,7 +33,6 @@ from liaam.training.search_filter import FilterLearner
 # Appearances that are learnt from the textures of another
 SOURCES = {"invariant": "log", "search": "orientation", "illumination": "varied"}
 FITTED = 6  # Time of fitting a left-out image, from near and far starts, in units of the time of sampling an image
-ALL_COLOUR = 0.99  # Least share of usable colours around a sample of ``soft`` to learn its colour, as fits compare it
 # Share of the variance of relit copies that the modes of illumination explain, if their number is automatic: evidence
 # from left-out images under the training light cannot choose it.
 ILLUMINATION_VARIANCE = 0.98

@@ -25,11 +25,19 @@ from liaam.fitting.loop.encoded_image import (
 from liaam.fitting.loop.objective import Objective, State
 from liaam.fitting.loop.options import SolverOptions, spare
 from liaam.fitting.methods import Method
-from liaam.fitting.reference.thresholds import THRESHOLDS
+from liaam.fitting.thresholds import THRESHOLDS
 from liaam.model.sampling import AveragedImage
 from liaam.model.shape import Similarity, align, diagonal_of, own_parameters
 from liaam.photometry import NoiseModel, Response, is_grey
-from liaam.photometry.encoding import ENCODINGS, Encoding, Means, light_of_floats, light_table, log_floor
+from liaam.photometry.encoding import (
+    ENCODINGS,
+    Encoding,
+    Means,
+    is_logarithmic,
+    light_of_floats,
+    light_table,
+    log_floor,
+)
 from liaam.workers import one_numpy_thread
 
 # Pixels of an image of floats up to which its light is computed once for all levels and starts; else by level.
@@ -79,7 +87,7 @@ class LinearImage:
 
     def light_of(self, encoding: Encoding) -> Means:
         """Return the light of each pixel of an image of floats."""
-        logarithmic = encoding in ("log", "soft")
+        logarithmic = is_logarithmic(encoding)
         if logarithmic not in self.lights:
             self.lights[logarithmic] = light_of_floats(self.image, encoding, self.response)
         return self.lights[logarithmic]

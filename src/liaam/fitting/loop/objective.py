@@ -9,12 +9,22 @@ import numpy as np
 from liaam import _core
 from liaam.errors import MethodError
 from liaam.fitting.loop.encoded_image import EncodedImage, correlated_pixels
-from liaam.fitting.methods import LOSSES, STEPS, WEIGHTS, Method, at_angle, check_holds, gaussian_median
+from liaam.fitting.methods import (
+    CORRELATED,
+    GRADIENT_ROWS,
+    LOSSES,
+    STEPS,
+    WEIGHTS,
+    Method,
+    at_angle,
+    check_holds,
+    gaussian_median,
+)
 from liaam.fitting.reference.loop import solve_level
-from liaam.fitting.reference.problem import CORRELATED, GRADIENT_ROWS, Problem
+from liaam.fitting.reference.problem import Problem
 from liaam.model import AAM, Level
 from liaam.model.appearance import AppearanceModel
-from liaam.model.warp import PiecewiseAffineWarp, Warp, padded
+from liaam.model.warp import THINNING, PiecewiseAffineWarp, Warp, padded, thinning_of
 from liaam.photometry.features import Encoder, name_of
 
 RIDGE = 1e-6
@@ -79,8 +89,11 @@ class Objective:
 
     @property
     def is_compiled(self) -> bool:
-        """Whether the core can fit this objective; the reference fits any."""
-        return _core.BUILT and isinstance(self.warp, PiecewiseAffineWarp) and not self.method.normalise
+        """Whether the core fits this objective; where it could not be built, the reference does.
+
+        Photometric normalisation (the paper's [1]), which the experiments compare with, is in the reference only.
+        """
+        return _core.BUILT and not self.method.normalise
 
     @cached_property
     def compiled(self) -> Any:
@@ -260,7 +273,8 @@ class Objective:
     def solve(self, image: EncodedImage, state: State, options: Any, evaluate_last: bool = True) -> Any:
         """Minimise the cost over one image from a state (:class:`liaam.fitting.loop.options.SolverOptions`).
 
-        A fit that fails is returned, not raised. The solution is a ``Solution`` of the core or of the reference.
+        A fit that fails is returned, not raised. The solution is a ``Solution`` of the core or of the reference, which
+        alone has the joint elimination of the appearance (the paper's, for the experiments).
         """
         p = state.p
         angles = tuple(state.angles.tolist())
@@ -275,12 +289,6 @@ class Objective:
         if self.method.weights == "rows" and np.isfinite(solution.noise_variance):
             return float(solution.noise_variance)
         return float(self.correlated * solution.squares / solution.weight) if solution.weight > 0 else 0.0
-
-
-THINNING = 1.5
-"""Distance between sampled pixels, in standard deviations of a level's blur, rounded to whole pixels. Closer pixels are
-redundant at the sharpest level; coarse levels need theirs (experiments/notes/engine.md). Of these levels, model files
-hold only the pixels that this distance needs (:func:`pixels_for`)."""
 
 
 def pixels_for(warp: PiecewiseAffineWarp, blur: float) -> np.ndarray:
@@ -299,10 +307,9 @@ def make_objectives(
     """Make the objectives of a model and a method, one per level, coarse to fine.
 
     ``final_prior`` is the weight of the prior on the shape at the finest level; coarser levels have all of it.
-    ``thinning`` is the distance between sampled pixels, in standard deviations of a level's blur. By default it is
-    :data:`THINNING`, and 0 (every pixel) for orientations: they are normalised after the blur, so neighbours are less
-    redundant. Measured with ``igo`` on unseen persons of IMM: 6.1 % with all pixels, 7.1 % otherwise. MethodError is
-    raised if the model lacks what the method needs, such as colour.
+    ``thinning`` is the distance between sampled pixels, in standard deviations of a level's blur; by default that of
+    :func:`liaam.model.warp.thinning_of`. MethodError is raised if the model lacks what the method needs, such as
+    colour.
     """
     if method.needs_colour and not model.is_colour:
         raise MethodError(
@@ -312,7 +319,7 @@ def make_objectives(
     method = _encoded(model, method)
     check_holds(model, method)
     if thinning is None:
-        thinning = 0.0 if method.encoding == "orientation" else THINNING
+        thinning = thinning_of(method.encoding_name)
     warp = model.views[method.view].warp
     levels = model.views[method.view].levels
     seen = [replace(warp, shape_model=warp.shape_model.seen_at(level.blur)) for level in levels[:-1]]

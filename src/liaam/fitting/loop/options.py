@@ -9,7 +9,7 @@ import numpy as np
 
 from liaam.errors import MethodError
 from liaam.fitting.methods import Method
-from liaam.fitting.reference.thresholds import THRESHOLDS
+from liaam.fitting.thresholds import THRESHOLDS
 from liaam.formatting import changed_repr
 
 ELIMINATIONS = ("varpro", "joint")

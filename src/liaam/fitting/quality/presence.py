@@ -16,11 +16,11 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from liaam.fitting.loop.objective import THINNING, Objective
-from liaam.fitting.reference.problem import GRADIENT_ROWS
+from liaam.fitting.loop.objective import Objective
+from liaam.fitting.methods import GRADIENT_ROWS
 from liaam.model.presence import Agreement, Presence
 from liaam.model.shape import diagonal_of
-from liaam.model.warp import PiecewiseAffineWarp
+from liaam.model.warp import THINNING, PiecewiseAffineWarp
 
 # Standard deviation of the windows, as a fraction of the diagonal of the mean shape: narrow enough that landmarks
 # beside a hole of 15 % of the diagonal are not called absent, and wide enough for some ten independent samples.

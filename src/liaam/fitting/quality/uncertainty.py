@@ -1,4 +1,4 @@
-"""Uncertainty of a fit: covariances, and the evidence for its quality (docs/explanation/uncertainty.md)."""
+"""Uncertainty of a fit: covariances (docs/explanation/uncertainty.md)."""
 
 import numpy as np
 
@@ -70,62 +70,6 @@ def _inverse(precision: np.ndarray) -> np.ndarray:
     is_observable = values > 1e-12 * max(values[-1], 1e-300)
     variances = np.divide(1.0, values, out=np.full_like(values, UNOBSERVABLE), where=is_observable)
     return (vectors * variances) @ vectors.T
-
-
-# Fraction of the contrast that a fit must explain, as a multiple of what its number of parameters explains of white
-# noise (experiments/notes/engine.md)
-BY_CHANCE = 4.0
-MOST_BY_CHANCE = 0.25  # Upper limit of that fraction
-
-
-def explains_more_than_noise(stage: FittedLevel) -> bool:
-    """Return whether a fit explains more of its image, under its own weights, than it would of noise."""
-    objective = stage.objective
-    solution = stage.solution
-    contrast, left = _contrast(objective, solution.weighted_contrast)
-    n_parameters = objective.n_q + objective.n_lambda
-    by_chance = BY_CHANCE * n_parameters * objective.correlated / max(solution.n_counted, 1)
-    return left < (1.0 - min(by_chance, MOST_BY_CHANCE)) * contrast
-
-
-def _contrast(objective: Objective, sums: np.ndarray) -> tuple[float, float]:
-    """Return the weighted squares of a fit's samples and of its residual, over the rows that count.
-
-    For ``soft-li`` these are the gradients. Values and logarithms count relative to their mean. ``sums`` (rows, 4) are
-    those of weights, samples, their squares, and squares of the residual.
-    """
-    weight, total, squares, left = sums.T
-    if objective.method.encoding in ("value", "log"):
-        about_mean = squares - total**2 / np.maximum(weight, 1e-300)
-        squares = np.where(about_mean > 1e-9 * squares, about_mean, 0.0)  # else it is rounding
-    return float(squares.sum()), float(left.sum())
-
-
-# Features of a fit whose residual is not finite: the limits of both, of which the second is about log(1 + 1e6).
-WORST_FEATURES = np.array([-1.0, 14.0])
-
-
-def quality_features(stage: FittedLevel, doubt: float = 0.0) -> np.ndarray:
-    """Compute the features that separate right fits from wrong ones, (2,) float64.
-
-    The first is the explained fraction of the image's contrast, minus a penalty for an unlikely appearance. It is
-    multiplied by the square root of the contrast, so that a blurred or partly visible object counts little. The second
-    is the distance of the shape from the mean, log(1 + mean squared mode in standard deviations). Added to that square
-    is the ``doubt`` of the model's regressor: its squared distance from the shape, in its mean squared error.
-    """
-    objective = stage.objective
-    solution = stage.solution
-    contrast, left = _contrast(objective, solution.contrast)
-    if not np.isfinite(left):
-        return WORST_FEATURES.copy()
-    unlikely = float(objective.fields["ridge"] @ np.square(solution.lam))
-    # The mean over all of the model's pixels: unusable and absent ones count as unexplained.
-    strength = np.sqrt(contrast / max(objective.n_usable, 1e-9))
-    explained = (1.0 - (left + unlikely) / contrast) * strength if contrast > 0 else -1.0
-    squared_modes = np.square(solution.p) * objective.prior
-    n_modes = objective.warp.n_parameters - 4  # without the similarity
-    mean_square = squared_modes[:n_modes].mean() if n_modes > 0 else 0.0
-    return np.array([max(explained, -1.0), np.log1p(min(mean_square + doubt, 1e6))])
 
 
 def expanded_covariance(spread: np.ndarray, n_p: int, factor: float) -> np.ndarray:

@@ -16,8 +16,9 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from liaam.fitting.reference.problem import BY_ROWS, GRADIENT_ROWS, Problem, contrast
-from liaam.fitting.reference.thresholds import THRESHOLDS
+from liaam.fitting.methods import GRADIENT_ROWS
+from liaam.fitting.reference.problem import BY_ROWS, Problem, contrast
+from liaam.fitting.thresholds import THRESHOLDS
 
 T = THRESHOLDS
 

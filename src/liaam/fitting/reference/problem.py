@@ -1,8 +1,8 @@
 """The level of a fit in NumPy, as one would write it beside the paper: residual, weights, derivatives.
 
 :class:`Problem` defines the results of the compiled core (``src/core``), which is tested against it, and replaces it
-where the core could not be built. It also fits what the core leaves out: homographies, photometric normalisation, and
-the joint elimination of the appearance. The loop over it is :mod:`liaam.fitting.reference.loop`.
+where the core could not be built. It also fits what the core leaves out (:mod:`liaam.fitting.reference`). The loop over
+it is :mod:`liaam.fitting.reference.loop`.
 
 Arrays of pixels are (n, k) float64, for k rows of the metric P.
 """
@@ -12,7 +12,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from liaam.encoding_constants import BRIGHTNESS, LOG_FLOOR, SOFTNESS
-from liaam.fitting.reference.thresholds import THRESHOLDS
+from liaam.fitting.methods import ALL_COLOUR, CORRELATED, GRADIENT_ROWS
+from liaam.fitting.thresholds import THRESHOLDS
 from liaam.image_reference import CHANNELS, sample
 
 if TYPE_CHECKING:
@@ -21,13 +22,6 @@ if TYPE_CHECKING:
 UNKNOWN = 1e5  # variance of a pixel whose logarithm is not usable
 LEAST_UNEXPLAINED = 0.02  # lower bound on the unexplained variance, as a fraction of the residual's
 MOST_DIRECTION_NOISE = 0.5  # upper bound on the variance of each component of a direction: that of a random direction
-
-ALL_COLOUR = 0.99  # share of usable colours around a sample from which its colour counts
-
-GRADIENT_ROWS = 2  # number of rows of ``soft`` that are gradients; the others are colour
-# Factors on the number of correlated pixels for the model's errors in gradients and in colour: they are patches rather
-# than grains, and widest in colour.
-CORRELATED = np.array([8.0, 30.0])
 
 FACTORS = np.concatenate((np.zeros(1), np.geomspace(1e-3, 30.0, 19)))  # on the learnt errors: the likeliest is used
 

@@ -13,7 +13,7 @@ import numpy as np
 from liaam.errors import MethodError, ModelFileError
 from liaam.fitting.detection import DOUBTFUL, Detection, are_apart, are_beside, choose, is_inside
 from liaam.fitting.loop.levels import CoarseToFine, FittedLevel, LinearImage, Target
-from liaam.fitting.loop.objective import THINNING, make_objectives
+from liaam.fitting.loop.objective import make_objectives
 from liaam.fitting.loop.options import SolverOptions
 from liaam.fitting.methods import get_method
 from liaam.fitting.search.responses import Bank, Peaks, strongest
@@ -30,6 +30,7 @@ from liaam.fitting.search.templates import (
 from liaam.model import AAM
 from liaam.model.aam import named_model
 from liaam.model.shape import Similarity, align, corners_of, diagonal_of, in_box, rotation
+from liaam.model.warp import THINNING
 from liaam.photometry import Response
 from liaam.photometry.picture import described, load_picture
 from liaam.workers import in_threads

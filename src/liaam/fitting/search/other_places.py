@@ -1,21 +1,23 @@
 """Fits at other places of an image, where a first fit has low quality and the object may be elsewhere.
 
-The other detections are fitted at the blurred levels, and the best of them at the sharpest. The prior of a place is
-proportional to its area, because there are more small places than large ones. At most one place is the object, so each
-other likely one lowers the odds.
+The other detections are fitted at the blurred levels, and the best of them at the sharpest. At most one place is the
+object, so each other likely one lowers the odds.
 """
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from liaam.fitting.detection import Detection, are_apart
 from liaam.fitting.loop.levels import Target
-from liaam.fitting.one_shape_fitter import Blurred, OneShapeFitter
-from liaam.fitting.result import LEAST_QUALITY, FitResult, FitStatus, odds_of, with_prior
-from liaam.fitting.search.finder import LARGE, OTHERS, Finder
-from liaam.model.shape import diagonal_of
+from liaam.fitting.one_shape_fitter import OneShapeFitter
+from liaam.fitting.result import FitResult, FitStatus
+from liaam.fitting.search.finder import OTHERS, Finder
+
+if TYPE_CHECKING:
+    from liaam.fitting.low_quality import PlaceOdds
 
 # What was measured for these is in experiments/notes/engine.md.
 BRIEF = 12  # Largest number of steps per level of fits to other detections: right fits take fewer, wrong ones take more
@@ -33,42 +35,17 @@ class PlacedFit:
     detection: Detection | None  # of the place, if it was searched for
 
 
-@dataclass(frozen=True)
-class _PlaceOdds:
-    """Odds that fits are right, with the prior of their place."""
-
-    large: float  # diagonal of an object whose prior is 1, image pixels
-
-    def prior(self, shape: np.ndarray, quality: float) -> float:
-        """Return the prior odds of the place of a shape (n, 2); 0 if the fit has no quality."""
-        return (diagonal_of(shape) / self.large) ** 2 if quality > 0 else 0.0
-
-    def of(self, shape: np.ndarray, quality: float) -> float:
-        """Return the odds that a fit with this shape and quality is right."""
-        return self.prior(shape, quality) * odds_of(quality)
-
-    def of_blurred(self, fit: Blurred) -> float:
-        """Return the odds that a fit at the blurred levels is right."""
-        return self.of(fit.shape, fit.quality)
-
-    def of_result(self, result: FitResult) -> float:
-        """Return the odds that a fit at all levels is right."""
-        return self.of(result.landmarks, result.quality)
-
-
 def likeliest(
-    fitter: OneShapeFitter, finder: Finder, first: PlacedFit, region: tuple[np.ndarray, np.ndarray]
+    fitter: OneShapeFitter,
+    finder: Finder,
+    first: PlacedFit,
+    region: tuple[np.ndarray, np.ndarray],
+    odds: "PlaceOdds",
 ) -> tuple[PlacedFit, float]:
-    """Return the most likely fit in a region (its corners), and the factor on its odds.
+    """Return the most likely of the first fit and those at other places, and the factor on its odds.
 
-    That is the first one if it is more likely right than wrong.
+    The places are in a region (its corners).
     """
-    low, high = region
-    odds = _PlaceOdds(large=LARGE * float((high - low).min()))
-    prior_of_first = min(odds.prior(first.result.landmarks, first.result.quality), 1.0)
-    if with_prior(first.result, prior_of_first).quality >= LEAST_QUALITY:
-        return first, prior_of_first
-
     brief = replace(fitter.options, max_iterations=BRIEF)
     blurred = []  # each with its place
     for place, start in other_starts_in(finder, first.target, region):

@@ -9,7 +9,7 @@ import numpy as np
 
 from liaam.errors import LandmarkError, StartError
 from liaam.fitting.landmarkers import LANDMARKERS
-from liaam.io.files import existing_file, read_bytes
+from liaam.io.files import companions, existing_file, read_bytes
 from liaam.io.images import read_image
 from liaam.io.landmarks import LANDMARK_SUFFIXES, Landmarks, read_landmarks
 from liaam.model import AAM
@@ -18,10 +18,6 @@ from liaam.model.shape import align, corners_of, in_box
 _SHOWN = 100  # characters of a start in a message, at most
 BOX_SUFFIX = ".box"  # of a text file that holds a detector's box, x0,y0,x1,y1 or x,y,size
 WIDEST = 10.0  # largest size of a start, relative to the larger side of the image
-# Margin searched around a box given as a start, as a fraction of its sides, and the smallest width in pixels. A box, as
-# of a detector, is approximate; a shape given as a start is not searched for.
-AROUND_BOX = 0.3
-LEAST_REGION = 16
 
 
 def read_start(text: str, image: Path, size: tuple[int, int]) -> Landmarks | list[float]:
@@ -45,12 +41,18 @@ def read_start(text: str, image: Path, size: tuple[int, int]) -> Landmarks | lis
     return _parsed(text, f"--init {shown}: there is no such file or folder, and it")
 
 
+def read_with_start(image: Path, init: str | None) -> tuple[np.ndarray, Landmarks | list[float] | None]:
+    """Read an image, and its start if one is given (:func:`read_start`)."""
+    pixels = read_image(image)
+    return pixels, None if init is None else read_start(init, image, pixels.shape[1::-1])
+
+
 def start_file(text: str, image: Path) -> Path | None:
     """Return the file that holds the start of an image, or None if there is no such file."""
     path = Path(text)
     kind = _kind(text)
     if kind == "folder":
-        candidates = (path / f"{image.stem}{suffix}" for suffix in (*LANDMARK_SUFFIXES, BOX_SUFFIX))
+        candidates = companions(path, [image.stem], (*LANDMARK_SUFFIXES, BOX_SUFFIX))
         return next((candidate for candidate in candidates if _kind(str(candidate)) == "file"), None)
     return path if kind == "file" else None
 
@@ -124,20 +126,6 @@ def start_shape(model: AAM, init, image_size: tuple[int, int], name: str = "imag
     if not size >= 4.0:
         raise StartError(f"{name}: the start is only {size:.1f} pixels large; give a start as large as the object")
     return shape
-
-
-def region_of(init, image: np.ndarray) -> tuple[np.ndarray, np.ndarray] | None:
-    """Return the corners of the region to search: all without a start, around a box, None for other starts."""
-    limits = np.array(image.shape[1::-1])
-    if init is None:
-        return np.zeros(2, int), limits
-    box = getattr(init, "points", init)
-    if np.shape(box) != (4,):
-        return None
-    low, high = np.asarray(box, np.float64).reshape(2, 2)
-    low, high = low - AROUND_BOX * (high - low), high + AROUND_BOX * (high - low)
-    low = np.clip(low, 0, limits - LEAST_REGION).astype(int)
-    return low, np.clip(np.ceil(high).astype(int), low + LEAST_REGION, limits)
 
 
 def is_box(init) -> bool:

@@ -1,0 +1,193 @@
+"""What is done about a first fit of low quality: where else liaam looks, in which order, and what it believes then.
+
+- The object may be elsewhere: other places of the search are fitted (:mod:`liaam.fitting.search.other_places`).
+- Its shape may be far from the mean: other shapes are started from (:mod:`liaam.fitting.search.restarts`).
+- Parts of it may be absent: it is fitted without them (:mod:`liaam.fitting.damaged`).
+- If the fit still fails, its start may be nearer to the object (:mod:`liaam.fitting.fallback`).
+
+What low quality is, says :meth:`liaam.fitting.quality.Judge.falls_short`.
+"""
+
+from dataclasses import dataclass, replace
+from functools import partial
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from liaam.fitting.damaged import PLACES, without_absent
+from liaam.fitting.detection import Detection
+from liaam.fitting.fallback import start_if_failed_far
+from liaam.fitting.loop.levels import Target
+from liaam.fitting.one_shape_fitter import Blurred, OneShapeFitter
+from liaam.fitting.result import LEAST_QUALITY, FitResult, FitStatus, odds_of, with_prior
+from liaam.fitting.search.finder import LARGE, Finder
+from liaam.fitting.search.other_places import PlacedFit, likeliest, other_starts_in
+from liaam.fitting.search.restarts import fit_again
+from liaam.model.shape import diagonal_of
+
+if TYPE_CHECKING:
+    from liaam.fitting.fitter import Fitter
+
+# Margin searched around a box given as a start, as a fraction of its sides, and the smallest width in pixels. A box, as
+# of a detector, is approximate; a shape given as a start is not searched for.
+AROUND_BOX = 0.3
+LEAST_REGION = 16
+
+Region = tuple[np.ndarray, np.ndarray]
+"""Corners of the part of an image that is searched: (x, y) of the first pixel, and of that beyond the last."""
+
+
+@dataclass(frozen=True)
+class PlaceOdds:
+    """Odds that fits are right, with the prior of their place.
+
+    That is proportional to the place's area, because there are more small places than large ones.
+    """
+
+    large: float  # diagonal of an object whose prior is 1, image pixels
+
+    @classmethod
+    def in_region(cls, region: Region) -> "PlaceOdds":
+        """Return the odds of places in a region (its corners)."""
+        low, high = region
+        return cls(large=LARGE * float((high - low).min()))
+
+    def prior(self, shape: np.ndarray, quality: float) -> float:
+        """Return the prior odds of the place of a shape (n, 2); 0 if the fit has no quality."""
+        return (diagonal_of(shape) / self.large) ** 2 if quality > 0 else 0.0
+
+    def prior_of(self, result: FitResult) -> float:
+        """Return the prior odds of the place of a fit, at most 1."""
+        return min(self.prior(result.landmarks, result.quality), 1.0)
+
+    def of(self, shape: np.ndarray, quality: float) -> float:
+        """Return the odds that a fit with this shape and quality is right."""
+        return self.prior(shape, quality) * odds_of(quality)
+
+    def of_blurred(self, fit: Blurred) -> float:
+        """Return the odds that a fit at the blurred levels is right."""
+        return self.of(fit.shape, fit.quality)
+
+    def of_result(self, result: FitResult) -> float:
+        """Return the odds that a fit at all levels is right."""
+        return self.of(result.landmarks, result.quality)
+
+
+@dataclass(frozen=True, eq=False)
+class Elsewhere:
+    """Where else a fit may look.
+
+    Attributes
+    ----------
+    finder : Finder
+        Search for other places.
+    region : Region, optional
+        Where it searches; None for not at all.
+    """
+
+    finder: Finder
+    region: Region | None
+
+    def places_in(self, target: Target) -> list[np.ndarray]:
+        """Return shapes (n, 2) to start from at other places, the most likely first."""
+        if self.region is None:
+            return []
+        return [start for _, start in other_starts_in(self.finder, target, self.region, PLACES)]
+
+
+def fit_elsewhere(fitter: OneShapeFitter, finder: Finder, first: PlacedFit, init: Any, *, restarts: bool) -> FitResult:
+    """Look elsewhere and start again if a first fit has low quality, and say how far the result is believed.
+
+    Parameters
+    ----------
+    fitter : OneShapeFitter
+        What made the first fit.
+    finder : Finder
+        Its search.
+    first : PlacedFit
+    init : start, optional
+        As for :meth:`liaam.fitting.Fitter.fit`. Without one, the whole image is searched for other places, and around
+        a box its surroundings. Other starts are taken for places of the object.
+    restarts : bool
+        Whether to look elsewhere although there is a start, and to start again from other shapes.
+    """
+    may_look = init is None or restarts
+    region = region_of(init, first.target.image) if may_look else None
+    elsewhere = Elsewhere(finder, region)
+    fit, prior = _fit_at_likeliest_place(fitter, first, elsewhere)
+    result = fit.result
+    if restarts and fitter.judge.falls_short(with_prior(result, prior)):
+        result = fit_again(fitter, fit.target, result)
+    if result.absent.any():
+        result = without_absent(fitter, fit.target, result, partial(elsewhere.places_in, fit.target))
+    result = with_prior(result, prior)
+    if is_judged(fitter) and (result.status.lost or _is_likely_wrong(fitter, result)):
+        # A fit from a start that was given is not compared with a place that was searched for.
+        start = (fit if init is None else first).target.start
+        result = start_if_failed_far(result, start, fitter.shapes)
+    if fit.detection is None or not fit.detection.doubtful:  # the start is near the object
+        result = _with_prior_near(fitter, result)
+    return replace(result, found=fit.detection)
+
+
+def fit_where_found(fitter: "Fitter", image: Any, detection: Detection, name: str) -> FitResult:
+    """Fit the place that a search found, and search for others if that fit has low quality; keep the better fit.
+
+    It is for a search that several methods share; :meth:`liaam.fitting.Fitter.fit` without a start searches by itself.
+    """
+    there = fitter.fit(image, detection, name)
+    if not there.quality < there.least_quality:
+        return there
+    return max(there, fitter.fit(image, None, name), key=lambda fit: fit.quality)
+
+
+def region_of(init: Any, image: np.ndarray) -> Region | None:
+    """Return the corners of the region to search: all without a start, around a box, None for other starts."""
+    limits = np.array(image.shape[1::-1])
+    if init is None:
+        return np.zeros(2, int), limits
+    box = getattr(init, "points", init)
+    if np.shape(box) != (4,):
+        return None
+    low, high = np.asarray(box, np.float64).reshape(2, 2)
+    low, high = low - AROUND_BOX * (high - low), high + AROUND_BOX * (high - low)
+    low = np.clip(low, 0, limits - LEAST_REGION).astype(int)
+    return low, np.clip(np.ceil(high).astype(int), low + LEAST_REGION, limits)
+
+
+def is_judged(fitter: OneShapeFitter) -> bool:
+    """Return whether training has tried to calibrate the method. Its fits to left-out images are as they are."""
+    return fitter.reliability is not None or fitter.calibration.is_failing
+
+
+def _fit_at_likeliest_place(fitter: OneShapeFitter, first: PlacedFit, elsewhere: Elsewhere) -> tuple[PlacedFit, float]:
+    """Return the first fit, or the most likely one of all places if that is likely wrong, and the factor on its odds.
+
+    A place can be judged by its fit only if that has a quality.
+    """
+    if elsewhere.region is None or fitter.judge.reliability_for(first.result) is None:
+        return first, 1.0
+    odds = PlaceOdds.in_region(elsewhere.region)
+    prior = odds.prior_of(first.result)
+    if with_prior(first.result, prior).quality >= LEAST_QUALITY:
+        return first, prior
+    return likeliest(fitter, elsewhere.finder, first, elsewhere.region, odds)
+
+
+def _is_likely_wrong(fitter: OneShapeFitter, result: FitResult) -> bool:
+    """Return whether a fit is doubtful, or would be if it had converged within its iterations."""
+    if result.status is FitStatus.DOUBTFUL:
+        return True
+    return fitter.judge.reliability_for(result) is not None and result.quality < LEAST_QUALITY
+
+
+def _with_prior_near(fitter: OneShapeFitter, result: FitResult) -> FitResult:
+    """Return a result with the prior odds of fits near the object in its quality and in the limit of that."""
+    reliability = fitter.reliability
+    if reliability is None:
+        return result
+    return replace(
+        result,
+        quality=reliability.with_prior(result.quality),
+        least_quality=reliability.with_prior(LEAST_QUALITY),
+    )
