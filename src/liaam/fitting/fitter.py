@@ -19,6 +19,7 @@ from liaam.fitting.one_shape_fitter import OneShapeFitter
 from liaam.fitting.result import LEAST_QUALITY, FitResult, FitStatus, likeliness, with_prior
 from liaam.fitting.search.finder import Finder
 from liaam.fitting.search.other_places import PlacedFit, likeliest, other_starts_in
+from liaam.fitting.search.parts import HOPEFUL, fit_likeliest_part, targets_at
 from liaam.fitting.search.restarts import fit_again
 from liaam.fitting.search.starts import mapped_points, part_of_start, region_of, start_shape
 from liaam.formatting import changed_repr
@@ -44,14 +45,6 @@ def _is_like(detection: Detection, best: Detection) -> bool:
     """Return whether a detection scores nearly as high as the best one, and is about as large."""
     ratio = detection.scale / best.scale
     return detection.score >= NEARLY * best.score and 1 / AS_LARGE < ratio < AS_LARGE
-
-
-@dataclass(frozen=True, eq=False)
-class _FirstFit:
-    """A fit from the first start, before other places and starts are tried."""
-
-    fitter: "Fitter"  # of the model's part
-    fit: PlacedFit
 
 
 @dataclass(frozen=True, eq=False)
@@ -197,18 +190,9 @@ class Fitter(OneShapeFitter):
         path = path_of(image)
         start = init.landmarks if isinstance(init, Detection) else init
         part = part_of_start(self.model, start, name)
-        fitters = self.parts if part is None else (self.parts[part],)
-        if len(fitters) > 1:
-            image, name = load_picture(image, name)  # once for all
-        first_fits = [fitter._first_fit(image, init, name) for fitter in fitters]
-        results = []
-        for first in sorted(first_fits, key=lambda each: likeliness(each.fit.result), reverse=True):
-            result = first.fitter._completed(first.fit, init)
-            results.append(replace(result, part=self.parts.index(first.fitter)))
-            if result.status.ok:  # the other parts are less likely
-                break
-        best = max(results, key=lambda each: (each.status.ok, *likeliness(each)))
-        return replace(best, image=path)
+        if part is not None:
+            return replace(self.parts[part].fit(image, init, name), part=part, image=path)
+        return replace(self._completed(self._first_fit(image, init, name), init), image=path)
 
     def fit_all(self, image, name: str = "image") -> list[FitResult]:
         """Fit every object that the search finds in an image, in reading order.
@@ -260,35 +244,52 @@ class Fitter(OneShapeFitter):
         only_first_has_light = part.model.light is None and first.model.light is not None
         return first if only_first_has_light else part
 
-    def _first_fit(self, image, init, name: str) -> _FirstFit:
+    def _first_fit(self, image, init, name: str) -> PlacedFit:
         """Fit from the first start; see :meth:`fit`."""
+        image, name = load_picture(image, name)  # once for all parts
         target, detection = self.target(image, init, name)
-        return _FirstFit(self, PlacedFit(self.fit_target(target), target, detection))
+        if detection is None:
+            others = [part.target(image, init, name)[0]._replace(linear=target.linear) for part in self._several[1:]]
+            targets = [target, *others]
+        elif self._several:
+            targets = targets_at(target, self.finder.parts)
+        else:
+            targets = [target]
+        is_last = not self._may_look_elsewhere(init) or region_of(init, target.image) is None
+        part, result = fit_likeliest_part(self.parts, targets, self.options, is_last)
+        return PlacedFit(result, targets[part], detection, part)
 
     def _completed(self, fit: PlacedFit, init) -> FitResult:
         """Look elsewhere and start again if a first fit has low quality; see :meth:`fit`."""
         prior = 1.0  # factor on the odds that the fit is right, by its place
         given = None if init is None else fit.target.start
         region = region_of(init, fit.target.image)
-        may_look_elsewhere = init is None or self.restarts
-        if region is not None and may_look_elsewhere and self.reliability_for(fit.result) is not None:
-            fit, prior = likeliest(self, self.finder, fit, region)
+        may_look_elsewhere = self._may_look_elsewhere(init)
+        if region is not None and may_look_elsewhere and self.parts[fit.part].reliability_for(fit.result) is not None:
+            fit, prior = likeliest(self.parts, self.finder, fit, region)
         result = fit.result
-        if self.restarts and self.falls_short(with_prior(result, prior)):
-            result = fit_again(self, fit.target, result)
+        part = self.parts[fit.part]
+        is_hopeful = not self._several or result.quality >= HOPEFUL
+        if self.restarts and is_hopeful and part.falls_short(with_prior(result, prior)):
+            result = fit_again(part, fit.target, result)
         searched = region if may_look_elsewhere else None
-        result = without_absent(self, fit.target, result, lambda: self._places_in(fit.target, searched))
+        result = without_absent(part, fit.target, result, lambda: self._places_in(fit, searched))
         result = with_prior(result, prior)
-        if self._is_judged and (result.status.lost or self._is_likely_wrong(result)):
-            result = start_if_failed_far(result, fit.target.start if given is None else given, self.shapes)
+        if part._is_judged and (result.status.lost or part._is_likely_wrong(result)):
+            result = start_if_failed_far(result, fit.target.start if given is None else given, part.shapes)
         if fit.detection is None or not fit.detection.doubtful:  # the start is near the object
-            result = self._with_prior_near(result)
+            result = part._with_prior_near(result)
         return replace(
             result,
             found=fit.detection,
+            part=fit.part,
             contours=self.model.contours,
             landmark_names=self.model.landmark_names,
         )
+
+    def _may_look_elsewhere(self, init) -> bool:
+        """Return whether a fit of low quality may be replaced by one at another place than that of its start."""
+        return init is None or self.restarts
 
     @property
     def _is_judged(self) -> bool:
@@ -301,11 +302,13 @@ class Fitter(OneShapeFitter):
             return True
         return self.reliability_for(result) is not None and result.quality < LEAST_QUALITY
 
-    def _places_in(self, target: Target, region: tuple[np.ndarray, np.ndarray] | None) -> list[np.ndarray]:
+    def _places_in(self, fit: PlacedFit, region: tuple[np.ndarray, np.ndarray] | None) -> list[np.ndarray]:
         """Return shapes to start from at other places of a region (its corners), the most likely first."""
         if region is None:
             return []
-        return [start for _, start in other_starts_in(self.finder, target, region, PLACES)]
+        places = other_starts_in(self.finder, fit.target, region, PLACES)
+        part = self.finder.parts[fit.part]
+        return [start if place.part == fit.part else part.mean_at(start) for place, start in places]
 
     def _with_prior_near(self, result: FitResult) -> FitResult:
         """Return a result with the prior odds of fits near the object in its quality and in the limit of that."""
@@ -326,7 +329,7 @@ class Fitter(OneShapeFitter):
         self._refuse_grey(image, name)
         linear = self.linear(image)
         if init is None:
-            init = self.finder.find_in(linear)[0]
+            init = self.finder.first_in(linear)
         detection = init if isinstance(init, Detection) else None
         points = init if detection is None else detection.landmarks
         mapped = mapped_points(self.model, points, name)

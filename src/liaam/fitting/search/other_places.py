@@ -5,16 +5,18 @@ proportional to its area, because there are more small places than large ones. A
 other likely one lowers the odds.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from liaam.fitting.detection import Detection, are_apart
 from liaam.fitting.loop.levels import Target
+from liaam.fitting.loop.options import SolverOptions
 from liaam.fitting.one_shape_fitter import Blurred, OneShapeFitter
 from liaam.fitting.result import LEAST_QUALITY, FitResult, FitStatus, odds_of, with_prior
 from liaam.fitting.search.finder import LARGE, OTHERS, Finder
+from liaam.fitting.search.parts import PartFit, finish, fit_coarsest, fit_further, targets_at
 from liaam.model.shape import diagonal_of
 
 # What was measured for these is in experiments/notes/engine.md.
@@ -22,6 +24,9 @@ BRIEF = 12  # Largest number of steps per level of fits to other detections: rig
 # Number of other detections that are fitted at the sharpest level, which takes most of the time: those of the highest
 # odds at the level before
 PROMISING = 3
+# Number of other places for models of several parts, all of which are fitted at each at the coarsest level. More places
+# hold no more of the faces that are found.
+OTHERS_OF_PARTS = 6
 
 
 @dataclass(frozen=True, eq=False)
@@ -31,6 +36,7 @@ class PlacedFit:
     result: FitResult
     target: Target
     detection: Detection | None  # of the place, if it was searched for
+    part: int = 0  # index of the model's part that was fitted
 
 
 @dataclass(frozen=True)
@@ -57,9 +63,9 @@ class _PlaceOdds:
 
 
 def likeliest(
-    fitter: OneShapeFitter, finder: Finder, first: PlacedFit, region: tuple[np.ndarray, np.ndarray]
+    fitters: Sequence[OneShapeFitter], finder: Finder, first: PlacedFit, region: tuple[np.ndarray, np.ndarray]
 ) -> tuple[PlacedFit, float]:
-    """Return the most likely fit in a region (its corners), and the factor on its odds.
+    """Return the most likely fit in a region (its corners), by one of the model's parts, and the factor on its odds.
 
     That is the first one if it is more likely right than wrong.
     """
@@ -69,26 +75,57 @@ def likeliest(
     if with_prior(first.result, prior_of_first).quality >= LEAST_QUALITY:
         return first, prior_of_first
 
-    brief = replace(fitter.options, max_iterations=BRIEF)
-    blurred = []  # each with its place
-    for place, start in other_starts_in(finder, first.target, region):
-        blurred.append((fitter.fit_blurred(first.target._replace(start=start), brief), place))
-    blurred.sort(key=lambda each: odds.of_blurred(each[0]), reverse=True)
+    brief = replace(fitters[0].options, max_iterations=BRIEF)
+    most = OTHERS if len(fitters) == 1 else OTHERS_OF_PARTS
+    places = other_starts_in(finder, first.target, region, most)
+    blurred = _fit_blurred(fitters, finder, first.target, places, brief, odds)
 
     fits = [first]
-    for fit, place in blurred[:PROMISING]:
+    for place, part, fit in blurred[:PROMISING]:
         # What else the search found is the same for all places.
         detection = None if first.detection is None else replace(place, others=first.detection.others)
-        fits.append(PlacedFit(fitter.fit_sharpest(fit, brief), fit.target, detection))
-    best = fits[_finish_best(fits, fitter, odds.of_result)]
+        result = finish(fitters[part], fit, brief, is_last=len(fitters) == 1)
+        fits.append(PlacedFit(result, fit.target, detection, part))
+    best = fits[_finish_best(fits, fitters, odds.of_result)]
 
     shape = best.result.landmarks
     odds_elsewhere = [odds.of_result(fit.result) for fit in fits if are_apart(shape, fit.result.landmarks)]
-    odds_elsewhere += [odds.of_blurred(fit) for fit, _ in blurred[PROMISING:] if are_apart(shape, fit.shape)]
+    odds_elsewhere += [odds.of_blurred(fit) for *_, fit in blurred[PROMISING:] if are_apart(shape, fit.shape)]
     prior = odds.prior(shape, best.result.quality)
     share = prior / (prior + sum(odds_elsewhere)) if prior > 0 else 1.0
     result = replace(best.result, n_starts=1 + len(blurred))
     return replace(best, result=result), min(prior, 1.0) * share
+
+
+def _fit_blurred(
+    fitters: Sequence[OneShapeFitter],
+    finder: Finder,
+    target: Target,
+    places: Sequence[tuple[Detection, np.ndarray]],
+    options: SolverOptions,
+    odds: _PlaceOdds,
+) -> list[tuple[Detection, int, Blurred]]:
+    """Fit places (each with its start) at the blurred levels; return them with their part and fit, the best first.
+
+    Of several parts, as many fits as there are places go on from the coarsest level: those of the highest odds.
+    """
+    if len(fitters) == 1:
+        fits = [(place, 0, fitters[0].fit_blurred(target._replace(start=start), options)) for place, start in places]
+        return sorted(fits, key=lambda each: odds.of_blurred(each[2]), reverse=True)
+
+    def odds_of_part(fit: tuple[Detection, PartFit]) -> float:
+        return odds.prior(fit[1].fit.shape, fit[1].fit.quality) * fit[1].odds
+
+    coarsest = []
+    for place, start in places:
+        targets = targets_at(target._replace(start=start), finder.parts)
+        coarsest += [(place, fit) for fit in fit_coarsest(fitters, targets, options)]
+    coarsest.sort(key=odds_of_part, reverse=True)
+    further = [(place, fit_further(fitters, fit, options)) for place, fit in coarsest[: len(places)]]
+    of_places: dict[int, tuple[Detection, int, Blurred]] = {}
+    for place, fit in sorted(further, key=odds_of_part, reverse=True):
+        of_places.setdefault(id(place), (place, fit.part, fit.fit))
+    return list(of_places.values())
 
 
 def other_starts_in(
@@ -100,15 +137,19 @@ def other_starts_in(
     return [(place, place.landmarks + low) for place in places]
 
 
-def _finish_best(fits: list[PlacedFit], fitter: OneShapeFitter, odds_of_result: Callable[[FitResult], float]) -> int:
+def _finish_best(
+    fits: list[PlacedFit], fitters: Sequence[OneShapeFitter], odds_of_result: Callable[[FitResult], float]
+) -> int:
     """Fit the best of some fits again until it is one that was not stopped early; return its index.
 
-    The first fit was not. Others are replaced in the list by those with all steps.
+    The first fit of a model of one shape was not. Others are replaced in the list by those with all steps.
     """
-    unfinished = {i for i, fit in enumerate(fits) if i > 0 and fit.result.status is FitStatus.MAX_ITERATIONS}
+    first = 0 if len(fitters) > 1 else 1
+    unfinished = {i for i, fit in enumerate(fits) if i >= first and fit.result.status is FitStatus.MAX_ITERATIONS}
     while True:
         best = int(np.argmax([odds_of_result(fit.result) for fit in fits]))
         if best not in unfinished:
             return best
         unfinished.remove(best)
+        fitter = fitters[fits[best].part]
         fits[best] = replace(fits[best], result=fitter.fit_target(fits[best].target))
