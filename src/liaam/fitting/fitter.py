@@ -252,7 +252,8 @@ class Fitter(OneShapeFitter):
             others = [part.target(image, init, name)[0]._replace(linear=target.linear) for part in self._several[1:]]
             targets = [target, *others]
         elif self._several:
-            targets = targets_at(target, self.finder.parts)
+            measured = target.measured(self.objectives[-1].method)  # once for all places and levels
+            targets = targets_at(measured, self.finder.parts)
         else:
             targets = [target]
         is_last = not self._may_look_elsewhere(init) or region_of(init, target.image) is None

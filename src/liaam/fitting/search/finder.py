@@ -5,6 +5,7 @@ image at many sizes. The best places are fitted with the reduced model by method
 explains the orientations there. If one object is wanted, small ones are searched for only if no large one is certain.
 """
 
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -108,6 +109,10 @@ LEAST_BESIDE = 0.5  # least diagonal of these places, relative to the best detec
 # many, the search takes 1.6 times as long and sees no more faces.
 OTHERS = 12
 LOOKED = 2
+# The same for models of several parts, which are all fitted at each place at the coarsest level, and the number of
+# large places that come first.
+OTHERS_OF_PARTS = 6
+AT_FIRST = 4
 SIZE_WORTH = 0.05  # bonus on their score per unit of log size: there are more wrong places of small sizes
 
 # Objects that fill the frame: diagonals as fractions of its shorter side, and rotations, degrees, of those in TURNS.
@@ -231,9 +236,12 @@ class Finder:
         return replace(best, others=search.beside(best))
 
     def _search_for_one(self, linear: LinearImage) -> "_Search":
-        """Return the search for one object, of any part."""
-        bank = self.filters if self.model.others else self.templates
-        return _Search(self, linear, count=PLACES + PLACES_PER_OBJECT, bank=bank)
+        """Return the search for one object; that of several parts goes on where it stopped."""
+        if not self.model.others:
+            return _Search(self, linear, count=PLACES + PLACES_PER_OBJECT, bank=self.templates)
+        if id(self) not in linear.searches:
+            linear.searches[id(self)] = _Search(self, linear, count=LOOKED * OTHERS_OF_PARTS, bank=self.filters)
+        return linear.searches[id(self)]
 
     def _find_all(self, linear: LinearImage, most: int) -> list[Detection]:
         """Find objects of this part."""
@@ -246,9 +254,28 @@ class Finder:
         The best come first, ``most`` at most, then those that fill the frame. Their shapes are the aligned mean shape,
         because deformations of the reduced model are a bad start.
         """
-        search = _Search(self, linear, count=LOOKED * most, bank=self.filters)
+        search = self._search_for_one(linear)
+        if not self.model.others:
+            search = _Search(self, linear, count=LOOKED * most, bank=self.filters)
         best = choose(search.ranked(), are_apart, most)
-        places = choose([*best, *search.filling()], are_apart)
+        return self._with_means(choose([*best, *search.filling()], are_apart))
+
+    def others_in_turn(self, linear: LinearImage) -> Iterator[list[Detection]]:
+        """Yield other places in turn, for as long as none of those before is the object; see :meth:`others_in`.
+
+        Those of a model of several parts are a few large ones, and then those of all sizes. Others come at once.
+        """
+        if not self.model.others:
+            yield self.others_in(linear)
+            return
+        search = self._search_for_one(linear)
+        large = choose(search.ranked(only_large=True), are_apart, AT_FIRST)
+        yield self._with_means(large)
+        best = choose([*large, *search.ranked()], are_apart, OTHERS_OF_PARTS)
+        yield self._with_means(choose([*best, *search.filling()], are_apart)[len(large) :])
+
+    def _with_means(self, places: Sequence[Detection]) -> list[Detection]:
+        """Return places with the aligned mean shapes of their parts."""
         return [replace(place, landmarks=self.parts[place.part].mean_at(place.landmarks)) for place in places]
 
     def mean_at(self, shape: np.ndarray) -> np.ndarray:
@@ -340,7 +367,10 @@ class _Search:
         self.bank = bank
         diagonal = finder.small.diagonal
         self.sizes = search_sizes(self.image.shape[:2], diagonal)
+        # Some are large: the largest size exceeds the image.
+        self.is_large = self.sizes >= LARGE * min(self.image.shape[:2])
         self.grey = Grey.of(self.image, linear.response, self.sizes[0] / diagonal)
+        self.looked_at: list[float] = []  # sizes, of the fields
         self.fields: list[Field] = []
         self.peaks_of_fields: list[Peaks] = []
         self.peaks: Peaks  # of all fields; a place is known by its index in these
@@ -352,8 +382,8 @@ class _Search:
 
         Large objects come first, and the others if none of these is certain, unless ``only_large``.
         """
-        is_large = self.sizes >= LARGE * min(self.image.shape[:2])  # some are: the largest size exceeds the image
-        worth = self.limits.worth
+        is_large = self.is_large
+        worth = 0.0 if self.bank.normalised else self.limits.worth  # of filters, the search may go on
         places = self._look(self.sizes[is_large], worth)
         if is_large.all():
             fits, _ = self._fit_in_turn(places, least)
@@ -369,9 +399,12 @@ class _Search:
         """Fit the best places of all sizes."""
         return [detection for detection, _ in self._fit_all()]
 
-    def ranked(self) -> list[Detection]:
-        """Fit the best places of all sizes, the likeliest first."""
-        return self._ranked(self._fit_all())
+    def ranked(self, only_large: bool = False) -> list[Detection]:
+        """Fit the best places of all or of large sizes, the likeliest first."""
+        if not only_large:
+            return self._ranked(self._fit_all())
+        places = self._look(self.sizes[self.is_large])[: self.limits.n_large]
+        return self._ranked(self._fit_those(places))
 
     def _ranked(self, fits: list[tuple[Detection, float]]) -> list[Detection]:
         """Sort detections by score and size, and the responses of learnt filters, which come with them."""
@@ -384,11 +417,17 @@ class _Search:
 
     def _fit_all(self) -> list[tuple[Detection, float]]:
         """Fit the best places of all sizes; return detections inside the image, with the responses at their places."""
-        # Begin anew: weak responses may be left out of fields that were searched for one object.
-        self.fields = []
-        self.peaks_of_fields = []
-        self.fits = {}
-        fits = [(self._fit(place), float(self.peaks.responses[place])) for place in self._look(self.sizes)]
+        if not self.bank.normalised:
+            # Begin anew: weak responses may be left out of fields that were searched for one object.
+            self.looked_at = []
+            self.fields = []
+            self.peaks_of_fields = []
+            self.fits = {}
+        return self._fit_those(self._look(self.sizes))
+
+    def _fit_those(self, places: np.ndarray) -> list[tuple[Detection, float]]:
+        """Fit places; return detections inside the image, with the responses at their places."""
+        fits = [(self._fit(place), float(self.peaks.responses[place])) for place in places]
         return [(detection, response) for detection, response in fits if is_inside(detection.landmarks, self.image)]
 
     def beside(self, best: Detection) -> tuple[Detection, ...]:
@@ -430,6 +469,7 @@ class _Search:
         """
         small = self.finder.small
         n_before = len(self.fields)
+        sizes = np.setdiff1d(sizes, self.looked_at)
 
         def look_at(i: int) -> tuple[Field, Peaks]:
             field = self.grey.field(sizes[i], small)
@@ -439,6 +479,7 @@ class _Search:
         for field, peaks in in_threads(look_at, range(len(sizes))):
             self.fields.append(field)
             self.peaks_of_fields.append(peaks)
+        self.looked_at += sizes.tolist()
         self.peaks = Peaks(*map(np.concatenate, zip(*self.peaks_of_fields, strict=True)))
         self.strongest = strongest(self.peaks, APART * small.diagonal, self.count)
         return self.strongest

@@ -5,7 +5,7 @@ proportional to its area, because there are more small places than large ones. A
 other likely one lowers the odds.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -16,7 +16,7 @@ from liaam.fitting.loop.options import SolverOptions
 from liaam.fitting.one_shape_fitter import Blurred, OneShapeFitter
 from liaam.fitting.result import LEAST_QUALITY, FitResult, FitStatus, odds_of, with_prior
 from liaam.fitting.search.finder import LARGE, OTHERS, Finder
-from liaam.fitting.search.parts import PartFit, finish, fit_coarsest, fit_further, targets_at
+from liaam.fitting.search.parts import HOPEFUL, PartFit, fit_coarsest, fit_further, targets_at
 from liaam.model.shape import diagonal_of
 
 # What was measured for these is in experiments/notes/engine.md.
@@ -24,9 +24,6 @@ BRIEF = 12  # Largest number of steps per level of fits to other detections: rig
 # Number of other detections that are fitted at the sharpest level, which takes most of the time: those of the highest
 # odds at the level before
 PROMISING = 3
-# Number of other places for models of several parts, all of which are fitted at each at the coarsest level. More places
-# hold no more of the faces that are found.
-OTHERS_OF_PARTS = 6
 
 
 @dataclass(frozen=True, eq=False)
@@ -76,25 +73,38 @@ def likeliest(
         return first, prior_of_first
 
     brief = replace(fitters[0].options, max_iterations=BRIEF)
-    most = OTHERS if len(fitters) == 1 else OTHERS_OF_PARTS
-    places = other_starts_in(finder, first.target, region, most)
-    blurred = _fit_blurred(fitters, finder, first.target, places, brief, odds)
-
     fits = [first]
-    for place, part, fit in blurred[:PROMISING]:
-        # What else the search found is the same for all places.
-        detection = None if first.detection is None else replace(place, others=first.detection.others)
-        result = finish(fitters[part], fit, brief, is_last=len(fitters) == 1)
-        fits.append(PlacedFit(result, fit.target, detection, part))
-    best = fits[_finish_best(fits, fitters, odds.of_result)]
+    unpromising: list[Blurred] = []
+    n_starts = 1
+    best, prior = first, prior_of_first
+    for places in _other_starts_in_turn(finder, first, region):
+        blurred = _fit_blurred(fitters, finder, first.target, places, brief, odds)
+        n_starts += len(blurred)
+        promising = blurred[:PROMISING]
+        if len(fitters) > 1:
+            promising = [each for each in promising if each[2].quality >= HOPEFUL]
+        for place, part, fit in promising:
+            # What else the search found is the same for all places.
+            detection = None if first.detection is None else replace(place, others=first.detection.others)
+            fits.append(PlacedFit(fitters[part].fit_sharpest(fit, brief), fit.target, detection, part))
+        unpromising += [fit for *_, fit in blurred[len(promising) :]]
+        best = fits[_finish_best(fits, fitters, odds.of_result)]
+        prior = _prior_beside(best, fits, unpromising, odds)
+        if with_prior(best.result, prior).quality >= LEAST_QUALITY:
+            break
+    return replace(best, result=replace(best.result, n_starts=n_starts)), prior
 
+
+def _prior_beside(
+    best: PlacedFit, fits: Sequence[PlacedFit], unpromising: Sequence[Blurred], odds: _PlaceOdds
+) -> float:
+    """Return the factor on the odds of the best fit, by its place and by the odds of those elsewhere."""
     shape = best.result.landmarks
-    odds_elsewhere = [odds.of_result(fit.result) for fit in fits if are_apart(shape, fit.result.landmarks)]
-    odds_elsewhere += [odds.of_blurred(fit) for *_, fit in blurred[PROMISING:] if are_apart(shape, fit.shape)]
+    elsewhere = [odds.of_result(fit.result) for fit in fits if are_apart(shape, fit.result.landmarks)]
+    elsewhere += [odds.of_blurred(fit) for fit in unpromising if are_apart(shape, fit.shape)]
     prior = odds.prior(shape, best.result.quality)
-    share = prior / (prior + sum(odds_elsewhere)) if prior > 0 else 1.0
-    result = replace(best.result, n_starts=1 + len(blurred))
-    return replace(best, result=result), min(prior, 1.0) * share
+    share = prior / (prior + sum(elsewhere)) if prior > 0 else 1.0
+    return min(prior, 1.0) * share
 
 
 def _fit_blurred(
@@ -128,6 +138,19 @@ def _fit_blurred(
     return list(of_places.values())
 
 
+def _other_starts_in_turn(
+    finder: Finder, first: PlacedFit, region: tuple[np.ndarray, np.ndarray]
+) -> Iterator[list[tuple[Detection, np.ndarray]]]:
+    """Yield other places in a region in turn, each with its start; of several parts without that of the first fit."""
+    low, high = region
+    for places in finder.others_in_turn(first.target.linear.crop(low, high)):
+        starts = [(place, place.landmarks + low) for place in places]
+        if len(finder.parts) > 1:
+            starts = [(place, start) for place, start in starts if are_apart(first.target.start, start)]
+        if starts:
+            yield starts
+
+
 def other_starts_in(
     finder: Finder, target: Target, region: tuple[np.ndarray, np.ndarray], most: int = OTHERS
 ) -> list[tuple[Detection, np.ndarray]]:
@@ -142,7 +165,8 @@ def _finish_best(
 ) -> int:
     """Fit the best of some fits again until it is one that was not stopped early; return its index.
 
-    The first fit of a model of one shape was not. Others are replaced in the list by those with all steps.
+    The first fit of a model of one shape was not. Others are replaced in the list by those with all steps, or, of
+    several parts, said to be doubtful if there is no hope.
     """
     first = 0 if len(fitters) > 1 else 1
     unfinished = {i for i, fit in enumerate(fits) if i >= first and fit.result.status is FitStatus.MAX_ITERATIONS}
@@ -151,5 +175,9 @@ def _finish_best(
         if best not in unfinished:
             return best
         unfinished.remove(best)
-        fitter = fitters[fits[best].part]
-        fits[best] = replace(fits[best], result=fitter.fit_target(fits[best].target))
+        result = fits[best].result
+        if len(fitters) > 1 and result.quality < HOPEFUL:
+            result = replace(result, status=FitStatus.DOUBTFUL)
+        else:
+            result = fitters[fits[best].part].fit_target(fits[best].target)
+        fits[best] = replace(fits[best], result=result)

@@ -20,10 +20,10 @@ from liaam.fitting.search.finder import Finder
 FIRST = 8.0
 LIKELY = 0.1  # Least odds, relative to the best, of parts that are fitted at the next blurred level
 CLOSE = 0.3  # The same for the sharpest level
-# Quality from which a fit is worth more time: at the blurred levels for the sharpest, and there for other starts. Of 302
-# fits with less at the blurred levels, 1 was right and not doubtful, of 658 with more 314.
+# Quality from which a fit is worth more time: at the blurred levels for the sharpest, and there for other starts. Of
+# 302 fits with less at the blurred levels, 1 was right and not doubtful, of 658 with more 314.
 HOPEFUL = 0.2
-BRIEFEST = 3  # Largest number of steps at the sharpest level otherwise, for what a result says
+BRIEFEST = 2  # Largest number of steps at the sharpest level of a first fit with less, for what a result says
 
 
 class PartFit(NamedTuple):
@@ -69,7 +69,7 @@ def fit_likeliest_part(
     else:
         likely = _likely(fit_coarsest(fitters, targets, options), LIKELY)
         blurred = _likely([fit_further(fitters, each, options) for each in likely], CLOSE)
-        fits = {part: finish(fitters[part], fit, options, is_last) for part, fit in blurred}
+        fits = {part: _finished(fitters[part], fit, options, is_last) for part, fit in blurred}
     best = max(fits, key=lambda i: (fits[i].status.ok, *likeliness(fits[i])))
     return best, fits[best]
 
@@ -85,7 +85,7 @@ def fit_further(fitters: Sequence[OneShapeFitter], coarsest: PartFit, options: S
     return coarsest._replace(fit=fitters[coarsest.part].fit_other_blurred(coarsest.fit, options))
 
 
-def finish(fitter: OneShapeFitter, fit: Blurred, options: SolverOptions, is_last: bool) -> FitResult:
+def _finished(fitter: OneShapeFitter, fit: Blurred, options: SolverOptions, is_last: bool) -> FitResult:
     """Fit the sharpest level: with few steps if there is no hope, unless it is the last fit."""
     if not is_last and fit.quality < HOPEFUL:
         options = replace(options, max_iterations=min(BRIEFEST, options.max_iterations))
