@@ -500,8 +500,8 @@ def test_an_upright_object_is_the_same_among_all_rotations(turning, finder):
 
 
 def test_objects_that_fill_the_frame_are_tried_in_four_ways(turning, finder):
-    image = photograph(Pose(scale=1.0)).image
-    filled = [search._Search(each, LinearImage(image, "srgb"), 10, each.templates) for each in (finder, turning.finder)]
+    linear = LinearImage(photograph(Pose(scale=1.0)).image, "srgb")
+    filled = [search._Search(each, linear, 10, each.templates) for each in (finder, turning.finder)]
     for each in filled:
         each.for_all()
     assert [len(each.filling()) for each in filled] == [2, 8]

@@ -248,17 +248,18 @@ class Fitter(OneShapeFitter):
         """Fit from the first start; see :meth:`fit`."""
         image, name = load_picture(image, name)  # once for all parts
         target, detection = self.target(image, init, name)
-        if detection is None:
-            others = [part.target(image, init, name)[0]._replace(linear=target.linear) for part in self._several[1:]]
-            targets = [target, *others]
-        elif self._several:
-            measured = target.measured(self.objectives[-1].method)  # once for all places and levels
-            targets = targets_at(measured, self.finder.parts)
-        else:
-            targets = [target]
+        targets = self._targets_of_parts(target, image, init, name) if self._several else [target]
         is_last = not self._may_look_elsewhere(init) or region_of(init, target.image) is None
         part, result = fit_likeliest_part(self.parts, targets, self.options, is_last)
         return PlacedFit(result, targets[part], detection, part)
+
+    def _targets_of_parts(self, target: Target, image: np.ndarray, init, name: str) -> list[Target]:
+        """Return the targets of all parts for the target of the first; the noise is measured once for all places."""
+        target = target.measured(self.objectives[-1].method)
+        if init is None:
+            return targets_at(target, self.finder.parts)
+        others = [part.target(image, init, name)[0] for part in self._several[1:]]
+        return [target, *(other._replace(linear=target.linear, noise=target.noise) for other in others)]
 
     def _completed(self, fit: PlacedFit, init) -> FitResult:
         """Look elsewhere and start again if a first fit has low quality; see :meth:`fit`."""

@@ -8,6 +8,7 @@ explains the orientations there. If one object is wanted, small ones are searche
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
+from weakref import ref
 
 import numpy as np
 
@@ -361,7 +362,7 @@ class _Search:
     def __init__(self, finder: Finder, linear: LinearImage, count: int, bank: Bank) -> None:
         self.finder = finder
         self.limits = OF_FILTERS if bank.normalised else OF_TEMPLATES
-        self.linear = linear
+        self._linear = ref(linear)  # which keeps its searches: a cycle would keep both until garbage is collected
         self.image = linear.image
         self.count = count
         self.bank = bank
@@ -521,7 +522,9 @@ class _Search:
     def _fit_at(self, place: _Place) -> Detection:
         """Fit the reduced model of the part whose template was found."""
         part = place.template.part
-        detection = self.finder.parts[part]._fit_place(self.linear, place)
+        linear = self._linear()
+        assert linear is not None  # the caller has it
+        detection = self.finder.parts[part]._fit_place(linear, place)
         return replace(detection, part=part) if part else detection
 
 
