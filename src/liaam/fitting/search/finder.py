@@ -101,6 +101,7 @@ OF_TEMPLATES = Limits(
 # Of 150 images of faces, right places have at least 0.72 of the strongest response. Eight of ten have a sum of 1.0 or
 # more, which two wrong places reach; of wrong ones in images of one face, one in a hundred has 1.07.
 OF_FILTERS = Limits(worth=0.7, of_response=0.5, least_score=0.0, sure=1.0, n_large=8, sure_beside=1.1, clear=0.75)
+WEAK = 0.3  # Fraction of the strongest response of filters below which none is among the twelve strongest places
 
 # Further objects, where one is wanted:
 MOST_BESIDE = 4  # number of places that are fitted for them
@@ -384,7 +385,7 @@ class _Search:
         Large objects come first, and the others if none of these is certain, unless ``only_large``.
         """
         is_large = self.is_large
-        worth = 0.0 if self.bank.normalised else self.limits.worth  # of filters, the search may go on
+        worth = self.limits.worth
         places = self._look(self.sizes[is_large], worth)
         if is_large.all():
             fits, _ = self._fit_in_turn(places, least)
@@ -466,8 +467,11 @@ class _Search:
     def _look(self, sizes: np.ndarray, worth: float = 0.0) -> np.ndarray:
         """Search these sizes; return the places of the strongest responses, also of those searched before.
 
-        Responses below the fraction ``worth`` of the strongest may be left out.
+        Responses below the fraction ``worth`` of the strongest may be left out; of filters, those of no use to a search
+        that goes on.
         """
+        if self.bank.normalised:
+            worth = WEAK
         small = self.finder.small
         n_before = len(self.fields)
         sizes = np.setdiff1d(sizes, self.looked_at)
