@@ -23,6 +23,7 @@ from benchmarks import fit, iteration
 from benchmarks.metrics import in_turn, quartiles, report
 from benchmarks.track import data_folder
 from experiments.lights import dapples, hard_light
+from liaam import load_model
 from liaam.datasets import Dataset, load_folder
 from liaam.fitting import FitResult, Fitter
 from liaam.fitting.loop.encoded_image import EncodedImage
@@ -44,6 +45,12 @@ MENPOFIT_ITERATIONS = 20
 
 N_PHOTOGRAPHS = 8
 """Number of timed photographs. Detection uses all."""
+
+EVERY_WILD = 4
+"""Of the photographs in the wild, every fourth is timed."""
+
+NODE_BYTES = 16
+"""What a step along a linked list reads and writes in :func:`chase`: four numbers of four bytes."""
 
 OPENCV = "pip install opencv-contrib-python-headless"
 
@@ -76,18 +83,22 @@ class PeerRow:
         One for each image.
     less : sequence of callables
         The same with `steps` iterations less, to time an iteration rather than a call.
-    steps : int
+    steps : float
     beside : str
-        Row of liaam to compare with.
+        Row to compare with: of liaam, or of MediaPipe for the face model.
+    found : Found, optional
+    varied : bool
+        Whether the images differ so much that the mean and the largest of their medians are reported, too.
     """
 
     name: str
     what: str
     calls: Sequence[Call]
     less: Sequence[Call] = ()
-    steps: int = 1
+    steps: float = 1
     beside: str = ""
     found: Found | None = None
+    varied: bool = False
 
 
 class MissingError(Exception):
@@ -161,6 +172,15 @@ def timed_photographs() -> list[Picture]:
     return lights["diffuse"][: N_PHOTOGRAPHS // 2] + lights["spot"][: N_PHOTOGRAPHS // 2]
 
 
+@cache
+def wild_photographs() -> list[np.ndarray]:
+    """Photographs in the wild, of the shared data."""
+    folder = data_folder() / "wild"
+    if not folder.is_dir():
+        raise MissingError("needs photographs, wild of the shared data (LIAAM_SHARED_DATA says where they are)")
+    return [sample.read_image() for sample in list(load_folder(folder))[::EVERY_WILD]]
+
+
 def found_faces(find: Callable[[np.ndarray], np.ndarray | None]) -> Found:
     """Count the faces found under each light.
 
@@ -206,7 +226,23 @@ def floor_rows() -> list[PeerRow]:
         rows.append(
             PeerRow(f"peers_floor_move_{_word(method)}", what, [partial(np.copyto, source.copy(), source)] * REPEATS)
         )
-    return rows
+    n_bytes = floor_bytes(*iteration.make_fit("soft-li"))
+    what = f"a thousand steps along a linked list of {n_bytes / 1e6:.1f} MB in random order"
+    n_nodes = n_bytes // NODE_BYTES
+    return [*rows, PeerRow("peers_floor_chase", what, [chase(rng, n_nodes)] * REPEATS, steps=n_nodes / 1000)]
+
+
+def chase(rng: np.random.Generator, n_nodes: int) -> Call:
+    """Return a walk along a linked list whose nodes lie in random order: each step waits for the one before.
+
+    It is a breadth-first search of a path, a compiled loop that NumPy does not have.
+    """
+    from scipy.sparse import csr_array
+    from scipy.sparse.csgraph import breadth_first_order
+
+    order = rng.permutation(n_nodes).astype(np.int32)
+    path = csr_array((np.ones(n_nodes - 1), (order[:-1], order[1:])), (n_nodes, n_nodes))
+    return partial(breadth_first_order, path, order[0], return_predecessors=False)
 
 
 # ---- liaam
@@ -254,6 +290,31 @@ def photograph_rows() -> list[PeerRow]:
         PeerRow("peers_liaam_photo", f"whole fit from a box, {about}", fit.fits(fitter, pictures)),
         PeerRow("peers_liaam_photo_found", "search and fit, photographs", searches, found=finds),
         PeerRow("peers_liaam_photo_video", "the next frame of a video that stands still, photographs", videos),
+    ]
+
+
+def face_rows() -> list[PeerRow]:
+    """Rows of the face model that comes with liaam: frontal photographs, and photographs in the wild."""
+    pictures = timed_photographs()
+    fitter = Fitter(load_model("face"))
+    n_pixels = fitter.model.n_pixels
+    n_points = fitter.model.n_points
+    about = f"the face model, {len(fitter.parts)} parts of {n_pixels} pixels, {n_points} points"
+    still = "peers_mediapipe_still"
+    searches = [partial(fitter.fit, image) for image, _ in pictures]
+    wild = [partial(fitter.fit, image) for image in wild_photographs()]
+    return [
+        PeerRow(
+            "peers_liaam_face", f"whole fit from a box, {about}, photographs", fit.fits(fitter, pictures), beside=still
+        ),
+        PeerRow("peers_liaam_face_found", f"search and fit, {about}, photographs", searches, beside=still),
+        PeerRow(
+            "peers_liaam_face_wild",
+            f"search and fit, {about}, {len(wild)} photographs in the wild",
+            wild,
+            beside="peers_mediapipe_wild",
+            varied=True,
+        ),
     ]
 
 
@@ -335,6 +396,7 @@ def mediapipe_rows() -> list[PeerRow]:
         return np.array([(p.x, p.y) for p in faces[0].landmark]) * image.shape[1::-1] if faces else None
 
     each = [partial(still.process, image) for image, _ in pictures]
+    wild = [partial(still.process, image) for image in wild_photographs()]
     frames = [partial(video.process, image) for video, (image, _) in zip(videos, pictures, strict=True)]
     return [
         PeerRow(
@@ -344,6 +406,7 @@ def mediapipe_rows() -> list[PeerRow]:
             beside="peers_liaam_photo_found",
             found=found_faces(find),
         ),
+        PeerRow("peers_mediapipe_wild", f"the same on {len(wild)} photographs in the wild", wild, varied=True),
         PeerRow(
             "peers_mediapipe_video",
             "face mesh, the next frame of a video that stands still, photographs",
@@ -458,6 +521,7 @@ PEERS = (
     Peer("floor", (), "", floor_rows),
     Peer("liaam", (), "", liaam_rows),
     Peer("liaam on photographs", (), "", photograph_rows),
+    Peer("liaam's face model", (), "", face_rows),
     Peer("dlib", ("dlib",), "pip install dlib-bin face_recognition_models", dlib_rows),
     Peer("MediaPipe", ("mediapipe",), "pip install mediapipe==0.10.21", mediapipe_rows),
     Peer("OpenCV", ("cv2",), OPENCV, opencv_rows),
@@ -498,11 +562,11 @@ def one_core() -> Iterator[None]:
 
 
 def measure(rows: Sequence[PeerRow]) -> dict[str, np.ndarray]:
-    """Milliseconds of each row, (rounds x images,)."""
+    """Milliseconds of each row, (rounds, images)."""
     blocks = {row.name: row.calls for row in rows} | {f"less {row.name}": row.less for row in rows if row.less}
     times = in_turn(blocks, ROUNDS)
     return {
-        row.name: ((times[row.name] - times[f"less {row.name}"]) if row.less else times[row.name]).ravel() / row.steps
+        row.name: ((times[row.name] - times[f"less {row.name}"]) if row.less else times[row.name]) / row.steps
         for row in rows
     }
 
@@ -517,6 +581,10 @@ def main() -> None:
         own = times[row.name]
         note = f"({quartiles(own, '.3f')}; {row.what})"
         report(f"{row.name}_ms", float(np.median(own)), note, width=40)
+        if row.varied:
+            of_images = np.median(own, axis=0)
+            report(f"{row.name}_mean_ms", float(of_images.mean()), "(mean over the images)", width=40)
+            report(f"{row.name}_most_ms", float(of_images.max()), "(of the slowest image)", width=40)
     for row in rows:
         if row.beside in times:
             ratio = float(np.median(times[row.name]) / np.median(times[row.beside]))

@@ -55,8 +55,8 @@ def test_an_iteration_is_the_difference_of_two_fits_by_the_steps_between(monkeyp
     monkeypatch.setattr(peers, "in_turn", lambda blocks, rounds: {name: times[name] for name in blocks})
     rows = [PeerRow("a", "", [print], [print], 10), PeerRow("b", "", [print])]
     measured = peers.measure(rows)
-    assert measured["a"].tolist() == [2.0, 4.0]
-    assert measured["b"].tolist() == [7.0]
+    assert measured["a"].tolist() == [[2.0, 4.0]]
+    assert measured["b"].tolist() == [[7.0]]
 
 
 def test_the_floor_is_that_of_the_readme():
@@ -77,6 +77,26 @@ def test_the_table_has_a_metric_for_each_row_and_its_ratio_to_ours(monkeypatch, 
         peers.main()
     assert metrics == {"peers_liaam_li_ms": 2.0, "peers_cat_ms": 5.0, "peers_lone_ms": 1.0, "peers_cat_ratio": 2.5}
     assert "of peers_liaam_li_ms" in capsys.readouterr().out
+
+
+def test_of_varied_images_the_mean_and_the_slowest_count_too(monkeypatch):
+    rows = [PeerRow("peers_wild", "", [print], varied=True)]
+    monkeypatch.setattr(peers, "PEERS", (Peer("x", (), "", lambda: rows),))
+    times = np.array([[1.0, 2.0, 30.0], [1.0, 4.0, 30.0], [1.0, 3.0, 999.0]])  # of three rounds
+    monkeypatch.setattr(peers, "measure", lambda rows: {"peers_wild": times})
+    with recording() as metrics:
+        peers.main()
+    assert metrics == {
+        "peers_wild_ms": 3.0,
+        "peers_wild_mean_ms": pytest.approx(34.0 / 3, rel=1e-5),
+        "peers_wild_most_ms": 30.0,
+    }
+
+
+def test_the_chase_follows_every_node(rng):
+    order = peers.chase(rng, 1000)()
+    assert sorted(order.tolist()) == list(range(1000))
+    assert np.abs(np.diff(order)).mean() > 100  # in random order
 
 
 @pytest.fixture
@@ -104,6 +124,7 @@ def test_our_own_rows_and_the_floor_can_be_timed(small_heads, monkeypatch, capsy
         "peers_floor_blas_ms",
         "peers_floor_move_soft_li_ms",
         "peers_floor_move_li_ms",
+        "peers_floor_chase_ms",
         "peers_liaam_soft_li_ms",
         "peers_liaam_soft_li_iteration_ms",
         "peers_liaam_soft_li_iteration_ratio",

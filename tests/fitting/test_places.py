@@ -35,7 +35,9 @@ def place(calibrated, lit_scene, monkeypatch):
             for shape, (_, quality) in zip(shapes, places, strict=True)
         }
         fitter = Fitter(calibrated, restarts=False)
-        vars(fitter)["finder"] = SimpleNamespace(find_in=lambda *_, **__: found[:1], others_in=lambda *_: found[1:])
+        vars(fitter)["finder"] = SimpleNamespace(
+            first_in=lambda _: found[0], others_in_turn=lambda _: iter([found[1:]]), parts=(None,)
+        )
         call.briefly = []
 
         def fit_from(_self, target, options=None):

@@ -1,6 +1,7 @@
 """Finding the object without a start: by the model's own directions of gradients, in generated scenes."""
 
 import pickle
+from dataclasses import replace
 from functools import lru_cache
 
 import cv2
@@ -99,17 +100,24 @@ def fits_counted(finder, monkeypatch, image, **options):
     return found, len(places)
 
 
-def test_a_single_object_is_not_sought_where_it_cannot_be(finder, monkeypatch):
+@pytest.fixture
+def limits(monkeypatch):
+    """Give the function that changes limits of the search with templates."""
+
+    def change(**changes) -> None:
+        monkeypatch.setattr(search, "OF_TEMPLATES", replace(search.OF_TEMPLATES, **changes))
+
+    return change
+
+
+def test_a_single_object_is_not_sought_where_it_cannot_be(finder, monkeypatch, limits):
     """No place is fitted after one that leaves no doubt, nor one that responds far less: the answer is the same."""
     image = photograph(Pose(scale=0.7)).image
-    monkeypatch.setattr(search, "CLEAR", np.inf)  # without the places of further objects
-    monkeypatch.setattr(search, "SURE", np.inf)
-    monkeypatch.setattr(search, "WORTH", 0.0)
+    limits(clear=np.inf, sure=np.inf, worth=0.0)  # without the places of further objects
     (every,), all_places = fits_counted(finder, monkeypatch, image)
-    monkeypatch.setattr(search, "SURE", every.score + 0.5)
+    limits(sure=every.score + 0.5)
     (surely,), few_places = fits_counted(finder, monkeypatch, image)
-    monkeypatch.setattr(search, "SURE", np.inf)
-    monkeypatch.setattr(search, "WORTH", 0.999)
+    limits(sure=np.inf, worth=0.999)
     (strongest,), one_place = fits_counted(finder, monkeypatch, image)
     assert all_places > few_places >= one_place == 1
     for found in (surely, strongest):
@@ -132,37 +140,34 @@ def test_small_objects_are_sought_where_no_large_one_is_sure(finder, monkeypatch
     np.testing.assert_array_equal(found.landmarks, of_all.landmarks)
 
 
-def test_no_place_is_fitted_twice(finder, monkeypatch):
+def test_no_place_is_fitted_twice(finder, monkeypatch, limits):
     """Places of large objects, which were fitted first, count again beside those of small ones."""
-    monkeypatch.setattr(search, "SURE", np.inf)
-    monkeypatch.setattr(search, "WORTH", 0.0)
+    limits(sure=np.inf, worth=0.0)
     image = photograph(Pose(scale=0.7)).image
     (found,), in_two = fits_counted(finder, monkeypatch, image)
     monkeypatch.setattr(search, "LARGE", 0.0)
     (of_all,), in_one = fits_counted(finder, monkeypatch, image)
-    assert 2 <= in_one <= in_two <= in_one + search.LARGE_PLACES
+    assert 2 <= in_one <= in_two <= in_one + search.OF_TEMPLATES.n_large
     assert found.score == of_all.score
 
 
-def test_a_place_that_scores_too_little_ends_no_search(finder, monkeypatch):
+def test_a_place_that_scores_too_little_ends_no_search(finder, monkeypatch, limits):
     """However strongly it responds: neither one below what is asked for nor a doubtful one is sure."""
-    monkeypatch.setattr(search, "CLEAR", np.inf)  # without the places of further objects
-    monkeypatch.setattr(search, "SURE", 0.0)
-    monkeypatch.setattr(search, "WORTH", 0.0)
+    limits(clear=np.inf, sure=0.0, worth=0.0)  # without the places of further objects
     image = photograph(Pose(scale=0.7)).image
     (found,), at_once = fits_counted(finder, monkeypatch, image)
     assert (at_once, found.score > DOUBTFUL) == (1, True)
     none, tried = fits_counted(finder, monkeypatch, image, least=found.score + 0.01)
     assert (none, tried > 1) == ([], True)
-    monkeypatch.setattr(search, "DOUBTFUL", found.score + 0.01)
+    limits(least_score=found.score + 0.01)
     assert fits_counted(finder, monkeypatch, image)[1] == tried
 
 
-def test_weaker_places_are_looked_at_where_the_best_lie_outside(scenes, monkeypatch):
+def test_weaker_places_are_looked_at_where_the_best_lie_outside(scenes, monkeypatch, limits):
     # A model of the pictures as they are: mirrored copies let the search see a little of the head anywhere.
     finder = Finder(train_on(scenes, diagonal=80.0, copies=0))
     image, asked, is_inside = photograph(Pose(scale=0.7)).image, [], search.is_inside
-    monkeypatch.setattr(search, "WORTH", 1.0)  # a single place, which is the object
+    limits(worth=1.0)  # a single place, which is the object
 
     def anywhere_but_there(shape, picture):
         asked.append(shape)
@@ -495,8 +500,8 @@ def test_an_upright_object_is_the_same_among_all_rotations(turning, finder):
 
 
 def test_objects_that_fill_the_frame_are_tried_in_four_ways(turning, finder):
-    image = photograph(Pose(scale=1.0)).image
-    filled = [search._Search(each, LinearImage(image, "srgb"), 10, each.templates) for each in (finder, turning.finder)]
+    linear = LinearImage(photograph(Pose(scale=1.0)).image, "srgb")
+    filled = [search._Search(each, linear, 10, each.templates) for each in (finder, turning.finder)]
     for each in filled:
         each.for_all()
     assert [len(each.filling()) for each in filled] == [2, 8]

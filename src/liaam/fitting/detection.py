@@ -31,6 +31,8 @@ class Detection:
         Image pixels per pixel of the model's reference frame.
     others : tuple of Detection
         Further objects that the search for one object found with certainty, among those at least half as large.
+    part : int
+        Index of the part of the model that was found; 0 for most models.
     """
 
     landmarks: np.ndarray
@@ -38,6 +40,7 @@ class Detection:
     rotation: float
     scale: float
     others: tuple["Detection", ...] = ()
+    part: int = 0
 
     __repr__ = short_repr
 

@@ -12,12 +12,13 @@ from liaam.fitting.detection import DOUBTFUL, Detection, are_apart, choose
 from liaam.fitting.loop.encoded_image import MARGIN
 from liaam.fitting.loop.levels import LinearImage, Target
 from liaam.fitting.loop.options import SolverOptions
-from liaam.fitting.low_quality import fit_elsewhere
+from liaam.fitting.low_quality import fit_elsewhere, searched_region
 from liaam.fitting.methods import DEFAULT_METHOD, Method
 from liaam.fitting.one_shape_fitter import OneShapeFitter
 from liaam.fitting.result import FitResult, likeliness
 from liaam.fitting.search.finder import Finder
 from liaam.fitting.search.other_places import PlacedFit
+from liaam.fitting.search.parts import fit_likeliest_part, targets_at
 from liaam.fitting.search.starts import is_box, mapped_points, part_of_start, start_shape
 from liaam.formatting import changed_repr
 from liaam.model import AAM
@@ -43,14 +44,6 @@ def _is_like(detection: Detection, best: Detection) -> bool:
     """Return whether a detection scores nearly as high as the best one, and is about as large."""
     ratio = detection.scale / best.scale
     return detection.score >= NEARLY * best.score and 1 / AS_LARGE < ratio < AS_LARGE
-
-
-@dataclass(frozen=True, eq=False)
-class _FirstFit:
-    """A fit from the first start, before other places and starts are tried."""
-
-    fitter: "Fitter"  # of the model's part
-    fit: PlacedFit
 
 
 @dataclass(frozen=True, eq=False)
@@ -197,18 +190,9 @@ class Fitter(OneShapeFitter):
         path = path_of(image)
         start = init.landmarks if isinstance(init, Detection) else init
         part = part_of_start(self.model, start, name)
-        fitters = self.parts if part is None else (self.parts[part],)
-        if len(fitters) > 1:
-            image, name = load_picture(image, name)  # once for all
-        first_fits = [fitter._first_fit(image, init, name) for fitter in fitters]
-        results = []
-        for first in sorted(first_fits, key=lambda each: likeliness(each.fit.result), reverse=True):
-            result = first.fitter._completed(first.fit, init)
-            results.append(replace(result, part=self.parts.index(first.fitter)))
-            if result.status.ok:  # the other parts are less likely
-                break
-        best = max(results, key=lambda each: (each.status.ok, *likeliness(each)))
-        return replace(best, image=path)
+        if part is not None:
+            return replace(self.parts[part].fit(image, init, name), part=part, image=path)
+        return replace(self._completed(self._first_fit(image, init, name), init), image=path)
 
     def fit_all(self, image, name: str = "image") -> list[FitResult]:
         """Fit every object that the search finds in an image, in reading order.
@@ -260,11 +244,25 @@ class Fitter(OneShapeFitter):
         only_first_has_light = part.model.light is None and first.model.light is not None
         return first if only_first_has_light else part
 
-    def _first_fit(self, image, init, name: str) -> _FirstFit:
+    def _first_fit(self, image, init, name: str) -> PlacedFit:
         """Fit from the first start; see :meth:`fit`."""
+        image, name = load_picture(image, name)  # once for all parts
         target, detection = self.target(image, init, name)
+        if self._several:
+            targets = self._targets_of_parts(target, image, init, name)
+            is_last = searched_region(init, target.image, restarts=self.restarts) is None
+            part, result = fit_likeliest_part(self.parts, targets, self.options, is_last)
+            return PlacedFit(result, targets[part], detection, part)
         fits = [PlacedFit(self.fit_target(each), each, detection) for each in self._targets_in_rotations(target, init)]
-        return _FirstFit(self, max(fits, key=lambda fit: likeliness(fit.result)))
+        return max(fits, key=lambda fit: likeliness(fit.result))
+
+    def _targets_of_parts(self, target: Target, image: np.ndarray, init, name: str) -> list[Target]:
+        """Return the targets of all parts for the target of the first; the noise is measured once for all places."""
+        target = target.measured(self.objectives[-1].method)
+        if init is None:
+            return targets_at(target, self.finder.parts)
+        others = [part.target(image, init, name)[0] for part in self._several[1:]]
+        return [target, *(other._replace(linear=target.linear, noise=target.noise) for other in others)]
 
     def _targets_in_rotations(self, target: Target, init) -> list[Target]:
         """Return the target with each start to try: of an object in a box that may be turned in any direction."""
@@ -274,7 +272,7 @@ class Fitter(OneShapeFitter):
 
     def _completed(self, first: PlacedFit, init) -> FitResult:
         """Look elsewhere if a first fit has low quality; see :meth:`fit`."""
-        result = fit_elsewhere(self, self.finder, first, init, restarts=self.restarts)
+        result = fit_elsewhere(self.parts, self.finder, first, init, restarts=self.restarts)
         return replace(result, contours=self.model.contours, landmark_names=self.model.landmark_names)
 
     def target(self, image, init=None, name: str = "image") -> tuple[Target, Detection | None]:
@@ -285,7 +283,7 @@ class Fitter(OneShapeFitter):
         self._refuse_grey(image, name)
         linear = self.linear(image)
         if init is None:
-            init = self.finder.find_in(linear)[0]
+            init = self.finder.first_in(linear)
         detection = init if isinstance(init, Detection) else None
         points = init if detection is None else detection.landmarks
         mapped = mapped_points(self.model, points, name)

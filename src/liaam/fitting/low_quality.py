@@ -8,6 +8,7 @@
 What low quality is, says :meth:`liaam.fitting.quality.Judge.falls_short`.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from typing import TYPE_CHECKING, Any
@@ -17,11 +18,11 @@ import numpy as np
 from liaam.fitting.damaged import PLACES, without_absent
 from liaam.fitting.detection import Detection
 from liaam.fitting.fallback import start_if_failed_far
-from liaam.fitting.loop.levels import Target
 from liaam.fitting.one_shape_fitter import Blurred, OneShapeFitter
 from liaam.fitting.result import LEAST_QUALITY, FitResult, FitStatus, odds_of, with_prior
 from liaam.fitting.search.finder import LARGE, Finder
 from liaam.fitting.search.other_places import PlacedFit, likeliest, other_starts_in
+from liaam.fitting.search.parts import HOPEFUL
 from liaam.fitting.search.restarts import fit_again
 from liaam.model.shape import diagonal_of
 
@@ -88,22 +89,26 @@ class Elsewhere:
     finder: Finder
     region: Region | None
 
-    def places_in(self, target: Target) -> list[np.ndarray]:
-        """Return shapes (n, 2) to start from at other places, the most likely first."""
+    def starts_of(self, fit: PlacedFit) -> list[np.ndarray]:
+        """Return shapes (n, 2) of the part of a fit to start from at other places, the most likely first."""
         if self.region is None:
             return []
-        return [start for _, start in other_starts_in(self.finder, target, self.region, PLACES)]
+        places = other_starts_in(self.finder, fit.target, self.region, PLACES)
+        part = self.finder.parts[fit.part]
+        return [start if place.part == fit.part else part.mean_at(start) for place, start in places]
 
 
-def fit_elsewhere(fitter: OneShapeFitter, finder: Finder, first: PlacedFit, init: Any, *, restarts: bool) -> FitResult:
+def fit_elsewhere(
+    fitters: Sequence[OneShapeFitter], finder: Finder, first: PlacedFit, init: Any, *, restarts: bool
+) -> FitResult:
     """Look elsewhere and start again if a first fit has low quality, and say how far the result is believed.
 
     Parameters
     ----------
-    fitter : OneShapeFitter
-        What made the first fit.
+    fitters : sequence of OneShapeFitter
+        Those of the model's parts, by one of which the first fit is.
     finder : Finder
-        Its search.
+        The search of the model.
     first : PlacedFit
     init : start, optional
         As for :meth:`liaam.fitting.Fitter.fit`. Without one, the whole image is searched for other places, and around
@@ -111,15 +116,15 @@ def fit_elsewhere(fitter: OneShapeFitter, finder: Finder, first: PlacedFit, init
     restarts : bool
         Whether to look elsewhere although there is a start, and to start again from other shapes.
     """
-    may_look = init is None or restarts
-    region = region_of(init, first.target.image) if may_look else None
-    elsewhere = Elsewhere(finder, region)
-    fit, prior = _fit_at_likeliest_place(fitter, first, elsewhere)
+    elsewhere = Elsewhere(finder, searched_region(init, first.target.image, restarts=restarts))
+    fit, prior = _fit_at_likeliest_place(fitters, first, elsewhere)
+    fitter = fitters[fit.part]
     result = fit.result
-    if restarts and fitter.judge.falls_short(with_prior(result, prior)):
+    is_hopeful = len(fitters) == 1 or result.quality >= HOPEFUL
+    if restarts and is_hopeful and fitter.judge.falls_short(with_prior(result, prior)):
         result = fit_again(fitter, fit.target, result)
     if result.absent.any():
-        result = without_absent(fitter, fit.target, result, partial(elsewhere.places_in, fit.target))
+        result = without_absent(fitter, fit.target, result, partial(elsewhere.starts_of, fit))
     result = with_prior(result, prior)
     if is_judged(fitter) and (result.status.lost or _is_likely_wrong(fitter, result)):
         # A fit from a start that was given is not compared with a place that was searched for.
@@ -127,7 +132,7 @@ def fit_elsewhere(fitter: OneShapeFitter, finder: Finder, first: PlacedFit, init
         result = start_if_failed_far(result, start, fitter.shapes)
     if fit.detection is None or not fit.detection.doubtful:  # the start is near the object
         result = _with_prior_near(fitter, result)
-    return replace(result, found=fit.detection)
+    return replace(result, found=fit.detection, part=fit.part)
 
 
 def fit_where_found(fitter: "Fitter", image: Any, detection: Detection, name: str) -> FitResult:
@@ -139,6 +144,11 @@ def fit_where_found(fitter: "Fitter", image: Any, detection: Detection, name: st
     if not there.quality < there.least_quality:
         return there
     return max(there, fitter.fit(image, None, name), key=lambda fit: fit.quality)
+
+
+def searched_region(init: Any, image: np.ndarray, *, restarts: bool) -> Region | None:
+    """Return the corners of the region where a fit of low quality is searched for elsewhere; None for nowhere."""
+    return region_of(init, image) if init is None or restarts else None
 
 
 def region_of(init: Any, image: np.ndarray) -> Region | None:
@@ -160,18 +170,20 @@ def is_judged(fitter: OneShapeFitter) -> bool:
     return fitter.reliability is not None or fitter.calibration.is_failing
 
 
-def _fit_at_likeliest_place(fitter: OneShapeFitter, first: PlacedFit, elsewhere: Elsewhere) -> tuple[PlacedFit, float]:
+def _fit_at_likeliest_place(
+    fitters: Sequence[OneShapeFitter], first: PlacedFit, elsewhere: Elsewhere
+) -> tuple[PlacedFit, float]:
     """Return the first fit, or the most likely one of all places if that is likely wrong, and the factor on its odds.
 
     A place can be judged by its fit only if that has a quality.
     """
-    if elsewhere.region is None or fitter.judge.reliability_for(first.result) is None:
+    if elsewhere.region is None or fitters[first.part].judge.reliability_for(first.result) is None:
         return first, 1.0
     odds = PlaceOdds.in_region(elsewhere.region)
     prior = odds.prior_of(first.result)
     if with_prior(first.result, prior).quality >= LEAST_QUALITY:
         return first, prior
-    return likeliest(fitter, elsewhere.finder, first, elsewhere.region, odds)
+    return likeliest(fitters, elsewhere.finder, first, elsewhere.region, odds)
 
 
 def _is_likely_wrong(fitter: OneShapeFitter, result: FitResult) -> bool:

@@ -40,7 +40,7 @@ USUAL = SolverOptions()
 
 
 class Blurred(NamedTuple):
-    """A fit at all levels but the sharpest: its target, levels, the shape that it reached, and its quality."""
+    """A fit at the coarsest level, or at all but the sharpest: its target, levels, shape and quality."""
 
     target: Target
     stages: list[FittedLevel]
@@ -238,7 +238,24 @@ class OneShapeFitter:
 
     def fit_blurred(self, target: Target, options: SolverOptions) -> Blurred:
         """Fit all levels but the sharpest."""
-        stages = self._blurred_levels(target, options)
+        return self._blurred(target, self._blurred_levels(target, options))
+
+    def fit_coarsest(self, target: Target, options: SolverOptions) -> Blurred:
+        """Fit the coarsest level of at least two."""
+        return self._blurred(target, self.coarse_to_fine.fit(target, spare(options), last=1))
+
+    def fit_other_blurred(self, fit: Blurred, options: SolverOptions) -> Blurred:
+        """Fit the blurred levels that remain, from the shape that the others have reached."""
+        n_blurred = len(self.objectives) - 1
+        n_fitted = len(fit.stages)
+        if not n_fitted or n_fitted >= n_blurred:
+            return fit
+        from_there = fit.target._replace(start=fit.shape, margin=NEAR)
+        others = self.coarse_to_fine.fit(from_there, spare(options), first=n_fitted, last=n_blurred)
+        return self._blurred(fit.target, [*fit.stages, *others])
+
+    def _blurred(self, target: Target, stages: list[FittedLevel]) -> Blurred:
+        """Judge a fit at blurred levels."""
         shape = stages[-1].reached
         if self.reliability is None or not is_sane(shape, target.start):
             return Blurred(target, stages=[], shape=target.start, quality=0.0)

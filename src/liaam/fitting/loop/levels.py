@@ -79,6 +79,7 @@ class LinearImage:
     image: np.ndarray  # (h, w, 3) uint8, uint16 or float32
     response: Response
     lights: dict[bool, Means] = field(default_factory=dict)  # of an image of floats, by whether of logarithms
+    searches: dict[int, Any] = field(default_factory=dict)  # that may go on, by the identity of their detector
 
     @cached_property
     def grey(self) -> bool:

@@ -5,8 +5,10 @@ image at many sizes. The best places are fitted with the reduced model by method
 explains the orientations there. If one object is wanted, small ones are searched for only if no large one is certain.
 """
 
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
+from weakref import ref
 
 import numpy as np
 
@@ -61,30 +63,64 @@ PLACES_PER_OBJECT = 4
 # Distance, in diagonals, and fraction of its size, within which a place is the same as a stronger one.
 APART = 0.2
 
-# One object: sum of score and response at which the search stops. Seven of ten right places have more, and no wrong
-# place of 861 images has more than 1.18.
-SURE = 1.25
-# Fraction of the strongest response below which places are left out. Right places have at least 0.77.
-WORTH = 0.75
-# Diagonal of large objects as a fraction of the image's shorter side, and number of their places that are fitted. Small
-# objects are searched for only if none of these is sure: they take three quarters of the time.
+# Diagonal of large objects as a fraction of the image's shorter side. Small ones are searched for only if no large
+# place is certain: they take three quarters of the time.
 LARGE = 0.3
-LARGE_PLACES = 2
 
-# Further objects, where one is wanted: the least sum of score and response. Of 12 pairs of faces 10 have more; places
-# without a face have at most 1.12.
-SURE_BESIDE = 1.15
-CLEAR = 0.45  # least response of the places that are fitted for them
-MOST_BESIDE = 4  # number of these places
+
+@dataclass(frozen=True)
+class Limits:
+    """What the score of a place and the response there say, of one kind of templates.
+
+    Attributes
+    ----------
+    worth : float
+        Fraction of the strongest response below which places are left out.
+    of_response : float
+        Factor of the response in the sum with the score by which places are compared.
+    least_score : float
+        Least score of a certain place.
+    sure : float
+        That sum at which the search for one object stops.
+    n_large : int
+        Number of places of large objects that are fitted before small ones are searched for.
+    sure_beside : float
+        Least sum of further objects where one is wanted.
+    clear : float
+        Least response of the places that are fitted for them.
+    """
+
+    worth: float
+    of_response: float
+    least_score: float
+    sure: float
+    n_large: int
+    sure_beside: float
+    clear: float
+
+
+# Right places have at least 0.77 of the strongest response. Seven of ten have more than 1.25, and no wrong place of 861
+# images more than 1.18. Of 12 pairs of faces, 10 have more than 1.15 both; places without a face have at most 1.12.
+OF_TEMPLATES = Limits(
+    worth=0.75, of_response=1.0, least_score=DOUBTFUL, sure=1.25, n_large=2, sure_beside=1.15, clear=0.45
+)
+# Of 150 images of faces, right places have at least 0.72 of the strongest response. Eight of ten have a sum of 1.0 or
+# more, which two wrong places reach; of wrong ones in images of one face, one in a hundred has 1.07.
+OF_FILTERS = Limits(worth=0.7, of_response=0.5, least_score=0.0, sure=1.0, n_large=8, sure_beside=1.1, clear=0.75)
+WEAK = 0.3  # Fraction of the strongest response of filters below which none is among the twelve strongest places
+
+# Further objects, where one is wanted:
+MOST_BESIDE = 4  # number of places that are fitted for them
 LEAST_BESIDE = 0.5  # least diagonal of these places, relative to the best detection
 
 # Other places to fit if the first is not the object: their number, and that of places scored for each. With twice as
 # many, the search takes 1.6 times as long and sees no more faces.
 OTHERS = 12
 LOOKED = 2
-# Bonus on their score per unit of the learnt filter's response, which is 1 at the mean. Without it, one face in forty
-# falls behind the first six places.
-RESPONSE_WORTH = 0.5
+# The same for models of several parts, which are all fitted at each place at the coarsest level, and the number of
+# large places that come first.
+OTHERS_OF_PARTS = 6
+AT_FIRST = 4
 SIZE_WORTH = 0.05  # bonus on their score per unit of log size: there are more wrong places of small sizes
 
 # Objects that fill the frame: diagonals as fractions of its shorter side, and rotations, degrees, of those in TURNS.
@@ -134,7 +170,9 @@ class Finder:
 
     @cached_property
     def parts(self) -> tuple["Finder", ...]:
-        """A detector for each shape of the model."""
+        """A detector for each shape of the model: in general only this one."""
+        if not self.model.others:
+            return (self,)
         return tuple(replace(self, model=part) for part in self.model.parts)
 
     @cached_property
@@ -144,11 +182,20 @@ class Finder:
 
     @cached_property
     def filters(self) -> Bank:
-        """The model's learnt filter in several rotations; the templates if it has none."""
-        if self.model.search_filter is None:
+        """The learnt filters of all parts in several rotations; the templates if a part has none."""
+        has_filters = all(part.search_filter is not None for part in self.model.parts)
+        if not (has_filters or self.model.others):
             return self.templates
-        rotated = rotated_filters(self.model.search_filter, self.searched_rotations, self.small)
-        return Bank(rotated, self._padding, normalised=True)
+        templates: list[OrientationTemplate] = []
+        for i, part in enumerate(self.parts):
+            of_part = part._rotated_filters() if has_filters else part.templates.templates
+            templates += [replace(template, part=i) for template in of_part]
+        return Bank(templates, self._padding, normalised=has_filters)
+
+    def _rotated_filters(self) -> tuple[OrientationTemplate, ...]:
+        """Return the learnt filter of a part in several rotations."""
+        assert self.model.search_filter is not None
+        return rotated_filters(self.model.search_filter, self.searched_rotations, self.small)
 
     @property
     def _padding(self) -> int:
@@ -179,19 +226,41 @@ class Finder:
     def find_in(self, linear: LinearImage, *, limit: int | None = 1, least: float = 0.0) -> list[Detection]:
         """Find the object in an image that is checked already; see :func:`find`."""
         most = MOST if limit is None else min(limit, MOST)
-        if self.model.others:
+        if most > 1:
             detections = []
-            for part in self.parts:
-                detections += part.find_in(linear, limit=limit, least=least)
-            return choose(_best_first(detections), are_beside, most)
-        search = _Search(self, linear, count=PLACES + PLACES_PER_OBJECT * most, bank=self.templates)
-        detections = search.for_one(least) if most == 1 else search.for_all()
-        if not detections:
-            detections = [self._in_the_middle(linear.image)]
-        chosen = choose(_best_first(detections), are_beside, most)
-        if most == 1:
-            chosen = [replace(chosen[0], others=search.beside(chosen[0]))]
+            for i, part in enumerate(self.parts):
+                detections += [replace(each, part=i) for each in part._find_all(linear, most)]
+            chosen = choose(_best_first(detections), are_beside, most)
+        else:
+            search = self._search_for_one(linear)
+            best = (search.for_one(least) or [self._in_the_middle(linear.image)])[0]
+            chosen = [replace(best, others=search.beside(best))]
         return [detection for detection in chosen if detection.score >= least]
+
+    def first_in(self, linear: LinearImage) -> Detection:
+        """Find where the first fit of an image starts.
+
+        The filters of a model of several parts are compared with large sizes only: small ones follow if the fit is
+        doubtful.
+        """
+        if not self.model.others:
+            return self.find_in(linear)[0]
+        search = self._search_for_one(linear)
+        best = (search.for_one(only_large=True) or [self._in_the_middle(linear.image)])[0]
+        return replace(best, others=search.beside(best))
+
+    def _search_for_one(self, linear: LinearImage) -> "_Search":
+        """Return the search for one object; that of several parts goes on where it stopped."""
+        if not self.model.others:
+            return _Search(self, linear, count=PLACES + PLACES_PER_OBJECT, bank=self.templates)
+        if id(self) not in linear.searches:
+            linear.searches[id(self)] = _Search(self, linear, count=LOOKED * OTHERS_OF_PARTS, bank=self.filters)
+        return linear.searches[id(self)]
+
+    def _find_all(self, linear: LinearImage, most: int) -> list[Detection]:
+        """Find objects of this part."""
+        search = _Search(self, linear, count=PLACES + PLACES_PER_OBJECT * most, bank=self.templates)
+        return search.for_all() or [self._in_the_middle(linear.image)]
 
     def others_in(self, linear: LinearImage, most: int = OTHERS) -> list[Detection]:
         """Find other places to fit if the first is not the object: the next best, and some that fill the frame.
@@ -199,12 +268,34 @@ class Finder:
         The best come first, ``most`` at most, then those that fill the frame. Their shapes are the aligned mean shape,
         because deformations of the reduced model are a bad start.
         """
-        search = _Search(self, linear, count=LOOKED * most, bank=self.filters)
-        response_worth = 0.0 if self.model.search_filter is None else RESPONSE_WORTH
-        best = choose(search.ranked(response_worth), are_apart, most)
-        places = choose([*best, *search.filling()], are_apart)
+        search = self._search_for_one(linear)
+        if not self.model.others:
+            search = _Search(self, linear, count=LOOKED * most, bank=self.filters)
+        best = choose(search.ranked(), are_apart, most)
+        return self._with_means(choose([*best, *search.filling()], are_apart))
+
+    def others_in_turn(self, linear: LinearImage) -> Iterator[list[Detection]]:
+        """Yield other places in turn, for as long as none of those before is the object; see :meth:`others_in`.
+
+        Those of a model of several parts are a few large ones, and then those of all sizes. Others come at once.
+        """
+        if not self.model.others:
+            yield self.others_in(linear)
+            return
+        search = self._search_for_one(linear)
+        large = choose(search.ranked(only_large=True), are_apart, AT_FIRST)
+        yield self._with_means(large)
+        best = choose([*large, *search.ranked()], are_apart, OTHERS_OF_PARTS)
+        yield self._with_means(choose([*best, *search.filling()], are_apart)[len(large) :])
+
+    def _with_means(self, places: Sequence[Detection]) -> list[Detection]:
+        """Return places with the aligned mean shapes of their parts."""
+        return [replace(place, landmarks=self.parts[place.part].mean_at(place.landmarks)) for place in places]
+
+    def mean_at(self, shape: np.ndarray) -> np.ndarray:
+        """Return the mean shape, aligned to a shape (n, 2)."""
         mean = self.model.shape_model.mean
-        return [replace(place, landmarks=align(mean, place.landmarks)(mean)) for place in places]
+        return align(mean, shape)(mean)
 
     def starts_in_box(self, linear: LinearImage, start: np.ndarray) -> list[np.ndarray]:
         """Return starts (n, 2) for an object that may be turned in any direction, in the box of a start.
@@ -221,7 +312,7 @@ class Finder:
         sizes = diagonal * STEP ** np.array(SIZES_NEAR)
         search = _Search(self, around, count=PLACES + PLACES_PER_OBJECT, bank=self.templates, sizes=sizes)
         found = [detection.landmarks for detection in _best_first(search.for_all())[:1]]
-        return [shape + first for shape in [*found, *search.turned(start - first, TURNED_STARTS)]]
+        return [shape + first for shape in [*found, *search.turned(around, start - first, TURNED_STARTS)]]
 
     def _fit_place(self, linear: LinearImage, place: "_Place") -> Detection:
         """Fit the reduced model at a place, and score the result; 0 if the fit diverges."""
@@ -308,53 +399,74 @@ class _Search:
         self, finder: Finder, linear: LinearImage, count: int, bank: Bank, sizes: np.ndarray | None = None
     ) -> None:
         self.finder = finder
-        self.linear = linear
+        self.limits = OF_FILTERS if bank.normalised else OF_TEMPLATES
+        self._linear = ref(linear)  # which keeps its searches: a cycle would keep both until garbage is collected
         self.image = linear.image
         self.count = count
         self.bank = bank
         diagonal = finder.small.diagonal
         self.sizes = search_sizes(self.image.shape[:2], diagonal) if sizes is None else sizes
+        # Some are large: the largest size exceeds the image.
+        self.is_large = self.sizes >= LARGE * min(self.image.shape[:2])
         self.grey = Grey.of(self.image, linear.response, self.sizes[0] / diagonal)
+        self.looked_at: list[float] = []  # sizes, of the fields
         self.fields: list[Field] = []
         self.peaks_of_fields: list[Peaks] = []
         self.peaks: Peaks  # of all fields; a place is known by its index in these
         self.strongest: np.ndarray  # places without those near a stronger one, the strongest first
         self.fits: dict[int, Detection] = {}  # by place
 
-    def for_one(self, least: float) -> list[Detection]:
-        """Fit the best places until one is certain and scores at least ``least``, large objects first."""
-        is_large = self.sizes >= LARGE * min(self.image.shape[:2])  # some are: the largest size exceeds the image
-        places = self._look(self.sizes[is_large], WORTH)
+    def for_one(self, least: float = 0.0, only_large: bool = False) -> list[Detection]:
+        """Fit the best places until one is certain and scores at least ``least``; return the likeliest first.
+
+        Large objects come first, and the others if none of these is certain, unless ``only_large``.
+        """
+        is_large = self.is_large
+        worth = self.limits.worth
+        places = self._look(self.sizes[is_large], worth)
         if is_large.all():
-            detections, _ = self._fit_in_turn(places, least)
+            fits, _ = self._fit_in_turn(places, least)
         else:
-            detections, is_certain = self._fit_in_turn(places[:LARGE_PLACES], least)
-            if not is_certain:
-                detections, _ = self._fit_in_turn(self._look(self.sizes[~is_large], WORTH), least)
-        if not detections and self.fits:  # the best places all lie outside the image, and weaker ones were left out
-            return self.for_all()
-        return detections
+            fits, is_certain = self._fit_in_turn(places[: self.limits.n_large], least)
+            if not (is_certain or only_large):
+                fits, _ = self._fit_in_turn(self._look(self.sizes[~is_large], worth), least)
+        if not fits and self.fits:  # the best places all lie outside the image, and weaker ones were left out
+            fits = self._fit_all()
+        return self._ranked(fits) if self.bank.normalised else _best_first([detection for detection, _ in fits])
 
     def for_all(self) -> list[Detection]:
         """Fit the best places of all sizes."""
         return [detection for detection, _ in self._fit_all()]
 
-    def ranked(self, response_worth: float) -> list[Detection]:
-        """Fit the best places of all sizes, and sort them by score, size and ``response_worth`` times the response."""
+    def ranked(self, only_large: bool = False) -> list[Detection]:
+        """Fit the best places of all or of large sizes, the likeliest first."""
+        if not only_large:
+            return self._ranked(self._fit_all())
+        places = self._look(self.sizes[self.is_large])[: self.limits.n_large]
+        return self._ranked(self._fit_those(places))
+
+    def _ranked(self, fits: list[tuple[Detection, float]]) -> list[Detection]:
+        """Sort detections by score and size, and the responses of learnt filters, which come with them."""
+        of_response = self.limits.of_response if self.bank.normalised else 0.0
 
         def rank(detection: Detection, response: float) -> float:
-            return detection.score + response_worth * response + SIZE_WORTH * np.log(detection.scale)
+            return detection.score + of_response * response + SIZE_WORTH * np.log(detection.scale)
 
-        ranked = sorted(self._fit_all(), key=lambda each: -rank(*each))
-        return [detection for detection, _ in ranked]
+        return [detection for detection, _ in sorted(fits, key=lambda each: -rank(*each))]
 
     def _fit_all(self) -> list[tuple[Detection, float]]:
         """Fit the best places of all sizes; return detections inside the image, with the responses at their places."""
-        # Begin anew: weak responses may be left out of fields that were searched for one object.
-        self.fields = []
-        self.peaks_of_fields = []
-        self.fits = {}
-        fits = [(self._fit(place), float(self.peaks.responses[place])) for place in self._look(self.sizes)]
+        if not self.bank.normalised:
+            # Begin anew: weak responses may be left out of fields that were searched for one object.
+            self.looked_at = []
+            self.fields = []
+            self.peaks_of_fields = []
+            self.fits = {}
+        return self._fit_those(self._look(self.sizes))
+
+    def _fit_those(self, places: np.ndarray) -> list[tuple[Detection, float]]:
+        """Fit places; return detections inside the image, with the responses at their places."""
+        fits = [(self._fit(place), float(self.peaks.responses[place])) for place in places]
         return [(detection, response) for detection, response in fits if is_inside(detection.landmarks, self.image)]
 
     def beside(self, best: Detection) -> tuple[Detection, ...]:
@@ -366,10 +478,8 @@ class _Search:
         high = best.landmarks.max(axis=0)
         is_outside = ((centres < low) | (centres > high)).any(axis=1)
         is_large = diagonals >= LEAST_BESIDE * diagonal_of(best.landmarks)
-        places = self.strongest[is_outside & is_large & (responses >= CLEAR)][:MOST_BESIDE]
-        certain = [
-            self._fit(place) for place in places if self._fit(place).score + self.peaks.responses[place] >= SURE_BESIDE
-        ]
+        places = self.strongest[is_outside & is_large & (responses >= self.limits.clear)][:MOST_BESIDE]
+        certain = [self._fit(place) for place in places if self._sum(place) >= self.limits.sure_beside]
         return tuple(choose([best, *_best_first(certain)], are_beside)[1:])
 
     def filling(self) -> list[Detection]:
@@ -385,10 +495,13 @@ class _Search:
             for fraction in FILLING:
                 scale = fraction * size.min() / self.finder.small.diagonal
                 places.append(_Place(0.5 * (size - 1.0), scale, template, self._field_of(scale)))
-        return [self.finder._fit_place(self.linear, place) for place in places]
+        return [self._fit_at(place) for place in places]
 
-    def turned(self, start: np.ndarray, count: int) -> list[np.ndarray]:
-        """Return the mean shape in the box of a start (n, 2) in the likeliest rotations, at most so many."""
+    def turned(self, linear: LinearImage, start: np.ndarray, count: int) -> list[np.ndarray]:
+        """Return the mean shape in the box of a start (n, 2) in the likeliest rotations, at most so many.
+
+        ``linear`` is the image of the search.
+        """
         low, high = corners_of(start)
         mean = self.finder.model.shape_model.mean
         reduced_mean = self.finder.small.shape_model.mean
@@ -396,7 +509,7 @@ class _Search:
         starts = [in_box(mean @ rotation(turn).T, 0.5 * (low + high), diagonal_of(start)) for turn in turns]
         fields = [self._field_of(align(reduced_mean, shape).scale) for shape in starts]
         scores = [
-            self.finder._fit_start(self.linear, shape, field).score for shape, field in zip(starts, fields, strict=True)
+            self.finder._fit_start(linear, shape, field).score for shape, field in zip(starts, fields, strict=True)
         ]
         best: list[int] = []
         for i in np.argsort(np.negative(scores), kind="stable").tolist():
@@ -411,10 +524,14 @@ class _Search:
     def _look(self, sizes: np.ndarray, worth: float = 0.0) -> np.ndarray:
         """Search these sizes; return the places of the strongest responses, also of those searched before.
 
-        Responses below the fraction ``worth`` of the strongest may be left out.
+        Responses below the fraction ``worth`` of the strongest may be left out; of filters, those of no use to a search
+        that goes on.
         """
+        if self.bank.normalised:
+            worth = WEAK
         small = self.finder.small
         n_before = len(self.fields)
+        sizes = np.setdiff1d(sizes, self.looked_at)
 
         def look_at(i: int) -> tuple[Field, Peaks]:
             field = self.grey.field(sizes[i], small)
@@ -424,24 +541,32 @@ class _Search:
         for field, peaks in in_threads(look_at, range(len(sizes))):
             self.fields.append(field)
             self.peaks_of_fields.append(peaks)
+        self.looked_at += sizes.tolist()
         self.peaks = Peaks(*map(np.concatenate, zip(*self.peaks_of_fields, strict=True)))
         self.strongest = strongest(self.peaks, APART * small.diagonal, self.count)
         return self.strongest
 
-    def _fit_in_turn(self, places: np.ndarray, least: float) -> tuple[list[Detection], bool]:
-        """Fit places, the strongest first, until one is certain or responses are low; return whether one is certain."""
-        detections: list[Detection] = []
+    def _fit_in_turn(self, places: np.ndarray, least: float) -> tuple[list[tuple[Detection, float]], bool]:
+        """Fit places, the strongest first, until one is certain or responses are low; return whether one is certain.
+
+        The detections come with the responses at their places.
+        """
+        fits: list[tuple[Detection, float]] = []
         for place in places:
-            response = self.peaks.responses[place]
-            if response < WORTH * self.peaks.responses[places[0]]:
+            response = float(self.peaks.responses[place])
+            if response < self.limits.worth * self.peaks.responses[places[0]]:
                 break
             detection = self._fit(place)
             if not is_inside(detection.landmarks, self.image):
                 continue
-            detections.append(detection)
-            if detection.score >= max(least, DOUBTFUL) and detection.score + response >= SURE:
-                return detections, True
-        return detections, False
+            fits.append((detection, response))
+            if detection.score >= max(least, self.limits.least_score) and self._sum(place) >= self.limits.sure:
+                return fits, True
+        return fits, False
+
+    def _sum(self, place: int) -> float:
+        """Return the sum of score and response that is compared with the limits."""
+        return self._fit(place).score + self.limits.of_response * self.peaks.responses[place]
 
     def _fit(self, place: int) -> Detection:
         """Fit a place, once."""
@@ -452,8 +577,16 @@ class _Search:
                 template=self.bank.templates[self.peaks.templates[place]],
                 field=self.fields[self.peaks.fields[place]],
             )
-            self.fits[place] = self.finder._fit_place(self.linear, at)
+            self.fits[place] = self._fit_at(at)
         return self.fits[place]
+
+    def _fit_at(self, place: _Place) -> Detection:
+        """Fit the reduced model of the part whose template was found."""
+        part = place.template.part
+        linear = self._linear()
+        assert linear is not None  # the caller has it
+        detection = self.finder.parts[part]._fit_place(linear, place)
+        return replace(detection, part=part) if part else detection
 
 
 def find(

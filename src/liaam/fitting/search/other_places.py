@@ -4,7 +4,7 @@ The other detections are fitted at the blurred levels, and the best of them at t
 object, so each other likely one lowers the odds.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
@@ -12,9 +12,11 @@ import numpy as np
 
 from liaam.fitting.detection import Detection, are_apart
 from liaam.fitting.loop.levels import Target
-from liaam.fitting.one_shape_fitter import OneShapeFitter
-from liaam.fitting.result import FitResult, FitStatus
+from liaam.fitting.loop.options import SolverOptions
+from liaam.fitting.one_shape_fitter import Blurred, OneShapeFitter
+from liaam.fitting.result import LEAST_QUALITY, FitResult, FitStatus, with_prior
 from liaam.fitting.search.finder import OTHERS, Finder
+from liaam.fitting.search.parts import HOPEFUL, PartFit, fit_coarsest, fit_further, targets_at
 
 if TYPE_CHECKING:
     from liaam.fitting.low_quality import PlaceOdds
@@ -33,10 +35,11 @@ class PlacedFit:
     result: FitResult
     target: Target
     detection: Detection | None  # of the place, if it was searched for
+    part: int = 0  # index of the model's part that was fitted
 
 
 def likeliest(
-    fitter: OneShapeFitter,
+    fitters: Sequence[OneShapeFitter],
     finder: Finder,
     first: PlacedFit,
     region: tuple[np.ndarray, np.ndarray],
@@ -44,28 +47,86 @@ def likeliest(
 ) -> tuple[PlacedFit, float]:
     """Return the most likely of the first fit and those at other places, and the factor on its odds.
 
-    The places are in a region (its corners).
+    The places are in a region (its corners). Each fit is by one of the model's parts.
     """
-    brief = replace(fitter.options, max_iterations=BRIEF)
-    blurred = []  # each with its place
-    for place, start in other_starts_in(finder, first.target, region):
-        blurred.append((fitter.fit_blurred(first.target._replace(start=start), brief), place))
-    blurred.sort(key=lambda each: odds.of_blurred(each[0]), reverse=True)
-
+    brief = replace(fitters[0].options, max_iterations=BRIEF)
     fits = [first]
-    for fit, place in blurred[:PROMISING]:
-        # What else the search found is the same for all places.
-        detection = None if first.detection is None else replace(place, others=first.detection.others)
-        fits.append(PlacedFit(fitter.fit_sharpest(fit, brief), fit.target, detection))
-    best = fits[_finish_best(fits, fitter, odds.of_result)]
+    unpromising: list[Blurred] = []
+    n_starts = 1
+    best = first
+    prior = odds.prior_of(first.result)
+    for places in _other_starts_in_turn(finder, first, region):
+        blurred = _fit_blurred(fitters, finder, first.target, places, brief, odds)
+        n_starts += len(blurred)
+        promising = blurred[:PROMISING]
+        if len(fitters) > 1:
+            promising = [each for each in promising if each[2].quality >= HOPEFUL]
+        for place, part, fit in promising:
+            # What else the search found is the same for all places.
+            detection = None if first.detection is None else replace(place, others=first.detection.others)
+            fits.append(PlacedFit(fitters[part].fit_sharpest(fit, brief), fit.target, detection, part))
+        unpromising += [fit for *_, fit in blurred[len(promising) :]]
+        best = fits[_finish_best(fits, fitters, odds.of_result)]
+        prior = _prior_beside(best, fits, unpromising, odds)
+        if with_prior(best.result, prior).quality >= LEAST_QUALITY:
+            break
+    return replace(best, result=replace(best.result, n_starts=n_starts)), prior
 
+
+def _prior_beside(
+    best: PlacedFit, fits: Sequence[PlacedFit], unpromising: Sequence[Blurred], odds: "PlaceOdds"
+) -> float:
+    """Return the factor on the odds of the best fit, by its place and by the odds of those elsewhere."""
     shape = best.result.landmarks
-    odds_elsewhere = [odds.of_result(fit.result) for fit in fits if are_apart(shape, fit.result.landmarks)]
-    odds_elsewhere += [odds.of_blurred(fit) for fit, _ in blurred[PROMISING:] if are_apart(shape, fit.shape)]
+    elsewhere = [odds.of_result(fit.result) for fit in fits if are_apart(shape, fit.result.landmarks)]
+    elsewhere += [odds.of_blurred(fit) for fit in unpromising if are_apart(shape, fit.shape)]
     prior = odds.prior(shape, best.result.quality)
-    share = prior / (prior + sum(odds_elsewhere)) if prior > 0 else 1.0
-    result = replace(best.result, n_starts=1 + len(blurred))
-    return replace(best, result=result), min(prior, 1.0) * share
+    share = prior / (prior + sum(elsewhere)) if prior > 0 else 1.0
+    return min(prior, 1.0) * share
+
+
+def _fit_blurred(
+    fitters: Sequence[OneShapeFitter],
+    finder: Finder,
+    target: Target,
+    places: Sequence[tuple[Detection, np.ndarray]],
+    options: SolverOptions,
+    odds: "PlaceOdds",
+) -> list[tuple[Detection, int, Blurred]]:
+    """Fit places (each with its start) at the blurred levels; return them with their part and fit, the best first.
+
+    Of several parts, as many fits as there are places go on from the coarsest level: those of the highest odds.
+    """
+    if len(fitters) == 1:
+        fits = [(place, 0, fitters[0].fit_blurred(target._replace(start=start), options)) for place, start in places]
+        return sorted(fits, key=lambda each: odds.of_blurred(each[2]), reverse=True)
+
+    def odds_of_part(fit: tuple[Detection, PartFit]) -> float:
+        return odds.prior(fit[1].fit.shape, fit[1].fit.quality) * fit[1].odds
+
+    coarsest = []
+    for place, start in places:
+        targets = targets_at(target._replace(start=start), finder.parts)
+        coarsest += [(place, fit) for fit in fit_coarsest(fitters, targets, options)]
+    coarsest.sort(key=odds_of_part, reverse=True)
+    further = [(place, fit_further(fitters, fit, options)) for place, fit in coarsest[: len(places)]]
+    of_places: dict[int, tuple[Detection, int, Blurred]] = {}
+    for place, fit in sorted(further, key=odds_of_part, reverse=True):
+        of_places.setdefault(id(place), (place, fit.part, fit.fit))
+    return list(of_places.values())
+
+
+def _other_starts_in_turn(
+    finder: Finder, first: PlacedFit, region: tuple[np.ndarray, np.ndarray]
+) -> Iterator[list[tuple[Detection, np.ndarray]]]:
+    """Yield other places in a region in turn, each with its start; of several parts without that of the first fit."""
+    low, high = region
+    for places in finder.others_in_turn(first.target.linear.crop(low, high)):
+        starts = [(place, place.landmarks + low) for place in places]
+        if len(finder.parts) > 1:
+            starts = [(place, start) for place, start in starts if are_apart(first.target.start, start)]
+        if starts:
+            yield starts
 
 
 def other_starts_in(
@@ -77,15 +138,24 @@ def other_starts_in(
     return [(place, place.landmarks + low) for place in places]
 
 
-def _finish_best(fits: list[PlacedFit], fitter: OneShapeFitter, odds_of_result: Callable[[FitResult], float]) -> int:
+def _finish_best(
+    fits: list[PlacedFit], fitters: Sequence[OneShapeFitter], odds_of_result: Callable[[FitResult], float]
+) -> int:
     """Fit the best of some fits again until it is one that was not stopped early; return its index.
 
-    The first fit was not. Others are replaced in the list by those with all steps.
+    The first fit of a model of one shape was not. Others are replaced in the list by those with all steps, or, of
+    several parts, said to be doubtful if there is no hope.
     """
-    unfinished = {i for i, fit in enumerate(fits) if i > 0 and fit.result.status is FitStatus.MAX_ITERATIONS}
+    first = 0 if len(fitters) > 1 else 1
+    unfinished = {i for i, fit in enumerate(fits) if i >= first and fit.result.status is FitStatus.MAX_ITERATIONS}
     while True:
         best = int(np.argmax([odds_of_result(fit.result) for fit in fits]))
         if best not in unfinished:
             return best
         unfinished.remove(best)
-        fits[best] = replace(fits[best], result=fitter.fit_target(fits[best].target))
+        result = fits[best].result
+        if len(fitters) > 1 and result.quality < HOPEFUL:
+            result = replace(result, status=FitStatus.DOUBTFUL)
+        else:
+            result = fitters[fits[best].part].fit_target(fits[best].target)
+        fits[best] = replace(fits[best], result=result)

@@ -36,6 +36,7 @@ class Bank:
     def __init__(self, templates: Sequence[OrientationTemplate], pad: int, normalised: bool = False) -> None:
         self.templates = tuple(templates)
         self.pad = pad
+        self.normalised = normalised
         self.shapes = np.array([template.field.shape for template in templates])
         self.origins = np.array([template.origin for template in templates])
         n_fields = len(templates) + len(templates) % 2  # they are compared in pairs; the last one may be empty

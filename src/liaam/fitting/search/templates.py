@@ -52,6 +52,7 @@ class OrientationTemplate:
     origin: np.ndarray  # (2,) position of the first pixel relative to the shape's centre, pixels
     turn: float  # rotation, radians
     p: np.ndarray  # (m + 4,) shape parameters of the reduced model
+    part: int = 0  # index of the model's part
 
 
 @dataclass(frozen=True, eq=False)
