@@ -3,7 +3,7 @@
 import argparse
 import sys
 
-from benchmarks import batch, fit, iteration, load, many, metrics, peers, relight, search, soak, studio, track
+from benchmarks import batch, fit, iteration, load, many, metrics, objects, peers, relight, search, soak, studio, track
 from benchmarks.metrics import Metrics
 from liaam.errors import LiaamError
 
@@ -19,6 +19,7 @@ BENCHMARKS = {
     "batch": batch.main,
     "many": many.main,
     "relight": relight.main,
+    "objects": objects.main,
 }
 """Benchmark by name; each reports its metrics."""
 
