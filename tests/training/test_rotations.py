@@ -67,8 +67,8 @@ def test_turned_objects_are_fitted_from_a_box_and_without_a_start(turning, scene
 
 
 def test_users_may_search_for_upright_objects_alone(turning):
-    assert Fitter(turning).finder.searched_rotations == "all"
-    assert Fitter(turning, rotations="upright").finder.searched_rotations == "upright"
+    assert Fitter(turning).searched_rotations == "all"
+    assert Fitter(turning, rotations="upright").searched_rotations == "upright"
 
 
 def test_files_hold_the_rotations(turning, scenes, tmp_path):

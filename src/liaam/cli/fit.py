@@ -158,7 +158,7 @@ def fit(
             return error
 
     report = FitReport(
-        every=every, only_upright=fitter.finder.searched_rotations == UPRIGHT, on_absent=outputs.on_absent
+        every=every, only_upright=fitter.searched_rotations == UPRIGHT, on_absent=outputs.on_absent
     )
     threads = min(len(images), all_cores())
     # With a single image, its search may use all cores.

@@ -115,7 +115,12 @@ class Fitter(OneShapeFitter):
     @cached_property
     def finder(self) -> Finder:
         """The model's detector (see :mod:`liaam.fitting.search.finder`)."""
-        return Finder(self.model, self.rotations)
+        return Finder(self.model, self.searched_rotations)
+
+    @property
+    def searched_rotations(self) -> str:
+        """Rotations that are searched for: those given, or else those of the training images."""
+        return self.model.rotations if self.rotations is None else self.rotations
 
     def find(self, image, *, limit: int | None = 1, least: float = 0.0, name: str = "image") -> list[Detection]:
         """Find the object in an image (see :func:`liaam.fitting.search.finder.find`).
@@ -266,7 +271,7 @@ class Fitter(OneShapeFitter):
 
     def _targets_in_rotations(self, target: Target, init) -> list[Target]:
         """Return the target with each start to try: of an object in a box that may be turned in any direction."""
-        if not is_box(init) or self.finder.searched_rotations != ALL_ROTATIONS:
+        if not is_box(init) or self.searched_rotations != ALL_ROTATIONS:
             return [target]
         return [target._replace(start=start) for start in self.finder.starts_in_box(target.linear, target.start)]
 
