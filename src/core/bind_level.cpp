@@ -100,7 +100,7 @@ std::unique_ptr<HeldObjective> make_objective(const nb::dict& given) {
     method.metric = {metric[0], metric[1], metric[2]};
     method.directions = fields.matrix<double>("directions");
     method.weighting = numbered<Weighting>(fields.value<int>("weighting"), Weighting::rows, "weighting");
-    method.loss = numbered<Loss>(fields.value<int>("loss"), Loss::learnt, "loss");
+    method.loss = numbered<Loss>(fields.value<int>("loss"), kLastLoss, "loss");
     method.gaussian_median = fields.value<double>("gaussian_median");
     method.step = numbered<StepKind>(fields.value<int>("step"), StepKind::expected, "kind of step");
     check_objective(held->objective);

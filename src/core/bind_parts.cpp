@@ -92,7 +92,7 @@ auto gram_of(const Array<float, 2>& modes, const Array<float, 1>& sqrt_weights) 
     return copied(gram);
 }
 
-double weight_of(int loss, double u) { return loss_weight(numbered<Loss>(loss, Loss::learnt, "loss"), u); }
+double weight_of(int loss, double u) { return loss_weight(numbered<Loss>(loss, kLastLoss, "loss"), u); }
 
 double median_of(std::vector<double> numbers) {
     // A comparison with NaN is no order, on which the search for the median relies.

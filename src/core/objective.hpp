@@ -39,7 +39,8 @@ struct Model {
 };
 
 enum class Weighting { model, noise, rows };
-enum class Loss { none, huber, l1, cauchy, geman_mcclure, tukey, learnt };
+enum class Loss { none, huber, l1, cauchy, geman_mcclure, tukey, learnt };  // none, then liaam.fitting.methods.LOSSES
+constexpr Loss kLastLoss = Loss::learnt;
 enum class StepKind { own, scored, expected };  // gradient of the steps: the image's, first that one, the model's
 
 // A row of the table of methods.

@@ -62,6 +62,13 @@ def test_the_core_numbers_the_encodings_as_their_table():
     assert last == list(ENCODINGS)[-1]
 
 
+def test_the_core_numbers_the_losses_as_their_table():
+    header = (ROOT / "src/core/objective.hpp").read_text(encoding="utf-8")
+    ((names, last),) = re.findall(r"enum class Loss \{ none, (.*?) \};.*?kLastLoss = Loss::(\w+);", header, re.DOTALL)
+    assert tuple(name.replace("_", "-") for name in names.split(", ")) == LOSSES
+    assert last.replace("_", "-") == LOSSES[-1]
+
+
 @pytest.mark.parametrize(
     ("file", "name", "value"),
     [

@@ -179,7 +179,7 @@ def test_groups_that_are_too_small_are_refused(rng):
     truth = specimens(rng, 8)
     pair = (truth + rng.normal(0, 0.01, truth.shape), truth)
     with pytest.raises(
-        LiaamError, match=r"two groups of 2 specimens or more that are compared: there are a \(7\), b \(1\)"
+        LiaamError, match=r"two groups of 2 specimens or more that can be compared: there are a \(7\), b \(1\)"
     ):
         compare_shapes(*pair, groups=["a"] * 7 + ["b"])
     with pytest.raises(LiaamError, match="3 groups of 8 specimens"):

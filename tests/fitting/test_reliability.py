@@ -317,7 +317,8 @@ def test_the_model_knows_how_many_features_the_quality_has():
 
 def test_a_model_that_is_older_than_a_feature_gives_it_no_weight(calibrated):
     known = calibrated.views[SURROUNDINGS].reliabilities["soft-li"]
-    assert known.quality(np.array([0.5, 1.0, 99.0])) == known.quality(np.array([0.5, 1.0]))
+    evidence = np.full(len(known.weights) - 1, 0.5)
+    assert known.quality(np.append(evidence, 99.0)) == known.quality(evidence)
 
 
 def test_the_quality_is_one_half_where_right_and_wrong_fits_come_closest():

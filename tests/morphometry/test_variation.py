@@ -94,7 +94,7 @@ def test_what_is_unknown_is_said(rng):
         shape_variation(specimens, measure(specimens), permutations=-1)
     (untested,) = shape_variation(specimens, measure(specimens), ["a", "b"] * 3, permutations=0).tests
     assert np.isnan(float(untested["P"]))
-    with pytest.raises(LiaamError, match=r"two groups of 2 specimens with a shape or more: there are a \(5\)"):
+    with pytest.raises(LiaamError, match=r"two groups of 2 specimens or more that can be compared: there are a \(5\)"):
         shape_variation(specimens, measure(specimens), ["a"] * 6)
 
 

@@ -22,6 +22,7 @@ from liaam.errors import LiaamError, installing
 from liaam.fitting.result import USABLE
 from liaam.io import Contour, write_text_atomically
 from liaam.io.atomic import check_output
+from liaam.io.landmarks.base import PRESENT
 from liaam.model import load_model
 from liaam.models import model_file
 from liaam.progress import Progress
@@ -303,7 +304,7 @@ class _Batch:
 def has_absent(row: FitRow) -> bool:
     """Return whether the row of a fit that may be used has absent landmarks."""
     present = row["present"] or ()
-    return row["status"] in USABLE and any(value is not None and value < 0.5 for value in present)
+    return row["status"] in USABLE and any(value is not None and value < PRESENT for value in present)
 
 
 def summary_file(output: Path) -> Path:

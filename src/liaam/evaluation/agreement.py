@@ -26,6 +26,7 @@ import numpy as np
 from liaam.errors import LiaamError
 from liaam.formatting import json_value, short_repr
 from liaam.io.files import count_of
+from liaam.morphometry.groups import large_groups
 from liaam.morphometry.replicates import anova
 from liaam.morphometry.superimposition import superimpose
 from liaam.morphometry.variation import permutation_probability
@@ -36,7 +37,6 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 FEWEST = 5  # Specimens from which variances are compared
-FEWEST_OF_GROUP = 2  # Specimens of a group from which its mean is compared with others
 PERMUTATIONS = 999  # Random changes of sign for the test of the means
 COMPONENTS = 6  # Principal components that are reported
 # Largest distance between landmarks that are copies, as a fraction of the centroid size: by rounding of the last digits
@@ -325,15 +325,8 @@ def _are_copies(automatic: np.ndarray, labels: np.ndarray) -> np.ndarray:
 
 def _codes(groups: np.ndarray) -> np.ndarray:
     """Return the group of each specimen as a number, (m,) int; -1 where it is unknown, or of too few specimens."""
-    names, codes, counts = np.unique(groups, return_inverse=True, return_counts=True)
-    is_used = (counts >= FEWEST_OF_GROUP) & (names != "")
-    if is_used.sum() < 2:
-        known = ", ".join(f"{name} ({count})" for name, count in zip(names, counts, strict=True) if name != "")
-        raise LiaamError(
-            f"differences between groups need two groups of {FEWEST_OF_GROUP} specimens or more that are compared: "
-            f"there are {known or 'none'}"
-        )
-    return np.where(is_used[codes], codes, -1)
+    numbers = {name: i for i, name in enumerate(large_groups(groups.tolist()))}
+    return np.array([numbers.get(group, -1) for group in groups.tolist()])
 
 
 def _group_means(deviations: np.ndarray, codes: np.ndarray) -> np.ndarray:

@@ -16,6 +16,7 @@ from liaam.fitting.loop.levels import FittedLevel
 from liaam.fitting.methods import Method
 from liaam.formatting import finite_list, short_repr
 from liaam.io.files import count_of, some_names
+from liaam.io.landmarks.base import PRESENT
 from liaam.model.contours import Contours
 from liaam.model.shape import Similarity
 from liaam.photometry.picture import load_picture
@@ -352,7 +353,7 @@ class FitResult:
         """
         if self.present is None:
             return np.zeros(len(self.landmarks), bool)
-        return self.present < 0.5
+        return self.present < PRESENT
 
     @property
     def detection_doubtful(self) -> bool:

@@ -5,6 +5,9 @@ from typing import NamedTuple
 
 import numpy as np
 
+from liaam.formatting import short_repr
+from liaam.io.landmarks.base import PRESENT
+
 # Odds that a landmark is there before its surroundings are looked at: in collections, few landmarks are lost
 PRIOR_ODDS = 20.0
 # Share of the landmarks up to which those called absent are taken for mistakes: something that covers an object, or is
@@ -60,16 +63,18 @@ class Presence:
     contrasts: np.ndarray
     spreads: np.ndarray
 
+    __repr__ = short_repr
+
     def probabilities(self, agreement: Agreement) -> np.ndarray:
         """Return the probability that each landmark is present, (n,) float64, from the agreement around it.
 
-        If no more are absent than by chance, their probability is 0.5.
+        If no more are absent than by chance, their probability is :data:`liaam.io.landmarks.base.PRESENT`.
 
         Under another light, all landmarks agree less, and some much less. Mean and variance of those that are present
         are therefore those of the image, if they are lower and larger, and if most landmarks are present.
         """
         strict = _probability(self._log_odds(agreement))
-        kept = strict >= 0.5
+        kept = strict >= PRESENT
         if kept.all() or 2 * kept.sum() < len(kept):  # with those of the image, none of these would be absent
             return strict
         away = (fisher_z(agreement.concordances) - self.usual)[kept]
@@ -80,8 +85,8 @@ class Presence:
             variances=np.maximum(self.variances, away.var()),
         )
         probabilities = _probability(of_image._log_odds(agreement))
-        if (probabilities < 0.5).mean() <= BY_CHANCE * (1.0 + loss / LOSS_OF_LIGHT):
-            return np.maximum(probabilities, 0.5)
+        if (probabilities < PRESENT).mean() <= BY_CHANCE * (1.0 + loss / LOSS_OF_LIGHT):
+            return np.maximum(probabilities, PRESENT)
         return probabilities
 
     def agree(self, agreement: Agreement, weights: np.ndarray) -> np.ndarray:

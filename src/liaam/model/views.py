@@ -5,6 +5,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from liaam.formatting import short_repr
 from liaam.io.files import count_of
 from liaam.model.appearance import AppearanceModel
 from liaam.model.presence import Presence
@@ -87,6 +88,8 @@ class Reliability:
     final_prior: float = 1.0
     expansion: float = 1.0
     presence: Presence | None = None
+
+    __repr__ = short_repr
 
     @property
     def low(self) -> float:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+from collections import Counter
 from collections.abc import Mapping, Sequence
 
 from liaam.errors import LiaamError
@@ -12,6 +13,10 @@ from liaam.morphometry.scale_tables import images_of
 
 NAMES = ("specimen", "image")
 """Columns of a table of groups that may name the specimen: the first that is there is read."""
+
+
+FEWEST_OF_GROUP = 2
+"""Specimens from which the mean of a group can be compared with others, and has a standard error."""
 
 
 def read_groups(path: AnyPath) -> dict[str, str]:
@@ -36,6 +41,25 @@ def read_groups(path: AnyPath) -> dict[str, str]:
             raise LiaamError(f"{path}: line {number} has '{name[:60]}' again: keep one line for each specimen")
         groups[name] = (row["group"] or "").strip()
     return groups
+
+
+def large_groups(groups: Sequence[str]) -> list[str]:
+    """Return the groups of specimens that are large enough to be compared, sorted; specimens in none have the group "".
+
+    Raises
+    ------
+    LiaamError
+        If there are not two.
+    """
+    counts = Counter(group for group in groups if group)
+    compared = sorted(name for name, count in counts.items() if count >= FEWEST_OF_GROUP)
+    if len(compared) < 2:
+        known = ", ".join(f"{name} ({counts[name]})" for name in sorted(counts))
+        raise LiaamError(
+            f"differences between groups need two groups of {FEWEST_OF_GROUP} specimens or more that can be compared: "
+            f"there are {known or 'none'}"
+        )
+    return compared
 
 
 def groups_of(specimens: Sequence[str], groups: Mapping[str, str]) -> tuple[str, ...]:

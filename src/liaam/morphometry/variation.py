@@ -27,12 +27,12 @@ import numpy as np
 from liaam.errors import LiaamError
 from liaam.formatting import json_value, short_repr
 from liaam.io.files import count_of
+from liaam.morphometry.groups import large_groups
 from liaam.morphometry.specimens import Specimen
 from liaam.morphometry.superimposition import superimpose, tangent_covariances
 from liaam.tables import Columns
 
 FEWEST = 3  # Specimens from which a variance of shape is split
-FEWEST_OF_GROUP = 2  # Specimens from which the mean of a group has a standard error
 COMPONENTS = 10  # Principal components that are reported at most
 MOST_PERMUTATIONS = 100000
 LEAST = 1e-9  # Standard deviation along a component, of the first one's, below which it is rounding
@@ -231,7 +231,7 @@ def shape_variation(
     total = squares / (len(used) - 1)
     measuring = float(_known_mean(np.trace(errors, axis1=1, axis2=2)[:, None])[0])
     own = () if groups is None else tuple(group for group, kept in zip(groups, has_shape, strict=True) if kept)
-    compared = _compared(own) if groups is not None else []
+    compared = large_groups(own) if groups is not None else []
     means, means_se, by_measuring = _group_means(flat, errors, own, compared)
     return ShapeVariation(
         names=tuple(specimen.name for specimen in used),
@@ -260,19 +260,6 @@ def _errors(used: Sequence[Specimen], inside: Sequence[int], shapes: np.ndarray,
         spread = upwards @ specimen.covariances[inside] @ upwards
         errors[i] = tangent_covariances(shapes[i : i + 1], spread[None], mean)[0]
     return errors
-
-
-def _compared(groups: Sequence[str]) -> list[str]:
-    """Return the groups that are large enough to be compared. Raise if there are not two."""
-    names = sorted({group for group in groups if group})
-    compared = [name for name in names if groups.count(name) >= FEWEST_OF_GROUP]
-    if len(compared) < 2:
-        counts = ", ".join(f"{name} ({groups.count(name)})" for name in names)
-        raise LiaamError(
-            f"differences between groups need two groups of {FEWEST_OF_GROUP} specimens with a shape or more: there "
-            f"are {counts or 'none'}"
-        )
-    return compared
 
 
 def _group_means(

@@ -4,12 +4,35 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import cv2
 import numpy as np
 
 from liaam.formatting import short_repr
 from liaam.scale.lengths import Length
+
+
+class Profile(NamedTuple):
+    """What is seen along an end of a bar, from within it outwards."""
+
+    outwards: np.ndarray  # (n,): distances, pixels, rising
+    levels: np.ndarray  # (n, ...)
+    beyond: np.ndarray  # (m, ...): those of the ground beyond the end, at least one
+
+
+def profile_at(outwards: np.ndarray, levels: np.ndarray, end: float, beyond: tuple[float, float]) -> Profile | None:
+    """Return levels (n, ...) along an end by their distances; None if the ground beyond it is not seen.
+
+    ``beyond`` are the distances from the end between which the ground is.
+    """
+    order = np.argsort(outwards)
+    outwards = outwards[order]
+    levels = levels[order]
+    near, far = beyond
+    ground = levels[(outwards > end + near) & (outwards < end + far)]
+    return Profile(outwards, levels, ground) if len(ground) else None
+
 
 SHORTEST = 40.0
 """Shortest bar in pixels. Strokes of letters, and bristles, are shorter."""

@@ -13,7 +13,7 @@ import numpy as np
 
 from liaam.errors import LiaamError
 from liaam.io.files import some_names
-from liaam.scale.bar import SHORTEST, Bar, axes_of, sampled
+from liaam.scale.bar import SHORTEST, Bar, axes_of, profile_at, sampled
 from liaam.scale.blocks import find_blocks
 from liaam.scale.numbers import has_number
 
@@ -236,12 +236,10 @@ def _tip(outwards: np.ndarray, levels: np.ndarray, end: float) -> tuple[float, f
 
     Blur keeps a straight slope, so that the extrapolation of its middle part is not shortened by it.
     """
-    order = np.argsort(outwards)
-    outwards = outwards[order]
-    levels = levels[order]
-    beyond = levels[(outwards > end + _BEYOND[0]) & (outwards < end + _BEYOND[1])]
-    if not len(beyond):
+    seen = profile_at(outwards, levels, end, _BEYOND)
+    if seen is None:
         return None
+    outwards, levels, beyond = seen
     darkness = (np.median(beyond) - levels).sum(axis=1)
     inside = (outwards < end + 4) & (outwards > end - 6 * levels.shape[1])
     widest = int(np.where(inside, darkness, -np.inf).argmax())
@@ -291,13 +289,11 @@ def _crossing(
     outwards: np.ndarray, profile: np.ndarray, level: float, rough: tuple[float, float], side: int
 ) -> tuple[float, float, float] | None:
     """Return where a profile crosses half its height at an end, outwards from the middle; the ground; and the error."""
-    order = np.argsort(outwards)
-    outwards = outwards[order]
-    profile = profile[order]
     end = rough[1] if side > 0 else -rough[0]
-    beyond = profile[(outwards > end + _BEYOND[0]) & (outwards < end + _BEYOND[1])]
-    if not len(beyond):
+    seen = profile_at(outwards, profile, end, _BEYOND)
+    if seen is None:
         return None
+    outwards, profile, beyond = seen
     ground = float(np.median(beyond))
     near = np.flatnonzero((outwards > end - 6) & (outwards < end + 6))
     if ground - level < _LEAST_CONTRAST or not len(near):

@@ -7,7 +7,7 @@ import math
 import cv2
 import numpy as np
 
-from liaam.scale.bar import SHORTEST, Bar, axes_of, sampled
+from liaam.scale.bar import SHORTEST, Bar, axes_of, profile_at, sampled
 
 FEWEST = 2
 """Least number of blocks."""
@@ -111,12 +111,10 @@ def _end(outwards: np.ndarray, profile: np.ndarray, rough: float) -> tuple[float
 
     What differs first may be an outline, which is thin.
     """
-    order = np.argsort(outwards)
-    outwards = outwards[order]
-    profile = profile[order]
-    beyond = profile[(outwards > rough + _BEYOND[0]) & (outwards < rough + _BEYOND[1])]
-    if not len(beyond):
+    seen = profile_at(outwards, profile, rough, _BEYOND)
+    if seen is None:
         return None
+    outwards, profile, beyond = seen
     differs = profile - float(np.median(beyond))
     noise = float(np.std(beyond))
     near = np.flatnonzero((outwards > rough - 8) & (outwards < rough + 4))[::-1]  # inwards

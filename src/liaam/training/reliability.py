@@ -208,10 +208,11 @@ def _weights(evidence: np.ndarray, right: np.ndarray) -> np.ndarray:
     explains_nothing[0] = 0.0
     evidence = np.concatenate([evidence, explains_nothing[None]])
     right = np.append(right, False)
-    signs = np.array([feature.sign for feature in FEATURES])
-    used = np.arange(len(FEATURES))
+    n_features = evidence.shape[1]
+    signs = np.array([feature.sign for feature in FEATURES[:n_features]])
+    used = np.arange(n_features)
     while True:
-        weights = np.zeros(1 + len(FEATURES))
+        weights = np.zeros(1 + n_features)
         weights[np.append(0, 1 + used)] = _logistic(np.take(evidence, used, axis=1), right)
         contradicts = weights[1:] * signs < 0
         contradicts[0] = False

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from liaam.encoding_constants import BRIGHTNESS, LOG_FLOOR, SOFTNESS
-from liaam.fitting.methods import ALL_COLOUR, CORRELATED, GRADIENT_ROWS
+from liaam.fitting.methods import ALL_COLOUR, CORRELATED, GRADIENT_ROWS, LOSSES
 from liaam.fitting.thresholds import THRESHOLDS
 from liaam.image_reference import CHANNELS, sample
 
@@ -26,8 +26,8 @@ MOST_DIRECTION_NOISE = 0.5  # upper bound on the variance of each component of a
 FACTORS = np.concatenate((np.zeros(1), np.geomspace(1e-3, 30.0, 19)))  # on the learnt errors: the likeliest is used
 
 BY_MODEL, BY_NOISE, BY_ROWS = range(3)  # numbers of the weights, in the order of liaam.fitting.methods.WEIGHTS
-# Numbers of the losses, in the order of liaam.fitting.methods.LOSSES.
-SQUARES, HUBER, L1, CAUCHY, GEMAN_MCCLURE, TUKEY, LEARNT = range(7)
+SQUARES = 0  # Numbers of the losses, in the order of liaam.fitting.methods.LOSSES
+HUBER, L1, CAUCHY, GEMAN_MCCLURE, TUKEY, LEARNT = range(1, 1 + len(LOSSES))
 
 # Residuals in standard deviations at which these losses begin to differ much from squares, with the usual efficiency of
 # 95 % for Gaussian residuals.

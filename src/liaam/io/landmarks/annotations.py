@@ -16,7 +16,7 @@ from typing import Any
 from liaam.errors import LandmarkError
 from liaam.io.files import natural_key
 from liaam.io.landmarks import reading as rd
-from liaam.io.landmarks.base import Contour, Landmarks, Placing, chain_edges, edges_from
+from liaam.io.landmarks.base import PRESENT, Contour, Landmarks, Placing, chain_edges, edges_from
 from liaam.io.landmarks.matching import names_picture
 from liaam.io.landmarks.reading import HIDDEN, MISSING, SEEN, Mark, Source
 
@@ -244,7 +244,7 @@ def _estimates(fit: Mapping[str, Any], points: list[tuple[float, ...]]) -> tuple
     present = [rd.parse_number(value, f"present {i}") for i, value in enumerate(fit["present"], 1)]
     placed = [not any(map(isnan, point)) for point in points]
     return tuple(
-        i for i, (value, is_placed) in enumerate(zip(present, placed, strict=True)) if is_placed and value < 0.5
+        i for i, (value, is_placed) in enumerate(zip(present, placed, strict=True)) if is_placed and value < PRESENT
     )
 
 

@@ -19,6 +19,9 @@ from liaam.io.files import count_of, name_key, some_names
 
 Size = tuple[float, float]  # width and height in pixels
 
+PRESENT = 0.5
+"""Probability of being present below which a landmark of a fit is absent."""
+
 
 @dataclass(frozen=True)
 class Contour:
