@@ -15,7 +15,7 @@ from liaam.fitting.loop.options import SolverOptions
 from liaam.fitting.one_shape_fitter import Blurred, OneShapeFitter
 from liaam.fitting.search import finder as search
 from liaam.fitting.search.finder import AT_FIRST, LARGE, OTHERS_OF_PARTS
-from liaam.fitting.search.other_places import PROMISING
+from liaam.fitting.search.other_places import PROMISING_OF_PARTS
 from liaam.fitting.search.parts import BRIEFEST, CLOSE, FIRST, HOPEFUL, LIKELY, fit_likeliest_part
 from liaam.model.shape import diagonal_of
 
@@ -80,7 +80,7 @@ def test_where_there_is_no_face_the_work_is_bounded(fitter, rng, work):
     places = 1 + OTHERS_OF_PARTS + len(search.FILLING)
     assert work["fit_coarsest"] <= 3 * places
     assert work["fit_other_blurred"] <= 3 + places
-    assert work["fit_sharpest"] <= 2 * PROMISING + 1
+    assert work["fit_sharpest"] <= 2 * PROMISING_OF_PARTS + 1
     sizes = search.search_sizes(image.shape[:2], fitter.finder.small.diagonal)
     assert work["field"] == len(sizes)  # each is looked at once, although the search is continued
 

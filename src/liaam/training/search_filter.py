@@ -1,4 +1,4 @@
-"""The filter with which the search looks for the object where templates are not certain.
+"""The filter with which the search looks for the object after a fit of low quality, or with several parts.
 
 It is the mean of the training images' gradient orientations, at the resolution of the search and with the small
 differences in pose that a search leaves, whitened by the covariance that such orientations have in random images. Of

@@ -26,6 +26,7 @@ BRIEF = 12  # Largest number of steps per level of fits to other detections: rig
 # Number of other detections that are fitted at the sharpest level, which takes most of the time: those of the highest
 # odds at the level before
 PROMISING = 3
+PROMISING_OF_PARTS = 2  # The same for models of several parts, in each turn
 
 
 @dataclass(frozen=True, eq=False)
@@ -60,7 +61,7 @@ def likeliest(
         n_starts += len(blurred)
         promising = blurred[:PROMISING]
         if len(fitters) > 1:
-            promising = [each for each in promising if each[2].quality >= HOPEFUL]
+            promising = [each for each in blurred[:PROMISING_OF_PARTS] if each[2].quality >= HOPEFUL]
         for place, part, fit in promising:
             # What else the search found is the same for all places.
             detection = None if first.detection is None else replace(place, others=first.detection.others)
