@@ -37,7 +37,7 @@ FITTING_LAYERS = (
     ("many", "single", "solution", "specimens"),
     ("fitter",),
     ("damaged", "search"),
-    ("fallback", "one_shape_fitter"),
+    ("fallback", "one_shape_fitter", "sides"),
     ("quality",),
     ("result",),
     ("loop",),

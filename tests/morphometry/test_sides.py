@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from liaam.errors import LiaamError
+from liaam.io.sides import folder_side
 from liaam.morphometry import Specimen, measure, of_one_side, read_specimens
-from liaam.morphometry.sides import folder_side
 
 POINTS = np.array([[0.0, 0], [10, 1], [12, 9], [3, 14]])
 

@@ -66,6 +66,8 @@ class Settings:
         What names the specimens (:data:`liaam.trays.NAME_BY`).
     rotations : str
         Orientations to search (:attr:`liaam.fitting.Fitter.rotations`).
+    side : str
+        Side of the objects (:attr:`liaam.fitting.Fitter.side`).
     absent : str
         What rows hold of absent landmarks (:data:`liaam.fitting.result.ABSENT`).
     """
@@ -80,6 +82,7 @@ class Settings:
     every: bool = False
     name_by: str = POSITION
     absent: str = "empty"
+    side: str = "auto"
 
     def __post_init__(self) -> None:
         check_absent(self.absent)
@@ -140,7 +143,8 @@ class FitJob:
         if raw not in self._fitters:
             camera = (settings.camera or self.model.camera).suited_to(raw=raw, response=settings.response)
             options = SolverOptions(max_iterations=settings.iterations)
-            fitter = Fitter(self.model, settings.method, options, camera=camera, rotations=settings.rotations)
+            how = {"camera": camera, "rotations": settings.rotations, "side": settings.side}
+            fitter = Fitter(self.model, settings.method, options, **how)
             self._fitters[raw] = fitter
         return self._fitters[raw]
 
@@ -231,6 +235,7 @@ def fit_row(
         "status": str(result.status),
         "message": result.message,
         "quality": _short(result.quality),
+        "side": result.side,
         "object": None,
         "specimen": "",
         "code": "",
@@ -254,6 +259,7 @@ def failed_row(path: str, message: str) -> FitRow:
     row = dict.fromkeys((*numbers, "landmarks", "covariance", "present", "seconds"))
     name = _printable(Path(path).stem)
     texts = {"path": _printable(path), "status": ERROR, "message": _printable(message), "specimen": name, "code": ""}
+    texts["side"] = ""
     return texts | columns_of(None) | row
 
 

@@ -108,6 +108,7 @@ def fit(
         typer.Option(help="Write the landmarks of another scheme instead: ibug-68, from those of the model 'face'."),
     ] = None,
     rotations: inputs.RotationsOption = "upright",
+    side: inputs.SideOption = inputs.AUTO,
     ellipses: inputs.EllipsesOption = False,
     numbers: Annotated[bool, typer.Option("--numbers", help="Draw the number of each landmark, from 1.")] = False,
     names: Annotated[
@@ -143,7 +144,7 @@ def fit(
     model = load_model(model_file)
     outputs = replace(outputs, look=look_of(model, ellipses=ellipses, numbers=numbers, names=names, mesh=mesh))
     camera = inputs.camera_for(images, given_camera, model.camera)
-    fitter = Fitter(model, method, camera=camera, rotations=rotations)
+    fitter = Fitter(model, method, camera=camera, rotations=rotations, side=side)
     if scheme is not None:
         in_scheme(model.shape_model.mean, model.landmark_names, scheme)  # its errors come before any work
     make_folder(outputs.folder)
@@ -286,6 +287,7 @@ def row_of(result: "FitResult") -> dict[str, str]:
     return {
         "status": str(result.status),
         "quality": result.quality_text,
+        "side": result.side,
         "uncertainty": f"± {np.median(result.sd):.1f} px" if result.status.ok else "",
         "start": start,
         "theta": "" if result.theta_degrees is None else f"{result.theta_degrees:.1f}°",

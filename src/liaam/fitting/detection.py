@@ -31,6 +31,8 @@ class Detection:
         Image pixels per pixel of the model's reference frame.
     others : tuple of Detection
         Further objects that the search for one object found with certainty, among those at least half as large.
+    reflected : bool
+        Whether it was found in the image reversed left to right, by a model of the other side.
     """
 
     landmarks: np.ndarray
@@ -38,6 +40,7 @@ class Detection:
     rotation: float
     scale: float
     others: tuple["Detection", ...] = ()
+    reflected: bool = False
 
     __repr__ = short_repr
 

@@ -4,6 +4,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, fields, replace
 from functools import cached_property
 from inspect import signature
+from typing import Any
 
 import numpy as np
 
@@ -21,16 +22,31 @@ from liaam.fitting.search.finder import Finder
 from liaam.fitting.search.other_places import PlacedFit, likeliest, other_starts_in
 from liaam.fitting.search.restarts import fit_again
 from liaam.fitting.search.starts import mapped_points, part_of_start, region_of, start_shape
+from liaam.fitting.sides import (
+    AUTO,
+    find_on_sides,
+    is_clear,
+    likelier_side,
+    reflected_detection,
+    reflected_result,
+    reflected_start,
+    reflections_of,
+    reflections_of_start,
+    sides_of,
+    with_detections,
+    without_other_sides,
+)
 from liaam.formatting import changed_repr
 from liaam.model import AAM
 from liaam.model.aam import named_model
+from liaam.model.sides import Sides, reflected_image
 from liaam.photometry import CameraModel, is_grey
 from liaam.photometry.camera import check_camera
 from liaam.photometry.encoding import refuse_unscaled, stored_values
 from liaam.photometry.picture import load_picture, path_of
 from liaam.trays.order import reading_order
 
-OWN_SETTINGS = ("camera", "rotations", "restarts", "margin")  # Fields of a fitter that users set by name
+OWN_SETTINGS = ("camera", "rotations", "restarts", "margin", "side")  # Fields of a fitter that users set by name
 
 
 NEARLY = 0.9
@@ -52,6 +68,20 @@ class _FirstFit:
 
     fitter: "Fitter"  # of the model's part
     fit: PlacedFit
+    init: Any  # the start, in the image as it is fitted
+    reflected: bool = False  # whether that is the image reversed left to right
+
+    @property
+    def detection(self) -> Detection | None:
+        """The detection that the fit started from, in the image as it is."""
+        detection = self.fit.detection
+        if detection is None or not self.reflected:
+            return detection
+        return reflected_detection(detection, self.fit.target.image.shape[1])
+
+    def in_image(self, result: FitResult) -> FitResult:
+        """Return a result that follows from this fit in the image as it is."""
+        return reflected_result(result, self.fit.target.image.shape[1]) if self.reflected else result
 
 
 @dataclass(frozen=True, eq=False)
@@ -76,6 +106,9 @@ class Fitter(OneShapeFitter):
         quality, or if ``max_iterations`` is at most 25.
     rotations : {"upright", "all"}
         Rotations to search for: about as in the training images, or any.
+    side : str
+        Side of the objects. ``"auto"``: both are tried if the model knows of two (:attr:`liaam.AAM.sides`).
+        ``"both"``: both are tried in any case. Or one of the model's sides, such as ``"left"``.
 
     Examples
     --------
@@ -87,6 +120,7 @@ class Fitter(OneShapeFitter):
     margin: float = MARGIN
     restarts: bool = True
     rotations: str = "upright"
+    side: str = AUTO
 
     __repr__ = changed_repr
 
@@ -114,6 +148,7 @@ class Fitter(OneShapeFitter):
     def __post_init__(self) -> None:
         """Raise errors now, not at the first image, where these attributes are first needed."""
         self.finder  # noqa: B018
+        self._reflections  # noqa: B018
         if self.camera is not None:
             check_camera(self.camera)
         for part in self.parts:
@@ -142,7 +177,12 @@ class Fitter(OneShapeFitter):
         list of Detection
             Starts for :meth:`fit`, the best first.
         """
-        return self.finder.find_in(self.linear(load_picture(image, name)[0]), limit=limit, least=least)
+        pixels, _ = load_picture(image, name)
+
+        def search(pixels: np.ndarray) -> list[Detection]:
+            return self.finder.find_in(self.linear(pixels), limit=limit, least=least)
+
+        return find_on_sides(pixels, search, self._reflections, limit)
 
     def linear(self, image: np.ndarray) -> LinearImage:
         """Return an image in linear light, without the vignetting of its camera."""
@@ -195,20 +235,49 @@ class Fitter(OneShapeFitter):
             For invalid input.
         """
         path = path_of(image)
+        if self._sides is None:
+            return replace(self._likeliest(self._first_fits(image, init, name)), image=path)
+        return replace(self._likeliest_of_sides(*load_picture(image, name), init), image=path)
+
+    def _likeliest_of_sides(self, image: np.ndarray, name: str, init) -> FitResult:
+        """Fit an image as it is and reversed left to right, unless the start says of which side the object is."""
+        width = image.shape[1]
+        of_start = reflections_of_start(self.model, init, width)
+        of_sides: list[list[_FirstFit]] = []
+        for is_reflected in [each for each in self._reflections if each in of_start] or self._reflections:
+            if is_reflected:
+                reversed_fits = self._first_fits(reflected_image(image), reflected_start(init, width), name)
+                of_sides.append([replace(each, reflected=True) for each in reversed_fits])
+            else:
+                of_sides.append(self._first_fits(image, init, name))
+        of_sides.sort(key=lambda first_fits: max(likeliness(each.fit.result) for each in first_fits), reverse=True)
+        best = self._likeliest(of_sides[0])
+        for others in of_sides[1:]:
+            if not is_clear(best, [replace(each.fit.result, found=each.fit.detection) for each in others]):
+                best = likelier_side(best, self._likeliest(others), self.model)
+        detections = [each.detection for fits in of_sides for each in fits if each.reflected != best.reflected]
+        assert self._sides is not None
+        found = with_detections(best, [each for each in detections if each is not None])
+        return replace(found, side=self._sides.of(best.reflected))
+
+    def _first_fits(self, image, init, name: str) -> list[_FirstFit]:
+        """Fit the parts of the model to which a start may belong, from there."""
         start = init.landmarks if isinstance(init, Detection) else init
         part = part_of_start(self.model, start, name)
         fitters = self.parts if part is None else (self.parts[part],)
         if len(fitters) > 1:
             image, name = load_picture(image, name)  # once for all
-        first_fits = [fitter._first_fit(image, init, name) for fitter in fitters]
+        return [fitter._first_fit(image, init, name) for fitter in fitters]
+
+    def _likeliest(self, first_fits: Sequence[_FirstFit]) -> FitResult:
+        """Complete first fits, the likeliest first, until one may be used; return the likeliest of these."""
         results = []
         for first in sorted(first_fits, key=lambda each: likeliness(each.fit.result), reverse=True):
-            result = first.fitter._completed(first.fit, init)
-            results.append(replace(result, part=self.parts.index(first.fitter)))
-            if result.status.ok:  # the other parts are less likely
+            result = first.fitter._completed(first.fit, first.init)
+            results.append(first.in_image(replace(result, part=self.parts.index(first.fitter))))
+            if result.status.ok:  # the others are less likely
                 break
-        best = max(results, key=lambda each: (each.status.ok, *likeliness(each)))
-        return replace(best, image=path)
+        return max(results, key=lambda each: (each.status.ok, *likeliness(each)))
 
     def fit_all(self, image, name: str = "image") -> list[FitResult]:
         """Fit every object that the search finds in an image, in reading order.
@@ -231,8 +300,18 @@ class Fitter(OneShapeFitter):
         """
         tried = [(detection, self.fit(image, detection, name)) for detection in detections]
         fits = [fit for detection, fit in tried if fit.status.ok or not detection.doubtful]
-        kept = choose(sorted(fits, key=likeliness, reverse=True), are_apart)
+        kept = without_other_sides(choose(sorted(fits, key=likeliness, reverse=True), are_apart))
         return [kept[i] for i in reading_order([fit.place for fit in kept])]
+
+    @property
+    def _sides(self) -> Sides | None:
+        """The sides that objects may have; None if the model knows of one, and no other was asked for."""
+        return sides_of(self.model, self.side)
+
+    @cached_property
+    def _reflections(self) -> tuple[bool, ...]:
+        """Whether images are fitted as they are, reversed left to right, or both."""
+        return reflections_of(self.model, self.side)
 
     @property
     def parts(self) -> tuple["Fitter", ...]:
@@ -263,7 +342,7 @@ class Fitter(OneShapeFitter):
     def _first_fit(self, image, init, name: str) -> _FirstFit:
         """Fit from the first start; see :meth:`fit`."""
         target, detection = self.target(image, init, name)
-        return _FirstFit(self, PlacedFit(self.fit_target(target), target, detection))
+        return _FirstFit(self, PlacedFit(self.fit_target(target), target, detection), init)
 
     def _completed(self, fit: PlacedFit, init) -> FitResult:
         """Look elsewhere and start again if a first fit has low quality; see :meth:`fit`."""
