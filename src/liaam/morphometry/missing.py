@@ -45,8 +45,8 @@ def with_estimated_landmarks(
         With the same landmarks, as :func:`liaam.morphometry.alike` gives them, and of one side
         (:func:`liaam.morphometry.of_one_side`).
     method : {"tps", "regression"}
-        Thin-plate spline, or regression. Sizes count, above all for regression: those by the scale if it is known of all
-        specimens, or else those in pixels, for which all should have been photographed at one scale.
+        Thin-plate spline, or regression. Sizes count, above all for regression: those by the scale if it is known of
+        all specimens, or else those in pixels, for which all should have been photographed at one scale.
     scale : str, float or ScaleBar, optional
         As in :func:`liaam.measure`. The ends of a scale bar are neither used nor estimated.
 
