@@ -17,7 +17,7 @@ from liaam.evaluation import compare_specimens
 from liaam.fitting.sides import as_fitted, reflected_result
 from liaam.fitting.solution import residual_at
 from liaam.io import write_image
-from liaam.model.shape import align, diagonal_of, rotation
+from liaam.model.shape import align, diagonal_of, in_box, rotation
 from liaam.model.sides import Sides, reflected_image, reflected_points
 from liaam.morphometry import of_one_side, read_specimens
 from liaam.plotting.overlays import caption_of
@@ -119,7 +119,7 @@ def test_sides_that_cannot_be_are_refused_in_training(both):
         liaam.train(both, sides="up")
 
 
-@pytest.mark.parametrize("kind", ["none", "shape", "partial", "box", "place", "detection", "landmarks"])
+@pytest.mark.parametrize("kind", ["none", "shape", "partial", "box", "place", "detection", "landmarks", "mean"])
 def test_fits_find_the_side(model, both, kind):
     fitter = liaam.Fitter(model)
     for i, (image, truth) in enumerate(both[N_TRAINED:], N_TRAINED):
@@ -127,6 +127,7 @@ def test_fits_find_the_side(model, both, kind):
         place = (*truth.mean(0), diagonal_of(truth))
         partial = np.where(np.arange(8)[:, None] < 5, truth + 1.0, np.nan)
         starts = {"none": None, "shape": truth + 1.5, "partial": partial, "box": box, "place": place}
+        starts["mean"] = in_box(model.shape_model.mean, 0.5 * (truth.min(0) + truth.max(0)), diagonal_of(truth))
         starts |= {"detection": fitter.find(image)[0], "landmarks": Landmarks(truth + 1)}
         result = fitter.fit(image, starts[kind])
         assert result.reflected == (i % 3 == 0)

@@ -24,7 +24,6 @@ MOST_NAMED = 6  # Largest number of landmarks that are named as often missing
 
 if TYPE_CHECKING:
     from liaam.model import AAM
-    from liaam.model.sides import Sides
 
 
 def show(
@@ -172,7 +171,7 @@ def describe(model: "AAM", path: Path) -> dict[str, str]:
         "model": f"{model.name or path.stem} ({path.stat().st_size / 1e6:.1f} MB)",
         "trained on": f"{model.n_all_images} {'' if model.is_colour else 'grey '}images{count_copies(model)}",
         **({"shapes": f"{describe_shapes(model)}; below, the first"} if model.others else {}),
-        **({} if model.sides is None else {"sides": describe_sides(model.sides)}),
+        **({} if model.sides is None else {"sides": model.sides.describe()}),
         "landmarks": f"{model.n_points}, in {len(model.triangles)} triangles and {len(model.contours)} contours",
         **({"missing landmarks": describe_missing(model)} if model.n_all_missing.any() else {}),
         "shape modes": f"{count_modes(model)}, and 4 of position, size and rotation; spread {spread:.1f} px",
@@ -271,18 +270,6 @@ def facts_of(model: "AAM") -> dict[str, Any]:
         "calibrated": model.calibrated,
         "card": model.card.stated,
     }
-
-
-def describe_sides(sides: "Sides") -> str:
-    """Describe the sides of the training images, and what is done about them."""
-    tried = f"fits try both, and say whether an object is {sides.own} or {sides.other}"
-    if not sides.n_other:
-        return f"the training images are {sides.own}, and {tried}"
-    is_or_are = "is" if sides.n_other == 1 else "are"
-    return (
-        f"of the {sides.n_own + sides.n_other} training images, {sides.n_other} {is_or_are} {sides.other} and "
-        f"reflected to the {sides.n_own} {sides.own} ones; {tried}"
-    )
 
 
 def describe_shapes(model: "AAM") -> str:

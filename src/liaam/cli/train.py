@@ -14,7 +14,6 @@ from liaam.cli.models import (
     describe_missing,
     describe_regressor,
     describe_shapes,
-    describe_sides,
 )
 from liaam.cli.terminal import complain, progress_bar, say
 from liaam.errors import LiaamError
@@ -227,7 +226,7 @@ def report(model: "AAM", output: Path, light: "LearntLamps | Literal['auto'] | N
     if model.n_all_missing.any():
         say(f"missing landmarks: {describe_missing(model)}")
     if model.sides is not None:
-        say(f"sides: {describe_sides(model.sides)} (--sides one to use all as they are)")
+        say(f"sides: {model.sides.describe()} (--sides one to use all as they are)")
     if model.others:
         say(f"kinds of shape: {describe_shapes(model)} (--shapes 1 for one model)")
     if not len(model.shape_model.modes):

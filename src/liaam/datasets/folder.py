@@ -27,7 +27,7 @@ from liaam.io.landmarks.formats import ALSO_OTHER, may_hold_many, name_of, rank_
 from liaam.io.landmarks.matching import ImageNames
 from liaam.io.landmarks.reading import USUAL, Notes, Reading, UnrecognisedError
 from liaam.io.landmarks.yolo import in_images, labels_of
-from liaam.io.sides import folder_side, side_of_text, sides_in_names
+from liaam.io.sides import side_of_text, sides_by_place_or_name
 from liaam.progress import progress_bar
 
 _BARE = "the image has no landmarks"
@@ -407,9 +407,7 @@ def _with_sides(samples: list[Sample]) -> list[Sample]:
     """Return samples with the sides that a table states, or that the folders or the names of all images say."""
     stated = [side_of_text(sample.landmarks.side) for sample in samples]
     if not any(stated):
-        folders = [folder_side(sample.name) for sample in samples]
-        names = [named.side for named in sides_in_names([sample.name for sample in samples])]
-        stated = next((sides for sides in (folders, names) if all(sides)), stated)
+        stated = sides_by_place_or_name([sample.name for sample in samples])
     return [replace(sample, side=side) for sample, side in zip(samples, stated, strict=True)]
 
 

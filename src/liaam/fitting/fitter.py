@@ -246,7 +246,7 @@ class Fitter(OneShapeFitter):
         of_sides: list[list[_FirstFit]] = []
         for is_reflected in [each for each in self._reflections if each in of_start] or self._reflections:
             if is_reflected:
-                reversed_fits = self._first_fits(reflected_image(image), reflected_start(init, width), name)
+                reversed_fits = self._first_fits(reflected_image(image), reflected_start(self.model, init, width), name)
                 of_sides.append([replace(each, reflected=True) for each in reversed_fits])
             else:
                 of_sides.append(self._first_fits(image, init, name))
@@ -300,7 +300,7 @@ class Fitter(OneShapeFitter):
         """
         tried = [(detection, self.fit(image, detection, name)) for detection in detections]
         fits = [fit for detection, fit in tried if fit.status.ok or not detection.doubtful]
-        kept = without_other_sides(choose(sorted(fits, key=likeliness, reverse=True), are_apart))
+        kept = without_other_sides(choose(sorted(fits, key=likeliness, reverse=True), are_apart), self.model)
         return [kept[i] for i in reading_order([fit.place for fit in kept])]
 
     @property

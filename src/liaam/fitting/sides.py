@@ -13,7 +13,7 @@ from liaam.fitting.detection import Detection, are_beside, choose
 from liaam.fitting.result import FitResult, explained_fraction
 from liaam.model import AAM
 from liaam.model.mesh import signed_areas
-from liaam.model.shape import Similarity
+from liaam.model.shape import Similarity, align, corners_of, diagonal_of
 from liaam.model.sides import ORIGINAL, Sides, reflected_covariances, reflected_image, reflected_points
 
 AUTO = "auto"
@@ -25,6 +25,7 @@ BOTH = "both"
 SURE = 0.9
 BETTER_FOUND = 1.1
 
+SAME = 1e-3  # Largest distance of a landmark from the mean shape, as a fraction of the diagonal, to be that shape
 AS_IT_IS = (False,)
 EITHER = (False, True)
 """Whether to reflect the image, in the order in which fits are tried."""
@@ -60,14 +61,20 @@ def reflections_of_start(model: AAM, init, width: int) -> tuple[bool, ...]:
         points = np.asarray(getattr(init, "in_order_of", lambda _: init)(model.landmark_names), dtype=np.float64)
     except (TypeError, ValueError):  # no numbers, which is refused elsewhere
         return EITHER
-    if points.shape != (model.n_points, 2) or not np.isfinite(points).all():
+    if points.shape != (model.n_points, 2) or not np.isfinite(points).all() or is_mean_shape(model, points):
         return EITHER
     shapes = (points, reflected_points(points, width))
     as_it_is, reversed_ = (max(part.shape_model.log_density(shape) for part in model.parts) for shape in shapes)
     return (bool(reversed_ > as_it_is),)
 
 
-def reflected_start(init, width: int):
+def is_mean_shape(model: AAM, points: np.ndarray) -> bool:
+    """Return whether points (n, 2) are the mean shape at some place, whatever the side of the object."""
+    means = [align(part.shape_model.mean, points)(part.shape_model.mean) for part in model.parts]
+    return any(np.abs(mean - points).max() <= SAME * diagonal_of(points) for mean in means)
+
+
+def reflected_start(model: AAM, init, width: int):
     """Return a start in an image of a width once that is reversed left to right; see :meth:`Fitter.fit`."""
     if init is None:
         return None
@@ -84,6 +91,9 @@ def reflected_start(init, width: int):
         return np.array([width - 1.0 - right, top, width - 1.0 - left, bottom])
     if given.shape == (3,):
         return np.array([width - 1.0 - given[0], given[1], given[2]])
+    if given.shape == (model.n_points, 2) and np.isfinite(given).all() and is_mean_shape(model, given):
+        low, high = corners_of(reflected_points(given, width))
+        return np.array([*(0.5 * (low + high)), diagonal_of(given)])  # its mirror image is not the mean shape
     return reflected_points(given, width) if given.ndim == 2 and given.shape[1] == 2 else init
 
 
@@ -174,11 +184,12 @@ def find_on_sides(
     return sorted(found, key=lambda each: each.score, reverse=True)[:limit]
 
 
-def without_other_sides(fits: Sequence[FitResult]) -> list[FitResult]:
-    """Return fits, the most likely first, without those that lie on a more likely one of the other side."""
-    kept: list[FitResult] = []
-    for fit in fits:
-        others = [other for other in kept if other.reflected != fit.reflected]
-        if all(are_beside(fit.landmarks, other.landmarks) for other in others):
-            kept.append(fit)
-    return kept
+def without_other_sides(fits: Sequence[FitResult], model: AAM) -> list[FitResult]:
+    """Return fits without those that lie on a likelier one of the other side."""
+
+    def is_likeliest(fit: FitResult) -> bool:
+        others = (each for each in fits if each.reflected != fit.reflected)
+        on_it = (other for other in others if not are_beside(fit.landmarks, other.landmarks))
+        return all(likelier_side(fit, other, model) is fit for other in on_it)
+
+    return [fit for fit in fits if is_likeliest(fit)]

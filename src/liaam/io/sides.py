@@ -46,6 +46,15 @@ def folder_side(path: str) -> str:
     return sides.pop() if len(sides) == 1 else ""
 
 
+def sides_by_place_or_name(paths: Sequence[str]) -> list[str]:
+    """Return the side of each path without suffix, such as ``left/wing1`` or ``wing1_left``; "" unless all have one."""
+    folders = [folder_side(path) for path in paths]
+    if all(folders):
+        return folders
+    names = [named.side for named in sides_in_names(paths)]
+    return names if all(names) else [""] * len(paths)
+
+
 def sides_in_names(names: Sequence[str]) -> list[Named]:
     """Return the side that each name says by the word left or right, or all names by the last letter L or R.
 

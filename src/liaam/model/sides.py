@@ -45,6 +45,17 @@ class Sides:
         """Return the side of an object that is fitted as it is, or reflected."""
         return self.other if reflected else self.own
 
+    def describe(self) -> str:
+        """Describe the sides of the training images, and what is done about them."""
+        tried = f"fits try both, and say whether an object is {self.own} or {self.other}"
+        if not self.n_other:
+            return f"the training images are {self.own}, and {tried}"
+        is_or_are = "is" if self.n_other == 1 else "are"
+        return (
+            f"of the {self.n_own + self.n_other} training images, {self.n_other} {is_or_are} {self.other} and "
+            f"reflected to the {self.n_own} {self.own} ones; {tried}"
+        )
+
 
 def reflected_image(image: np.ndarray) -> np.ndarray:
     """Reverse an image (h, w, ...) left to right."""

@@ -96,6 +96,7 @@ class Fit:
             # The page has no such setting.
             "message": result.message.replace(" or allow more iterations", ""),
             "quality": finite_or_none(result.quality),
+            "side": result.side or None,
             "seconds": {"search": round(self.search_seconds, 4), "fit": round(self.fit_seconds, 4)},
             "shape": numbers(result.landmarks, 3),
             "absent": np.flatnonzero(result.absent).tolist(),
@@ -255,7 +256,8 @@ class Fits:
         """Fit a picture, or the small copy of a large one, from a start, or else where the search finds the object."""
         with self.pictures.at_work(source, on_copy) as image:
             began = time.perf_counter()
-            begin = self._detection(source, image, current) if start is None else start
+            is_shared = start is None and fitter.model.sides is None  # of two sides, fits search for both
+            begin = self._detection(source, image, current) if is_shared else start
             searched = time.perf_counter()
             result = fitter.fit(image, begin, source.name)
             if start is None and result.quality < result.least_quality:  # try the search's other places
