@@ -117,7 +117,7 @@ def check_stated(stated: Sequence[str], names: Sequence[str]) -> None:
     if odd:
         raise LiaamError(
             f"the side of {count_of(len(odd), 'image')} is neither left nor right: {some_names(odd)}; correct the "
-            "column 'side' (left or right, L or R)"
+            "column 'side' (left or right, L or R), or give --sides one (sides='one') if it means something else"
         )
     bare = [name for name, side in zip(names, stated, strict=True) if not side]
     if bare and len(bare) < len(names):
