@@ -12,7 +12,7 @@ import liaam
 from liaam import Landmarks, Sample
 from liaam.batch import Settings, run_batch
 from liaam.error_measures import point_error
-from liaam.errors import MethodError, ModelFileError, TrainingError
+from liaam.errors import MethodError, ModelFileError, StartError, TrainingError
 from liaam.evaluation import compare_specimens
 from liaam.fitting.sides import as_fitted, reflected_result
 from liaam.fitting.solution import residual_at
@@ -144,6 +144,23 @@ def test_fits_find_the_side(model, both, kind):
             assert flipped.found is not None and other.found is not None
             assert flipped.found.reflected == other.found.reflected
             np.testing.assert_allclose(flipped.found.landmarks, other.found.landmarks)
+
+
+@pytest.mark.parametrize(
+    ("start", "words"),
+    [
+        ([1.0, 2.0], "neither landmarks"),
+        ("box", "is not a shape"),
+        ([[1.0, 2.0], [3.0]], "is not a shape"),
+        (np.zeros((5, 2)), "the start has 5 landmarks but the model has 8"),
+        (np.full((8, 2), 20.0), "only 0.0 pixels large"),
+        (np.full((8, 2), np.nan), "only 0 of the start's landmarks are finite"),
+        ((50, 20, 10, 40), "is empty"),
+    ],
+)
+def test_bad_starts_are_refused_as_by_models_of_one_side(model, both, start, words):
+    with pytest.raises(StartError, match=words):
+        liaam.fit(model, both[18][0], start)
 
 
 def test_a_reflection_of_a_result_is_undone_by_another(model, both):

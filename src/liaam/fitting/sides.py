@@ -8,7 +8,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from liaam.errors import MethodError
+from liaam.errors import LandmarkError, MethodError
 from liaam.fitting.detection import Detection, are_beside, choose
 from liaam.fitting.result import FitResult, explained_fraction
 from liaam.model import AAM
@@ -59,7 +59,7 @@ def reflections_of_start(model: AAM, init, width: int) -> tuple[bool, ...]:
         return (init.reflected,)
     try:
         points = np.asarray(getattr(init, "in_order_of", lambda _: init)(model.landmark_names), dtype=np.float64)
-    except (TypeError, ValueError):  # no numbers, which is refused elsewhere
+    except (TypeError, ValueError, LandmarkError):  # which is refused elsewhere
         return EITHER
     if points.shape != (model.n_points, 2) or not np.isfinite(points).all() or is_mean_shape(model, points):
         return EITHER
@@ -80,10 +80,8 @@ def reflected_start(model: AAM, init, width: int):
         return None
     if isinstance(init, Detection):
         return reflected_detection(init, width)
-    if hasattr(init, "points"):
-        return replace(init, points=reflected_points(init.points, width))
     try:
-        given = np.asarray(init, dtype=np.float64)
+        given = np.asarray(getattr(init, "points", init), dtype=np.float64)
     except (TypeError, ValueError):
         return init
     if given.shape == (4,):
@@ -94,7 +92,10 @@ def reflected_start(model: AAM, init, width: int):
     if given.shape == (model.n_points, 2) and np.isfinite(given).all() and is_mean_shape(model, given):
         low, high = corners_of(reflected_points(given, width))
         return np.array([*(0.5 * (low + high)), diagonal_of(given)])  # its mirror image is not the mean shape
-    return reflected_points(given, width) if given.ndim == 2 and given.shape[1] == 2 else init
+    if given.ndim != 2 or given.shape[1] != 2:
+        return init
+    points = reflected_points(given, width)
+    return replace(init, points=points) if hasattr(init, "points") else points
 
 
 def reflected_detection(detection: Detection, width: int) -> Detection:
