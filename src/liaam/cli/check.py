@@ -19,6 +19,7 @@ from liaam.io.landmarks.reading import Reading
 if TYPE_CHECKING:
     from liaam.datasets.label_faults import LabelFault
 
+FEW_MISTAKES = 2  # Mirrored images, whose sides are not stated, that may be mistakes, however few images there are
 MAX_WARNINGS = 3  # Faults that liaam train prints before it refers to liaam check
 
 
@@ -164,10 +165,13 @@ def reflected_before(samples: list[Sample], sides: str) -> np.ndarray:
     found = sides_of_shapes(marks, stated, [sample.name for sample in samples])
     if found.said:
         complain(found.said)
-    if found.sides is None or (found.is_other.mean() < FEW and not any(stated)):
+    is_few = found.is_other.sum() <= max(FEW_MISTAKES, FEW * len(samples))
+    if found.sides is None or (is_few and not any(stated)):
         return np.zeros(len(samples), bool)
     if found.sides.n_other:
-        say(f"{found.sides.n_other} of {count_of(len(samples), 'image')} {found.sides.other}, and compared reflected")
+        which = some_names([samples[i].name for i in np.flatnonzero(found.is_other).tolist()])
+        images = count_of(len(samples), "image")
+        say(f"{found.sides.n_other} of {images} {found.sides.other}, and compared reflected: {which}")
     return found.is_other
 
 
