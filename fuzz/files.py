@@ -114,7 +114,7 @@ def check_start(given: tuple[str, bytes]) -> None:
 _FACTS = {"liaam": "0.1.0", "model": "ab", "method": "soft-li", "init": None, "camera": {"theta_deg": 122.0}}
 _COLUMNS = (
     *("path", "object", "status", "message", "quality", "score", "n_found", "theta_deg", "cost", "iterations"),
-    *("specimen", "code", "expansion", "landmarks", "covariance", "present"),
+    *("specimen", "code", "expansion", "landmarks", "covariance", "present", "side"),
     *("scale", "scale_unit", "scale_from", "seconds"),
 )
 _ROW = {
@@ -122,6 +122,7 @@ _ROW = {
     "path": "01.png",
     "specimen": "01#1",
     "code": "",
+    "side": "",
     "scale_unit": "",
     "scale_from": "",
     "status": "ok",

@@ -1,6 +1,7 @@
 """The documentation: links between files of the repository hold, code names what exists, and the tutorial runs."""
 
 import ast
+import csv
 import inspect
 import pkgutil
 import re
@@ -18,6 +19,7 @@ import pytest
 import typer
 
 import liaam
+from docs.figures import make_walk
 from liaam import FitResult
 from liaam.cli.main import app
 from liaam.datasets import label_faults
@@ -32,6 +34,7 @@ from liaam.relighting.relighter import LONGEST
 from liaam.tracking.files import arrays_of
 from liaam.training import options
 from liaam.training.lamps.bank import DARK, LearntLamps
+from scenes.wing import PERIOD
 
 ROOT = Path(__file__).resolve().parents[1]
 
@@ -272,6 +275,30 @@ PASTED = {
     "docs/tutorial/first-model.md": ("faces-model.png", "fits/new.json", "new.pts", "new_flat.png"),
 }
 """Pages whose blocks run when they are pasted in order, and some of the files that they write."""
+
+
+@pytest.mark.slow
+def test_commands_of_the_guide_from_a_folder_to_a_table_run(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    truth = make_walk.write_flies(tmp_path / "flies")
+    commands = make_walk.commands_of_guide()
+    assert [words[0] for words in commands] == ["check", "train", "fit", "scale", "measure", "measure"]
+    for words in commands:
+        command = [sys.executable, "-m", "liaam", *make_walk.expanded(words)]
+        done = subprocess.run(command, capture_output=True, text=True)
+        assert done.returncode == 0 or words[0] == "fit", done.stderr  # a torn wing may be doubtful
+    with Path("table.csv").open(encoding="utf-8", newline="") as file:
+        rows = {row["specimen"]: row for row in csv.DictReader(file)}
+    assert len(rows) == 2 * make_walk.NEW
+    usable = {name: row for name, row in rows.items() if row["status"] == "converged"}
+    assert len(usable) >= len(rows) - 1
+    assert all(name.endswith(row["side"]) for name, row in usable.items())
+    whole = [name for name in usable if name not in make_walk.TORN]
+    lengths = [float(usable[name]["distance_1_5_mm"]) for name in whole]
+    true = [0.05 / PERIOD * np.linalg.norm(truth[name][0] - truth[name][4]) for name in whole]
+    np.testing.assert_allclose(lengths, true, rtol=0.02)
+    assert not any(usable[name]["distance_1_5_mm"] for name in make_walk.TORN if name in usable)
+    assert Path("flies_anova.csv").exists() and Path("asymmetry.png").exists()
 
 
 @pytest.mark.slow

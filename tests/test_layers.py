@@ -38,7 +38,7 @@ FITTING_LAYERS = (
     ("fitter",),
     ("low_quality",),
     ("damaged", "search"),
-    ("fallback", "one_shape_fitter"),
+    ("fallback", "one_shape_fitter", "sides"),
     ("quality",),
     ("result",),
     ("loop",),

@@ -39,11 +39,11 @@ def trained(pictures: list[Picture]) -> AAM:
     return model
 
 
-def fitted(model: AAM, picture: Picture, what: str, **settings: str) -> np.ndarray:
+def fitted(model: AAM, picture: Picture, what: str, rotations: str | None = None) -> np.ndarray:
     """Draw the fit of a model from a box, and print its error."""
     image, truth = picture
     box = np.concatenate([truth.min(axis=0), truth.max(axis=0)])
-    result = Fitter(model, **settings).fit(image, box)
+    result = Fitter(model, rotations=rotations).fit(image, box)
     error = np.linalg.norm(result.landmarks - truth, axis=1).mean() / diagonal_of(truth)
     print(f"{what}: {result.status}, quality {result.quality_text}, {error:.1%} off")
     return captioned(overlay_of_fit(image, result, model), what)

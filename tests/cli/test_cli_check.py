@@ -147,15 +147,32 @@ def test_check_needs_some_pictures(run, good, tmp_path):
     assert "does not exist" in run("check", tmp_path / "none")[2]
 
 
-def test_check_leaves_out_what_is_incomplete(run, scenes, tmp_path):
+def test_check_finds_faults_of_incomplete_images(run, scenes, tmp_path):
     write_folder(tmp_path, scenes)
+    for i, scene in enumerate(scenes):
+        points = scene.landmarks.copy()
+        points[4 + i] = np.nan
+        write_landmarks(tmp_path / f"face{i}.pts", points)
+    code, text, err = run("check", tmp_path)
+    assert (code, err) == (0, "")
+    assert "9 images with missing landmarks, which are estimated to compare the others" in " ".join(text.split())
+    assert "no faults" in text
     points = scenes[0].landmarks.copy()
+    points[30] += 25
     points[4] = np.nan
     write_landmarks(tmp_path / "face0.pts", points)
+    code, text, _ = run("check", tmp_path)
+    assert code == 1 and "face0" in text and "point 31 may be misplaced" in " ".join(text.split())
+
+
+def test_check_skips_images_whose_landmarks_cannot_be_estimated(run, scenes, tmp_path):
+    write_folder(tmp_path, scenes)
+    points = np.full_like(scenes[0].landmarks, np.nan)
+    points[:2] = scenes[0].landmarks[:2]
+    write_landmarks(tmp_path / "face0.pts", points)
     code, text, err = run("check", tmp_path)
-    assert code == 0
-    assert "skipped 1 of 9 images with missing landmarks" in err
-    assert "no faults" in text
+    assert code == 0 and "no faults" in text
+    assert "skipped 1 image with fewer than 3 landmarks: face0" in " ".join(err.split())
 
 
 def test_training_says_so(run, good, spoilt, tmp_path):

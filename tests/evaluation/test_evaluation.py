@@ -313,3 +313,36 @@ def test_the_command_measures_a_learning_curve(run, tmp_path, monkeypatch, rng):
     low, high = read["forecast"]["interval_percent"]
     assert low < read["forecast"]["median_percent"] < high
     assert (tmp_path / "out/learning-curve.png").read_bytes()[:4] == b"\x89PNG"
+
+
+def test_shapes_of_both_sides_are_compared_on_one(rng):
+    """As if no object had been mirrored; fits of the wrong side are counted."""
+    truths = np.array([[0.0, 0], [60, 5], [50, 40], [5, 30], [25, 20]]) + rng.normal(0, 3, (12, 5, 2))
+    found = truths + rng.normal(0, 0.3, truths.shape)
+    sign = np.where(np.arange(12)[:, None, None] % 3 == 0, [-1.0, 1.0], 1.0)
+
+    def evaluated(truths: np.ndarray, landmarks: np.ndarray, sides: tuple[str, ...] = ()) -> Evaluation:
+        return Evaluation(
+            names=tuple(f"{i}" for i in range(12)),
+            images=(None,) * 12,
+            truths=truths,
+            landmarks=landmarks,
+            covariances=np.tile(np.eye(2), (12, 5, 1, 1)),
+            qualities=np.ones(12),
+            statuses=(FitStatus.CONVERGED,) * 12,
+            sizes=np.full(12, 70.0),
+            normaliser="the diagonal",
+            limit=0.03,
+            sides=sides,
+        )
+
+    plain = evaluated(truths, found).agreement
+    names = tuple("mirrored" if i % 3 == 0 else "original" for i in range(12))
+    both = evaluated(truths * sign, found * sign, names)
+    assert plain is not None and both.agreement is not None
+    assert both.agreement.slope == pytest.approx(plain.slope, abs=1e-9)
+    assert not both.on_wrong_side.any()
+    assert "sides: 4 mirrored, 8 original; fits of the wrong side: 0" in both.report()
+    wrong = evaluated(truths * sign, found, names)
+    assert wrong.on_wrong_side.tolist() == [i % 3 == 0 for i in range(12)]
+    assert wrong.by_image()["wrong_side"][:2] == [True, False]

@@ -19,6 +19,7 @@ from liaam.morphometry import (
     of_one_side,
     read_specimens,
 )
+from liaam.morphometry.symmetry import ERROR
 
 MEAN = np.array([[-30.0, 20], [30, 20], [-40, -25], [40, -25], [0, 45], [0, -50]])
 NAMES = ("left_eye", "right_eye", "left_jaw", "right_jaw", "top", "chin")
@@ -110,6 +111,35 @@ def test_errors_of_fits_are_the_error_term_without_replicates(rng) -> None:
     larger = analysed(wings(rng, 40, 2.0, covariances=covariances), "matching", permutations=99)
     assert larger.analysis.shape_anova["F"][2] == pytest.approx(4, rel=0.3)
     assert larger.analysis.shape_anova["P"][2] == pytest.approx(0.01)
+
+
+def test_estimated_landmarks_do_not_count_in_the_error_term(rng) -> None:
+    fitted = wings(rng, 10, 0.3, covariances=np.tile(0.09 * np.eye(2), (6, 1, 1)))
+    whole = analysed(fitted, "matching").analysis.shape_anova["MS"][ERROR]
+    covariances = np.array(fitted[3].covariances)
+    covariances[2] = np.nan
+    some = [*fitted[:3], replace(fitted[3], covariances=covariances, estimated=(2,)), *fitted[4:]]
+    found = analysed(some, "matching", permutations=20)
+    assert found.analysis.error == "covariances" and found.n_estimated == 1
+    assert found.analysis.shape_anova["MS"][ERROR] == pytest.approx(whole, rel=0.05)
+    assert 0 < found.analysis.shape_anova["P"][2] <= 1
+    every = [replace(each, covariances=np.full((6, 2, 2), np.nan), estimated=(2,)) for each in fitted]
+    assert analysed(every, "matching").analysis.error == ""
+
+
+def test_replicates_with_estimated_landmarks_are_no_error(rng) -> None:
+    records = faces(rng, 8, records=2)
+    names = [each.name for each in records]
+    before = analysed(records, "object", by="_")
+    same = records[names.index("face0_0")]
+    again = [replace(same, name="face0_1", estimated=(1,)) if each.name == "face0_1" else each for each in records]
+    found = analysed(again, "object", by="_", permutations=20)
+    ninth = analysed([each for each in again if not each.name.startswith("face0_")], "object", by="_")
+    assert found.analysis.shape_anova["df"][ERROR] == before.analysis.shape_anova["df"][ERROR] - 2
+    assert found.analysis.shape_anova["df"][ERROR] == ninth.analysis.shape_anova["df"][ERROR]
+    ratio = found.analysis.shape_anova["MS"][ERROR] / ninth.analysis.shape_anova["MS"][ERROR]
+    assert ratio == pytest.approx(1.0, rel=0.02)  # as without this individual, but for the mean shape
+    assert found.n_estimated == 1 and found.to_dict()["without_estimated"] == 1
 
 
 def test_sizes_have_the_unit_of_the_table(rng) -> None:

@@ -1,6 +1,7 @@
 """Estimates of missing landmarks: geomorph's, known shapes, and what cannot be estimated."""
 
 import re
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -140,3 +141,26 @@ def test_what_cannot_be_estimated_is_named(rng) -> None:
         with_estimated_landmarks(specimens[:3], "tps")
     with pytest.raises(LiaamError, match="cannot be estimated by 'mean': give tps or regression"):
         with_estimated_landmarks(specimens, "mean")
+
+
+@pytest.mark.parametrize("method", METHODS)
+@pytest.mark.parametrize("known", ["scale", "units", "bar"])
+def test_sizes_are_those_by_the_scale_if_it_is_known_of_all(method, known, rng) -> None:
+    shapes = MEAN * rng.uniform(0.5, 2.0, (20, 1, 1)) + rng.normal(0, 1, (20, 6, 2))
+    shapes[3, 4] = np.nan
+    right = estimate_missing(shapes, method)[0][3, 4]
+    bars = np.tile([[0.0, 80.0], [10.0, 80.0]], (20, 1, 1))
+    zooms = rng.uniform(1.0, 5.0, 20)
+    points = np.concatenate([shapes, bars], axis=1) * zooms[:, None, None]
+    if known != "bar":
+        points = points[:, :6]
+    units = [("mm", 1.0) if known != "units" or i % 2 else ("cm", 0.1) for i in range(20)]
+    scales = [None if known == "bar" else units[i][1] / zooms[i] for i in range(20)]
+    specimens = [Specimen(f"{i}", points[i], scale=scales[i], unit=units[i][0]) for i in range(20)]
+    bar = "7-8=10 mm" if known == "bar" else None
+    found, _ = with_estimated_landmarks(specimens, method, bar)
+    np.testing.assert_allclose(found[3].points[4] / zooms[3], right, atol=1e-8)
+    some = [replace(specimens[0], scale=None), *specimens[1:]]  # sizes in pixels, as before
+    in_pixels = estimate_missing(points[:, :6], method)[0][3, 4]
+    if known != "bar":
+        np.testing.assert_allclose(with_estimated_landmarks(some, method)[0][3].points[4], in_pixels, atol=1e-8)

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from liaam.errors import LiaamError
+from liaam.io.sides import folder_side
 from liaam.morphometry import Specimen, measure, of_one_side, read_specimens
-from liaam.morphometry.sides import folder_side
 
 POINTS = np.array([[0.0, 0], [10, 1], [12, 9], [3, 14]])
 
@@ -189,3 +189,33 @@ def test_a_row_for_each_image_may_tell_them_too(tmp_path) -> None:
     found = read_specimens(tmp_path / "t.csv")
     assert [each.side for each in found] == ["left", "left", "right", "right"]
     assert [each.individual for each in found] == ["i0", "i1", "i0", "i1"]
+
+
+def fits(*names_and_sides: tuple[str, str], status: str = "converged") -> list[Specimen]:
+    """Give fits of one shape, of which the mirrored and the left ones are mirrored."""
+    sign = {"mirrored": -1, "left": -1, "original": 1, "right": 1}
+    return [
+        Specimen(name, POINTS * [sign[side], 1] + i, side=side, status=status)
+        for i, (name, side) in enumerate(names_and_sides)
+    ]
+
+
+def test_nameless_sides_of_fits_are_called_as_their_names_say() -> None:
+    found, said = of_one_side(fits(("w1_left", "original"), ("w1_right", "mirrored"), ("w2_right", "mirrored")))
+    assert [each.side for each in found] == ["left", "right", "right"]
+    assert [each.individual for each in found] == ["w1", "w1", "w2"]
+    assert said == "1 specimen of the side left reflected, to be compared with the side right"
+    found, said = of_one_side(fits(("w1", "original"), ("w2", "mirrored"), ("w3", "original")))
+    assert [each.side for each in found] == ["original", "mirrored", "original"]
+    assert [each.reflected for each in found] == [False, True, False]
+
+
+def test_fits_of_another_side_than_their_names_are_named() -> None:
+    given = fits(("w1_left", "left"), ("w1_right", "right"), ("w2_left", "right"), ("w2_right", "right"))
+    found, said = of_one_side(given)
+    assert [each.side for each in found] == ["left", "right", "right", "right"]
+    assert said.endswith("; fits of another side than the names, which is taken: w2_left (right); check these")
+    given = fits(("w1_left", "original"), ("w1_right", "mirrored"), ("w2_left", "original"), ("w2_right", "original"))
+    assert "w2_right (left)" in of_one_side(given)[1]
+    lost = [replace(each, status="doubtful") for each in given]
+    assert "another side" not in of_one_side(lost)[1]  # these are not measured

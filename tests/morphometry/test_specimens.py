@@ -51,6 +51,7 @@ def row_of(path: str, status: str = "converged") -> dict:
         "covariance": SPREAD.ravel().tolist() if known else None,
         "size": [30, 40],
         "specimen": Path(path).stem,
+        "side": "",
         "code": "",
         "scale": None,
         "scale_unit": "",

@@ -19,8 +19,9 @@ from liaam.relighting import Relighter
 from liaam.training.shapes import procrustes_distances, shape_groups
 
 BODY = np.array([[0, 0], [26, -6], [52, 4], [60, 22], [34, 30], [8, 24], [24, 12], [40, 14]], float)
+OTHER = BODY + np.array([[0, 8], [8, 0], [0, -9], [9, 0], [0, 9], [-9, 0], [0, 7], [6, 0]])
 SIZE = (110, 90)
-QUICK = {"lamps": None, "copies": 0, "diagonal": 50, "leave_out": False}
+QUICK = {"lamps": None, "copies": 0, "diagonal": 50, "leave_out": False, "sides": "one"}
 
 
 def shapes_of(rng, count: int, mean: np.ndarray = BODY, spread: float = 0.6) -> np.ndarray:
@@ -101,8 +102,7 @@ def test_shapes_of_one_kind_are_one_group(rng):
 
 @pytest.mark.parametrize("counts", [(20, 20), (24, 9), (16, 12, 10), (12, 11, 10, 9)])
 def test_kinds_of_shape_are_told_apart(rng, counts):
-    other = BODY + np.array([[0, 8], [8, 0], [0, -9], [9, 0], [0, 9], [-9, 0], [0, 7], [6, 0]])
-    means = [BODY, mirrored(BODY), other, mirrored(other)]
+    means = [BODY, mirrored(BODY), OTHER, mirrored(OTHER)]
     shapes = np.concatenate([shapes_of(rng, n, mean) for n, mean in zip(counts, means, strict=False)])
     kinds = np.repeat(np.arange(len(counts)), counts)
     order = rng.permutation(len(shapes))
@@ -114,7 +114,7 @@ def test_kinds_of_shape_are_told_apart(rng, counts):
 
 def test_kinds_of_shape_are_checked_apart(rng, capsys):
     shapes = shapes_of(rng, 40, spread=0.3)
-    shapes[1::2] = mirrored(shapes[1::2])
+    shapes[1::2] = shapes_of(rng, 20, OTHER, spread=0.3)
     image = np.zeros((9, 9, 3), np.uint8)
     samples = [Sample(name, image, Landmarks(own)) for name, own in zip(names_of(40), shapes, strict=True)]
     assert faults_by_sample(samples) == []
@@ -151,8 +151,8 @@ def test_each_kind_has_a_model(model, samples):
     assert "2 shapes" in repr(model) and "20 images" in repr(model)
     parts = [model.part_of(truth) for _, truth in samples]
     assert parts[::2] == [parts[0]] * 12 and parts[1::2] == [1 - parts[0]] * 12
-    with pytest.raises(TrainingError, match="mirrored"):
-        liaam.train(samples[:20], shapes=1, lamps=None)
+    with pytest.raises(TrainingError, match="their mean lies on one line"):
+        liaam.train(samples[:20], shapes=1, lamps=None, sides="one")
 
 
 @pytest.mark.parametrize("kind", ["none", "shape", "partial", "box", "candidate"])
@@ -214,7 +214,7 @@ def test_the_command_line_says_how_many_kinds_there_are(samples, tmp_path, run):
     for i, (image, points) in enumerate(samples[:18]):
         write_image(folder / f"{i:02d}.png", image)
         liaam.write_landmarks(folder / f"{i:02d}.pts", liaam.Landmarks(points))
-    quick = "--no-leave-out", "--copies", "0", "--diagonal", "50"
+    quick = "--no-leave-out", "--copies", "0", "--diagonal", "50", "--sides", "one"
     code, out, _ = run("train", folder, "-o", tmp_path / "m.liaam", *quick)
     assert code == 0 and "kinds of shape: 2, each with a model of its own: 9 images (50%), 9 images (50%)" in out
     code, out, _ = run("show", tmp_path / "m.liaam")

@@ -259,9 +259,10 @@ def _card(i: int, entry: Entry, page: Path) -> str:
         picture = f'<img alt="{_label(entry)}" loading="lazy" decoding="async" src="data:image/jpeg;base64,{source}">'
     quality = "" if row["quality"] is None else f", quality {row['quality']:.2f}"
     why = f"<p>{html.escape(row['message'])}</p>" if row["status"] == ERROR else ""
+    side = f", {html.escape(row['side'])}" if row["side"] else ""
     return (
         f'<li data-i="{i}" data-status="{row["status"]}"><div class="picture">{picture}</div>'
-        f"<h3>{_linked(entry, page)}</h3><p>{_dot(row['status'])}{row['status']}{quality}</p>{why}</li>"
+        f"<h3>{_linked(entry, page)}</h3><p>{_dot(row['status'])}{row['status']}{quality}{side}</p>{why}</li>"
     )
 
 

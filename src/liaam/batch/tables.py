@@ -42,6 +42,7 @@ COLUMNS = {
     "scale_unit": "string",
     "scale_from": "string",
     "present": "list<float32>",
+    "side": "string",
     "seconds": "float32",
 }
 NAMES = "landmark_names"  # Entry of rows, and of the metadata of Parquet, with the names of the landmarks

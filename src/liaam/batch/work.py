@@ -67,6 +67,8 @@ class Settings:
         What names the specimens (:data:`liaam.trays.NAME_BY`).
     rotations : str, optional
         Orientations to search (:attr:`liaam.fitting.Fitter.rotations`).
+    side : str
+        Side of the objects (:attr:`liaam.fitting.Fitter.side`).
     absent : str
         What rows hold of absent landmarks (:data:`liaam.fitting.result.ABSENT`).
     """
@@ -81,6 +83,7 @@ class Settings:
     every: bool = False
     name_by: str = POSITION
     absent: str = "empty"
+    side: str = "auto"
 
     def __post_init__(self) -> None:
         check_absent(self.absent)
@@ -138,7 +141,7 @@ class FitJob:
         """Return the fitter for RAW files, or for other images."""
         settings = self.settings
         camera = (settings.camera or self.model.camera).suited_to(raw=raw, response=settings.response)
-        options = {"max_iterations": settings.iterations, "rotations": settings.rotations}
+        options = {"max_iterations": settings.iterations, "rotations": settings.rotations, "side": settings.side}
         return kept_fitter(self.model, settings.method, camera, **options)
 
     def absolute(self, path: str) -> str:
@@ -222,6 +225,7 @@ def fit_row(
         "status": facts["status"],
         "message": facts["message"],
         "quality": _short(facts["quality"]),
+        "side": facts["side"] or "",
         "object": None,
         "specimen": "",
         "code": "",
@@ -245,6 +249,7 @@ def failed_row(path: str, message: str) -> FitRow:
     row = dict.fromkeys((*numbers, "landmarks", "covariance", "present", "seconds"))
     name = _printable(Path(path).stem)
     texts = {"path": _printable(path), "status": ERROR, "message": _printable(message), "specimen": name, "code": ""}
+    texts["side"] = ""
     return texts | columns_of(None) | row
 
 

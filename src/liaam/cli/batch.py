@@ -9,11 +9,13 @@ from typing import Annotated
 import typer
 
 from liaam.cli.inputs import (
+    AUTO,
     TURNED,
     AbsentOption,
     CameraOption,
     NameByOption,
     RotationsOption,
+    SideOption,
     camera_in,
     model_and_inputs,
 )
@@ -49,6 +51,7 @@ def batch(
     name_by: NameByOption = "position",
     method: Annotated[str, typer.Option("--method", "-m", help="Fitting method; see 'liaam fit --help'.")] = "soft-li",
     rotations: RotationsOption = None,
+    side: SideOption = AUTO,
     absent: AbsentOption = "empty",
     given_camera: CameraOption = None,
     jobs: Annotated[int | None, typer.Option(help="Number of threads. By default one per core.", min=1)] = None,
@@ -71,7 +74,7 @@ def batch(
     from liaam.model.file_format import UPRIGHT
 
     camera, response = camera_in(given_camera)
-    how = {"rotations": rotations, "every": every, "name_by": name_by, "absent": absent}
+    how = {"rotations": rotations, "side": side, "every": every, "name_by": name_by, "absent": absent}
     settings = Settings(method, init, camera=camera, response=response, **how)
     model_file, pictures = model_and_inputs(sources or [], "batch")
     closed: list[str] = []

@@ -1,6 +1,7 @@
 """The command ``liaam check``: find images whose landmarks follow another convention than the rest."""
 
 from collections import defaultdict
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -12,12 +13,13 @@ from liaam.cli.terminal import cell, complain, progress_bar, say, show_table, ta
 from liaam.datasets import Dataset, Sample
 from liaam.errors import LiaamError
 from liaam.io import is_raw, make_folder, write_image, write_landmarks
-from liaam.io.files import count_of, real_path
+from liaam.io.files import count_of, real_path, some_names
 from liaam.io.landmarks.reading import Reading
 
 if TYPE_CHECKING:
     from liaam.datasets.label_faults import LabelFault
 
+FEW_MISTAKES = 2  # Mirrored images, whose sides are not stated, that may be mistakes, however few images there are
 MAX_WARNINGS = 3  # Faults that liaam train prints before it refers to liaam check
 
 
@@ -29,6 +31,7 @@ def check(
             "--output", "-o", help="Folder for an image of each fault, and for landmarks in the corrected order."
         ),
     ] = None,
+    sides: inputs.SidesOption = inputs.AUTO,
     shapes: inputs.ShapesOption = inputs.AUTO,
     strict: inputs.StrictOption = False,
     category: inputs.CategoryOption = None,
@@ -44,10 +47,7 @@ def check(
 
     data = inputs.read_folder(folder, Reading(strict, category, y_down, stored_orientation))
     unusable = check_pixels(data)
-    complete = [sample for sample in data if not sample.landmarks.missing.any()]
-    if len(complete) < len(data):
-        complain(f"skipped {len(data) - len(complete)} of {len(data)} images with missing landmarks")
-    faults = faults_by_sample(complete, inputs.parse_shapes(shapes))
+    faults = faults_by_sample(list(data), inputs.parse_shapes(shapes), sides)
     if not faults:
         say(f"no {'other ' if unusable else ''}faults found in the landmarks of single images")
         n_landmarks = len(data.samples[0].landmarks.points)
@@ -108,28 +108,94 @@ def check_pixels(data: Dataset) -> bool:
     return bool(unusable)
 
 
-def faults_by_sample(samples: list[Sample], shapes: int | str = inputs.AUTO) -> "list[tuple[Sample, list[LabelFault]]]":
-    """Return each sample that has faults, with its faults. No sample may have missing landmarks.
+def faults_by_sample(
+    samples: list[Sample], shapes: int | str = inputs.AUTO, sides: str = inputs.AUTO
+) -> "list[tuple[Sample, list[LabelFault]]]":
+    """Return each sample that has faults, with its faults.
 
-    Samples of different kinds of shape are compared with their own kind, and one line says so.
+    Objects of the other side are compared reflected, missing landmarks are estimated from the other images, and samples
+    of different kinds of shape are compared with their own kind. Lines say so.
     """
     from liaam.datasets.label_faults import find_label_faults
+    from liaam.datasets.sides import reflected_shapes
     from liaam.training.shapes import shape_groups
 
-    marks = np.array([sample.landmarks.points for sample in samples])
-    groups = shape_groups(marks, [sample.name for sample in samples], shapes) if len(marks) else []
+    samples = with_enough_landmarks(samples)
+    if not samples:
+        return []
+    is_other = reflected_before(samples, sides)
+    marks = reflected_shapes(np.array([sample.landmarks.points for sample in samples]), is_other)
+    known = ~np.isnan(marks[..., 0])
+    marks = with_estimates(marks, samples)
+    groups = shape_groups(marks, [sample.name for sample in samples], shapes)
     if len(groups) > 1:
         sizes = ", ".join(count_of(len(group), "image") for group in groups)
-        say(
-            f"{len(groups)} kinds of shape ({sizes}), each checked by itself; 'liaam check --shapes 1' compares all, "
-            "and shows images that were mirrored by mistake"
-        )
+        say(f"{len(groups)} kinds of shape ({sizes}), each checked by itself; 'liaam check --shapes 1' compares all")
     by_sample: dict[int, list[LabelFault]] = defaultdict(list)
     with progress_bar() as progress:
         for group in groups:
             for fault in find_label_faults(list(marks[group]), progress):
-                by_sample[int(group[fault.picture])].append(fault)
+                i = int(group[fault.picture])
+                if fault.kind != "stray" or known[i][list(fault.points)].any():  # not of an estimate
+                    by_sample[i].append(as_in_image(fault) if is_other[i] else fault)
     return [(samples[i], faults_of_sample) for i, faults_of_sample in sorted(by_sample.items())]
+
+
+def with_enough_landmarks(samples: list[Sample]) -> list[Sample]:
+    """Return the samples whose missing landmarks can be estimated, and name the others."""
+    from liaam.training.filling import FEWEST_KNOWN
+
+    poor = [sample.name for sample in samples if (~sample.landmarks.missing).sum() < FEWEST_KNOWN]
+    if poor:
+        complain(f"skipped {count_of(len(poor), 'image')} with fewer than {FEWEST_KNOWN} landmarks: {some_names(poor)}")
+    return [sample for sample in samples if sample.name not in poor]
+
+
+def reflected_before(samples: list[Sample], sides: str) -> np.ndarray:
+    """Return which samples are compared reflected, (m,) bool, and say how many.
+
+    A few that are mirrored, while sides are not stated, may be mistakes: these are compared as they are, and named.
+    """
+    from liaam.datasets.sides import FEW, sides_of_shapes
+
+    if sides == "one":
+        return np.zeros(len(samples), bool)
+    stated = [sample.side for sample in samples]
+    marks = np.array([sample.landmarks.points for sample in samples])
+    found = sides_of_shapes(marks, stated, [sample.name for sample in samples])
+    if found.said:
+        complain(found.said)
+    is_few = found.is_other.sum() <= max(FEW_MISTAKES, FEW * len(samples))
+    if found.sides is None or (is_few and not any(stated)):
+        return np.zeros(len(samples), bool)
+    if found.sides.n_other:
+        which = some_names([samples[i].name for i in np.flatnonzero(found.is_other).tolist()])
+        images = count_of(len(samples), "image")
+        say(f"{found.sides.n_other} of {images} {found.sides.other}, and compared reflected: {which}")
+    return found.is_other
+
+
+def with_estimates(marks: np.ndarray, samples: list[Sample]) -> np.ndarray:
+    """Return landmarks (m, n, 2) with estimates for missing ones (NaN), and say how many images lack some."""
+    from liaam.training.filling import filled, is_enough
+    from liaam.training.incomplete import check_known
+    from liaam.training.left_out import folds_of
+
+    known = ~np.isnan(marks[..., 0])
+    if known.all():
+        return marks
+    names = [sample.name for sample in samples]
+    if not is_enough(known):
+        check_known(names, known, samples[0].landmarks.names)
+    n_incomplete = int((~known.all(axis=1)).sum())
+    say(f"{count_of(n_incomplete, 'image')} with missing landmarks, which are estimated to compare the others")
+    with progress_bar(counted=False) as progress:
+        return filled(marks, folds_of(names), progress)[0]
+
+
+def as_in_image(fault: "LabelFault") -> "LabelFault":
+    """Return a fault that was found in landmarks with x reversed."""
+    return replace(fault, expected=fault.expected * [-1.0, 1.0])
 
 
 def write_faults(output: Path, folder: Path, faults: "list[tuple[Sample, list[LabelFault]]]") -> None:
@@ -161,7 +227,7 @@ def write_faults(output: Path, folder: Path, faults: "list[tuple[Sample, list[La
     say(f"written to {output}: an image of each fault{said}")
 
 
-def warn_of_faults(data: Dataset, folder: Path, shapes: int | str = inputs.AUTO) -> None:
+def warn_of_faults(data: Dataset, folder: Path, shapes: int | str = inputs.AUTO, sides: str = inputs.AUTO) -> None:
     """Warn, before training, about landmarks in another order than in the other images, or far off."""
     from liaam.datasets.label_faults import LEAST_PICTURES
     from liaam.datasets.units import units_fault
@@ -171,7 +237,9 @@ def warn_of_faults(data: Dataset, folder: Path, shapes: int | str = inputs.AUTO)
     complete = [sample for sample in data if not sample.landmarks.missing.any()]
     if len(complete) < LEAST_PICTURES:
         return
-    pairs = [(sample, fault) for sample, faults in faults_by_sample(complete, shapes) for fault in faults]
+    found = [(sample, fault) for sample, faults in faults_by_sample(complete, shapes, sides) for fault in faults]
+    # Training reflects images that are mirrored.
+    pairs = [(sample, fault) for sample, fault in found if fault.kind != "mirrored" or sides == "one"]
     for sample, fault in pairs[:MAX_WARNINGS]:
         complain(f"{sample.name}: {fault.message}")
     if pairs:

@@ -108,6 +108,7 @@ def fit(
         typer.Option(help="Write the landmarks of another scheme instead: ibug-68, from those of the model 'face'."),
     ] = None,
     rotations: inputs.RotationsOption = None,
+    side: inputs.SideOption = inputs.AUTO,
     ellipses: inputs.EllipsesOption = False,
     numbers: Annotated[bool, typer.Option("--numbers", help="Draw the number of each landmark, from 1.")] = False,
     names: Annotated[
@@ -144,7 +145,7 @@ def fit(
     model = load_model(model_file)
     outputs = replace(outputs, look=look_of(model, ellipses=ellipses, numbers=numbers, names=names, mesh=mesh))
     camera = inputs.camera_for(images, given_camera, model.camera)
-    fitter = Fitter(model, method, camera=camera, rotations=rotations)
+    fitter = Fitter(model, method, camera=camera, rotations=rotations, side=side)
     if scheme is not None:
         in_scheme(model.shape_model.mean, model.landmark_names, scheme)  # its errors come before any work
     make_folder(outputs.folder)
@@ -157,9 +158,7 @@ def fit(
         except LiaamError as error:
             return error
 
-    report = FitReport(
-        every=every, only_upright=fitter.searched_rotations == UPRIGHT, on_absent=outputs.on_absent
-    )
+    report = FitReport(every=every, only_upright=fitter.searched_rotations == UPRIGHT, on_absent=outputs.on_absent)
     threads = min(len(images), all_cores())
     # With a single image, its search may use all cores.
     with one_thread() if threads > 1 else one_blas_thread(), progress_bar() as progress:
@@ -289,6 +288,7 @@ def row_of(result: "FitResult") -> dict[str, str]:
     return {
         "status": str(result.status),
         "quality": result.quality_text,
+        "side": result.side,
         "uncertainty": f"± {np.median(result.sd):.1f} px" if result.status.ok else "",
         "start": start,
         "theta": "" if result.theta_degrees is None else f"{result.theta_degrees:.1f}°",

@@ -97,6 +97,23 @@ RotationsOption = Annotated[
         "the training images.",
     ),
 ]
+SideOption = Annotated[
+    str,
+    typer.Option(
+        "--side",
+        help="Side of the objects: auto (both are tried if the model was trained on objects of two sides), both (also "
+        "if it was not), or one of its sides, such as left.",
+    ),
+]
+SidesOption = Annotated[
+    str,
+    typer.Option(
+        "--sides",
+        help="Objects of two sides, such as left and right wings: auto reflects the images of one side, by a column "
+        "'side', folders left and right, names such as wing1_left, or else the shapes, and fits try both; both: fits "
+        "try both even if all images are of one; one: use all as they are.",
+    ),
+]
 AbsentOption = Annotated[
     str,
     typer.Option(
@@ -123,7 +140,7 @@ ShapesOption = Annotated[
     str,
     typer.Option(
         "--shapes",
-        help="Number of kinds of shape, such as left and right wings, each with a model of its own: 1 to 4. 'auto' "
+        help="Number of kinds of shape, such as those of two species, each with a model of its own: 1 to 4. 'auto' "
         "finds out, from 16 images on.",
     ),
 ]

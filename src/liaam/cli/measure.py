@@ -328,11 +328,12 @@ def _show_anova(anova: Columns) -> None:
 
 def _about_error(found: "AsymmetryResult") -> str:
     """Say what fluctuating asymmetry is compared with."""
+    without = f", without {count_of(found.n_estimated, 'record')} with estimated landmarks" if found.n_estimated else ""
     if found.analysis.error == "replicates":
         what = "side" if found.analysis.kind == MATCHING else "individual"
-        return f"error: from {found.replicates} replicates of each {what}"
+        return f"error: from {found.replicates} replicates of each {what}{without}"
     if found.analysis.error == "covariances":
-        return "error: expected from the covariances of the fitted landmarks, as there are no replicates"
+        return f"error: expected from the covariances of the fitted landmarks, as there are no replicates{without}"
     return (
         "error: unknown, so that fluctuating asymmetry is not tested, and includes it; digitise twice, and give "
         "--replicates"

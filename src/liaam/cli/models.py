@@ -174,6 +174,7 @@ def describe(model: "AAM", path: Path) -> dict[str, str]:
         "model": f"{model.name or path.stem} ({path.stat().st_size / 1e6:.1f} MB)",
         "trained on": f"{model.n_all_images} {'' if model.is_colour else 'grey '}images{count_copies(model)}",
         **({"shapes": f"{describe_shapes(model)}; below, the first"} if model.others else {}),
+        **({} if model.sides is None else {"sides": model.sides.describe()}),
         "landmarks": f"{model.n_points}, in {len(model.triangles)} triangles and {len(model.contours)} contours",
         **({"missing landmarks": describe_missing(model)} if model.n_all_missing.any() else {}),
         "shape modes": f"{count_modes(model)}, and 4 of position, size and rotation; spread {spread:.1f} px",
@@ -262,6 +263,7 @@ def facts_of(model: "AAM") -> dict[str, Any]:
         "images": model.n_all_images,
         "copies": model.n_copies,
         "images_by_shape": [part.n_images for part in model.parts],
+        "sides": None if model.sides is None else vars(model.sides) | {"other": model.sides.other},
         "colour": model.is_colour,
         "landmarks": [
             {"number": i + 1, "name": name, "missing": int(missing)}

@@ -8,7 +8,13 @@ import typer
 from liaam.cli import inputs
 from liaam.cli.check import warn_of_faults
 from liaam.cli.lamps import LAMPS_SUFFIX, TrainingLampOption, read_lamps
-from liaam.cli.models import count_copies, count_modes, describe_missing, describe_regressor, describe_shapes
+from liaam.cli.models import (
+    count_copies,
+    count_modes,
+    describe_missing,
+    describe_regressor,
+    describe_shapes,
+)
 from liaam.cli.terminal import complain, progress_bar, say
 from liaam.errors import LiaamError
 from liaam.io import IMAGE_SUFFIXES, LANDMARK_SUFFIXES
@@ -75,6 +81,7 @@ def train(
         ),
     ] = None,
     methods: MethodsOption = "",
+    sides: inputs.SidesOption = inputs.AUTO,
     shapes: inputs.ShapesOption = inputs.AUTO,
     regressor: Annotated[
         str,
@@ -111,7 +118,7 @@ def train(
     camera = inputs.camera_for([s.image for s in data if isinstance(s.image, Path)], given_camera)
     contours = [parse_contour(text) for text in contour or ()]
     light = parse_lamps(lamps, training_lamp, camera)
-    warn_of_faults(data, folder, inputs.parse_shapes(shapes))
+    warn_of_faults(data, folder, inputs.parse_shapes(shapes), sides)
     if leave_out and (together := describe_objects([sample.name for sample in data])):
         say(together)
     with progress_bar(counted=False) as progress:
@@ -124,6 +131,7 @@ def train(
             points=points,
             contours=contours or None,
             methods=parse_methods(methods),
+            sides=sides,
             shapes=inputs.parse_shapes(shapes),
             regressor=with_regressor,
             name=name or inputs.folder_of(folder)[0].name,
@@ -217,6 +225,8 @@ def report(model: "AAM", output: Path, light: "LearntLamps | Literal['auto'] | N
     say(f"{output}: trained on {model.n_all_images} images{count_copies(model)}; {modes}")
     if model.n_all_missing.any():
         say(f"missing landmarks: {describe_missing(model)}")
+    if model.sides is not None:
+        say(f"sides: {model.sides.describe()} (--sides one to use all as they are)")
     if model.others:
         say(f"kinds of shape: {describe_shapes(model)} (--shapes 1 for one model)")
     if not len(model.shape_model.modes):

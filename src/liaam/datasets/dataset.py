@@ -33,12 +33,16 @@ class Sample:
         Landmarks of the object, pixels.
     landmark_file : Path, optional
         Where the landmarks were read from.
+    side : str
+        Side of the individual, ``left`` or ``right``, from a table, a folder or the image's name, or as a table has it;
+        empty if unknown.
     """
 
     name: str
     image: np.ndarray | Path
     landmarks: Landmarks
     landmark_file: Path | None = None
+    side: str = ""
 
     __repr__ = short_repr
 

@@ -27,6 +27,7 @@ from liaam.io.landmarks.formats import ALSO_OTHER, may_hold_many, name_of, rank_
 from liaam.io.landmarks.matching import ImageNames
 from liaam.io.landmarks.reading import USUAL, Notes, Reading, UnrecognisedError
 from liaam.io.landmarks.yolo import in_images, labels_of
+from liaam.io.sides import side_of_text, sides_by_place_or_name
 from liaam.progress import progress_bar
 
 _BARE = "the image has no landmarks"
@@ -67,7 +68,8 @@ def load_folder(
     Returns
     -------
     Dataset
-        Samples in natural order of their names (2 before 10), all with the most common number of landmarks.
+        Samples in natural order of their names (2 before 10), all with the most common number of landmarks. Their sides
+        are those of a column ``side``; or of the folders ``left`` and ``right``, or of the names, if all have one.
         `left_out` lists the files that were not used, with reasons.
 
     Raises
@@ -108,6 +110,7 @@ def load_folder(
     left_out += [UnusedFile(file, advice.UNKNOWN_IMAGE) for file in advice.unread_images(files, orphans)]
     samples, unnamed = _in_one_order(samples, pairing.notes)
     samples, odd = _same_count(samples)
+    samples = _with_sides(samples)
     left_out = sorted([*left_out, *unnamed, *odd], key=lambda left: natural_key(str(left.path)))
     if reading.strict:
         _refuse_faults(left_out, unlike=[*unnamed, *odd])
@@ -398,6 +401,14 @@ def _in_one_order(samples: list[Sample], notes: Notes) -> tuple[list[Sample], li
             notes.say("images name their landmarks in another order, and are taken by name", sample.name)
         ordered.append(replace(sample, landmarks=landmarks))
     return ordered, odd
+
+
+def _with_sides(samples: list[Sample]) -> list[Sample]:
+    """Return samples with the sides that a table states, or that the folders or the names of all images say."""
+    stated = [side_of_text(sample.landmarks.side) for sample in samples]
+    if not any(stated):
+        stated = sides_by_place_or_name([sample.name for sample in samples])
+    return [replace(sample, side=side) for sample, side in zip(samples, stated, strict=True)]
 
 
 def _same_count(samples: list[Sample]) -> tuple[list[Sample], list[UnusedFile]]:

@@ -96,7 +96,8 @@ class LabelFault:
             "reversed": f"points {numbers} are in reverse order",
             "shifted": f"points {numbers} start at another point",
             "exchanged": f"points {numbers} are exchanged",
-            "mirrored": "mirrored: flip the image with its landmarks, or leave it out",
+            "mirrored": "mirrored, as an object of the other side, whose image training reflects; if it is none, these "
+            "are the landmarks of another image",
             "upside-down": "upside down: y counts the other way; read .tps or .nts files whose y counts from the top "
             "with --y-down, and correct a file that mixes both",
             "stray": f"{which} may be misplaced",

@@ -389,4 +389,5 @@ def _evaluation(
         landmark_names=protocol.names,
         left_out=tuple(faults),
         contours=tuple(protocol.contours),
+        sides=tuple(result.side for result in results) if any(result.side for result in results) else (),
     )

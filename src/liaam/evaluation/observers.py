@@ -8,7 +8,9 @@ from liaam.errors import LiaamError
 from liaam.evaluation.agreement import ShapeAgreement, compare_shapes
 from liaam.fitting.result import USABLE
 from liaam.io.files import some_names
+from liaam.model.shape import align
 from liaam.morphometry import Specimen
+from liaam.morphometry.sides import reflected
 
 MOST_OBSERVERS = 2  # People whose landmarks automatic ones are compared with
 
@@ -63,6 +65,24 @@ def points_of(names: Sequence[str], landmarks: dict[str, np.ndarray], n: int, wh
     return points
 
 
+def _on_sides_of(automatic: dict[str, np.ndarray], labels: Sequence[Specimen]) -> list[Specimen]:
+    """Return labels, reflected where the automatic landmarks of the specimen were, and so are nearer to that."""
+
+    def are_nearer_reflected(label: Specimen) -> bool:
+        points = automatic.get(label.name)
+        if points is None or np.shape(points) != np.shape(label.points):
+            return False
+        direct, mirrored = (_distance(shape, points) for shape in (label.points, reflected(label).points))
+        return mirrored < direct
+
+    return [reflected(label) if are_nearer_reflected(label) else label for label in labels]
+
+
+def _distance(shape: np.ndarray, target: np.ndarray) -> float:
+    """Sum of squared distances of a shape (n, 2), moved by the best similarity, from the known points of a target."""
+    return float(np.nansum(np.square(align(shape, target)(shape) - target)))
+
+
 def compare_specimens(
     automatic: Sequence[Specimen],
     labels: Sequence[Sequence[Specimen]],
@@ -91,6 +111,8 @@ def compare_specimens(
     names = [specimen.name for specimen in automatic]
     landmark_names = next((specimen.names for specimen in automatic if specimen.names), ())
     own = points_by_name(automatic, landmark_names)
+    if any(specimen.reflected for specimen in automatic):
+        labels = [_on_sides_of(own, each) for each in labels]
     n = len(next(iter(own.values()), ()))
     sets = [own, *(points_by_name(each, landmark_names) for each in labels)]
     whats = ["automatic landmarks", "labels", "labels of the second person"]

@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from liaam.datasets.sides import reflected_shapes, squared_distances_of_pairs, two_groups
 from liaam.error_measures import landmark_errors, within_ellipses
 from liaam.errors import LiaamError
 from liaam.evaluation.agreement import ShapeAgreement, compare_shapes
@@ -57,6 +58,8 @@ class Evaluation:
         Landmarks that another person has placed, or the same person again, pixels; NaN where missing.
     groups : tuple of str
         Group of each image, such as the species; empty if unknown, or there are none.
+    sides : tuple of str
+        Side of the object by each fit (:attr:`liaam.FitResult.side`); empty if the model has one side only.
     """
 
     names: tuple[str, ...]
@@ -74,6 +77,7 @@ class Evaluation:
     contours: Contours = ()
     second: np.ndarray | None = None
     groups: tuple[str, ...] = ()
+    sides: tuple[str, ...] = ()
 
     def __repr__(self) -> str:
         return f"Evaluation({count_of(len(self), 'image')}, median error {_percentile(self.errors, 50):.2%})"
@@ -208,6 +212,9 @@ class Evaluation:
             "status": [str(status) for status in self.statuses],
             "outcome": self.outcomes,
         }
+        if self.sides:
+            columns["side"] = list(self.sides)
+            columns["wrong_side"] = self.on_wrong_side.tolist()
         if self.contours:
             columns["outline_percent"] = (100 * self.outline_errors).tolist()
             columns["outline_outcome"] = self.outline_outcomes
@@ -240,6 +247,17 @@ class Evaluation:
         return errors, self.inside_components[self.called_right][..., axis]
 
     @cached_property
+    def on_wrong_side(self) -> np.ndarray:
+        """Whether each fit is nearer to the mirror image of the truth than to the truth, (k,) bool.
+
+        Only fits by models of two sides can be.
+        """
+        if not self.sides:
+            return np.zeros(len(self), bool)
+        direct, mirrored = squared_distances_of_pairs(self.landmarks, self.truths)
+        return mirrored < direct
+
+    @cached_property
     def agreement(self) -> ShapeAgreement | None:
         """How the shapes of right fits agree with the labels; None if they cannot be compared."""
         return self._compared if isinstance(self._compared, ShapeAgreement) else None
@@ -252,8 +270,15 @@ class Evaluation:
         groups = None
         if self.groups:
             groups = [group for group, right in zip(self.groups, is_right, strict=True) if right]
+        automatic = self.landmarks[is_right]
+        labels = self.truths[is_right]
+        if self.sides:
+            is_mirrored, _ = two_groups(labels)
+            automatic = reflected_shapes(automatic, is_mirrored)
+            labels = reflected_shapes(labels, is_mirrored)
+            second = None if second is None else reflected_shapes(second, is_mirrored)
         try:
-            return compare_shapes(self.landmarks[is_right], self.truths[is_right], second, groups=groups)
+            return compare_shapes(automatic, labels, second, groups=groups)
         except LiaamError as fault:
             return str(fault)
 
@@ -270,6 +295,9 @@ class Evaluation:
             f"refused (right, but called doubtful or failed): {refused}",
             f"landmarks inside their 95 % ellipses, of fits called right: {held}",
         ]
+        if self.sides:
+            counts = ", ".join(f"{self.sides.count(side)} {side}" for side in sorted(set(self.sides)))
+            lines.append(f"sides: {counts}; fits of the wrong side: {int(self.on_wrong_side.sum())}")
         if self.contours:
             lost, refused = self._lost_and_refused(self.outline_outcomes)
             along, held_along = self._in_direction(0)

@@ -33,6 +33,8 @@ class Detection:
         Further objects that the search for one object found with certainty, among those at least half as large.
     part : int
         Index of the part of the model that was found; 0 for most models.
+    reflected : bool
+        Whether it was found in the image reversed left to right, by a model of the other side.
     """
 
     landmarks: np.ndarray
@@ -41,6 +43,7 @@ class Detection:
     scale: float
     others: tuple["Detection", ...] = ()
     part: int = 0
+    reflected: bool = False
 
     __repr__ = short_repr
 

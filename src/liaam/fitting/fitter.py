@@ -4,6 +4,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, fields, replace
 from functools import cached_property
 from inspect import signature
+from typing import Any
 
 import numpy as np
 
@@ -20,17 +21,32 @@ from liaam.fitting.search.finder import Finder
 from liaam.fitting.search.other_places import PlacedFit
 from liaam.fitting.search.parts import fit_likeliest_part, targets_at
 from liaam.fitting.search.starts import is_box, mapped_points, part_of_start, start_shape
+from liaam.fitting.sides import (
+    AUTO,
+    find_on_sides,
+    is_clear,
+    likelier_side,
+    reflected_detection,
+    reflected_result,
+    reflected_start,
+    reflections_of,
+    reflections_of_start,
+    sides_of,
+    with_detections,
+    without_other_sides,
+)
 from liaam.formatting import changed_repr
 from liaam.model import AAM
 from liaam.model.aam import named_model
 from liaam.model.file_format import ALL_ROTATIONS
+from liaam.model.sides import Sides, reflected_image
 from liaam.photometry import CameraModel, is_grey
 from liaam.photometry.camera import check_camera
 from liaam.photometry.encoding import refuse_unscaled, stored_values
 from liaam.photometry.picture import load_picture, path_of
 from liaam.trays.order import reading_order
 
-OWN_SETTINGS = ("camera", "rotations", "restarts", "margin")  # Fields of a fitter that users set by name
+OWN_SETTINGS = ("camera", "rotations", "restarts", "margin", "side")  # Fields of a fitter that users set by name
 
 
 NEARLY = 0.9
@@ -44,6 +60,46 @@ def _is_like(detection: Detection, best: Detection) -> bool:
     """Return whether a detection scores nearly as high as the best one, and is about as large."""
     ratio = detection.scale / best.scale
     return detection.score >= NEARLY * best.score and 1 / AS_LARGE < ratio < AS_LARGE
+
+
+@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False)
+class _FirstFit:
+    """A fit from the first start, before other places and starts are tried.
+
+    Attributes
+    ----------
+    fitter : Fitter
+        Of the model, or of the part to which the start belongs.
+    fit : PlacedFit
+    init : start, optional
+        In the image as it is fitted.
+    reflected : bool
+        Whether that is the image reversed left to right.
+    part : int, optional
+        Index of the part to which the start belongs; None if it may be any.
+    """
+
+    fitter: "Fitter"
+    fit: PlacedFit
+    init: Any
+    reflected: bool
+    part: int | None = None
+
+    @property
+    def detection(self) -> Detection | None:
+        """The detection that the fit started from, in the image as it is."""
+        detection = self.fit.detection
+        if detection is None or not self.reflected:
+            return detection
+        return reflected_detection(detection, self.fit.target.image.shape[1])
+
+    def completed(self) -> FitResult:
+        """Look elsewhere if the fit has low quality, and return the result in the image as it is."""
+        result = self.fitter._completed(self.fit, self.init)
+        if self.part is not None:
+            result = replace(result, part=self.part)
+        return reflected_result(result, self.fit.target.image.shape[1]) if self.reflected else result
 
 
 @dataclass(frozen=True, eq=False)
@@ -69,6 +125,9 @@ class Fitter(OneShapeFitter):
     rotations : {"upright", "all"}, optional
         Rotations to search for: about upright, or any. By default as the objects are turned in the training images
         (:attr:`liaam.AAM.rotations`). If any, the mean shape in a box that is given is turned as well.
+    side : str
+        Side of the objects. ``"auto"``: both are tried if the model knows of two (:attr:`liaam.AAM.sides`).
+        ``"both"``: both are tried in any case. Or one of the model's sides, such as ``"left"``.
 
     Examples
     --------
@@ -80,6 +139,7 @@ class Fitter(OneShapeFitter):
     margin: float = MARGIN
     restarts: bool = True
     rotations: str | None = None
+    side: str = AUTO
 
     __repr__ = changed_repr
 
@@ -107,6 +167,7 @@ class Fitter(OneShapeFitter):
     def __post_init__(self) -> None:
         """Raise errors now, not at the first image, where these attributes are first needed."""
         self.finder  # noqa: B018
+        self._reflections  # noqa: B018
         if self.camera is not None:
             check_camera(self.camera)
         for part in self.parts:
@@ -140,7 +201,12 @@ class Fitter(OneShapeFitter):
         list of Detection
             Starts for :meth:`fit`, the best first.
         """
-        return self.finder.find_in(self.linear(load_picture(image, name)[0]), limit=limit, least=least)
+        pixels, _ = load_picture(image, name)
+
+        def search(pixels: np.ndarray) -> list[Detection]:
+            return self.finder.find_in(self.linear(pixels), limit=limit, least=least)
+
+        return find_on_sides(pixels, search, self._reflections, limit)
 
     def linear(self, image: np.ndarray) -> LinearImage:
         """Return an image in linear light, without the vignetting of its camera."""
@@ -193,11 +259,37 @@ class Fitter(OneShapeFitter):
             For invalid input.
         """
         path = path_of(image)
+        if self._sides is None:
+            return replace(self._begun(image, init, name).completed(), image=path)
+        return replace(self._likeliest_of_sides(*load_picture(image, name), init), image=path)
+
+    def _likeliest_of_sides(self, image: np.ndarray, name: str, init) -> FitResult:
+        """Fit an image as it is and reversed left to right, unless the start says of which side the object is."""
+        width = image.shape[1]
+        of_start = reflections_of_start(self.model, init, width)
+        begun: list[_FirstFit] = []
+        for is_reflected in [each for each in self._reflections if each in of_start] or self._reflections:
+            if is_reflected:
+                start = reflected_start(self.model, init, width)
+                begun.append(self._begun(reflected_image(image), start, name, is_reflected=True))
+            else:
+                begun.append(self._begun(image, init, name))
+        begun.sort(key=lambda each: likeliness(each.fit.result), reverse=True)
+        best = begun[0].completed()
+        for other in begun[1:]:
+            if not is_clear(best, replace(other.fit.result, found=other.fit.detection)):
+                best = likelier_side(best, other.completed(), self.model)
+        detections = [each.detection for each in begun if each.reflected != best.reflected]
+        assert self._sides is not None
+        found = with_detections(best, [each for each in detections if each is not None])
+        return replace(found, side=self._sides.of(best.reflected))
+
+    def _begun(self, image, init, name: str, *, is_reflected: bool = False) -> _FirstFit:
+        """Fit from the first start, with the part of the model to which it belongs if it is a whole shape."""
         start = init.landmarks if isinstance(init, Detection) else init
         part = part_of_start(self.model, start, name)
-        if part is not None:
-            return replace(self.parts[part].fit(image, init, name), part=part, image=path)
-        return replace(self._completed(self._first_fit(image, init, name), init), image=path)
+        fitter = self if part is None else self.parts[part]
+        return _FirstFit(fitter, fitter._first_fit(image, init, name), init, is_reflected, part)
 
     def fit_all(self, image, name: str = "image") -> list[FitResult]:
         """Fit every object that the search finds in an image, in reading order.
@@ -220,8 +312,18 @@ class Fitter(OneShapeFitter):
         """
         tried = [(detection, self.fit(image, detection, name)) for detection in detections]
         fits = [fit for detection, fit in tried if fit.status.ok or not detection.doubtful]
-        kept = choose(sorted(fits, key=likeliness, reverse=True), are_apart)
+        kept = without_other_sides(choose(sorted(fits, key=likeliness, reverse=True), are_apart), self.model)
         return [kept[i] for i in reading_order([fit.place for fit in kept])]
+
+    @property
+    def _sides(self) -> Sides | None:
+        """The sides that objects may have; None if the model knows of one, and no other was asked for."""
+        return sides_of(self.model, self.side)
+
+    @cached_property
+    def _reflections(self) -> tuple[bool, ...]:
+        """Whether images are fitted as they are, reversed left to right, or both."""
+        return reflections_of(self.model, self.side)
 
     @property
     def parts(self) -> tuple["Fitter", ...]:

@@ -94,7 +94,7 @@ def fit_many(
         first error, or return the error in place of the result. Fits that fail are results with a status in both cases.
     **settings
         Other keyword arguments of :func:`liaam.fitting.fit`: ``camera``, ``rotations``, ``restarts``, ``margin``,
-        and fields of :class:`liaam.fitting.SolverOptions`.
+        ``side``, and fields of :class:`liaam.fitting.SolverOptions`.
 
     Returns
     -------

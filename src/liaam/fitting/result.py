@@ -193,7 +193,7 @@ class FitResult:
         Shape parameters in model pixels (eq 2), the similarity vectors last; ``pose`` maps s(p) to the image, where it
         is ``landmarks``.
     pose : Similarity
-        Model pixels to image pixels.
+        Model pixels to image pixels; with a reflection if the object was ``reflected``.
     lam : (m,) float64
         Appearance coordinates lambda (eq 4), extra modes (gain, bias) last.
     cost : float
@@ -228,6 +228,13 @@ class FitResult:
         it, calibrated on left-out training images; see :attr:`absent`. None for methods and models without that.
     found : Detection, optional
         The detection that the fit started from; None if the start was given.
+    side : str
+        Side of the object, ``left`` or ``right``, or ``original`` or ``mirrored`` if training knew no names of the
+        sides; empty if the model has one side only (:attr:`liaam.AAM.sides`). Of both fits, that of the likelier side
+        is kept.
+    reflected : bool
+        Whether the object is of the other side than the model, so that the image reversed left to right was fitted. The
+        landmarks are in the image as it is; `p` and `lam` are those of the reversed object.
     part : int
         Index of the shape of the model that was fitted (:attr:`liaam.AAM.parts`).
     n_starts : int
@@ -270,6 +277,8 @@ class FitResult:
     present: np.ndarray | None = None
     found: Detection | None = None
     least_quality: float = LEAST_QUALITY
+    side: str = ""
+    reflected: bool = False
     part: int = 0
     n_starts: int = 1
     expansion: float = 1.0
@@ -286,7 +295,8 @@ class FitResult:
 
     def __repr__(self) -> str:
         counts = f"{len(self.landmarks)} landmarks, {count_of(self.n_iterations, 'iteration')}"
-        return f"FitResult({self.method.name}: {self.status}, quality {self.quality_text}, {counts})"
+        side = f", {self.side}" if self.side else ""
+        return f"FitResult({self.method.name}: {self.status}, quality {self.quality_text}{side}, {counts})"
 
     def reported(self, absent: str = "empty") -> tuple[np.ndarray, np.ndarray]:
         """Return positions (n, 2) and covariances (n, 2, 2) for tables and files.
@@ -405,8 +415,9 @@ class FitResult:
         -------
         dict
             What ``liaam fit`` writes to its .json files: ``image`` (its name, if known), ``start``, ``status``,
-            ``message``, ``quality``, ``landmarks`` (x, y in image pixels), ``sd`` and ``covariance`` (xx, xy, yy) of
-            each landmark, ``present`` (the probability of each), and others. Values that are unknown are None.
+            ``message``, ``quality``, ``side``, ``landmarks`` (x, y in image pixels), ``sd`` and
+            ``covariance`` (xx, xy, yy) of each landmark, ``present`` (the probability of each), and others. Values that
+            are unknown are None.
         """
         from liaam import __version__
 
@@ -416,6 +427,7 @@ class FitResult:
             "image": self.image.name if isinstance(self.image, Path) else None,
             "start": "given" if self.found is None else "searched",
             "starts_tried": self.n_starts,
+            "side": self.side or None,
             "score": None if self.found is None else self.found.score,
             "n_found": self.n_found,
             "detection_doubtful": None if self.found is None else self.detection_doubtful,
@@ -473,7 +485,7 @@ class FitResult:
             covariances=self.landmark_covariances if ellipses else None,
             contours=self.contours,
             absent=self.absent,
-            title=f"{self.method.name}: {self.status}, quality {self.quality_text}",
+            title=f"{self.method.name}: {self.status}, quality {self.quality_text}{f', {self.side}' * bool(self.side)}",
             colour=self.status.colour,
             ax=ax,
         )

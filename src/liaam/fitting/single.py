@@ -7,6 +7,7 @@ from liaam.fitting.fitter import Fitter
 from liaam.fitting.loop.encoded_image import MARGIN
 from liaam.fitting.methods import DEFAULT_METHOD, Method
 from liaam.fitting.result import FitResult
+from liaam.fitting.sides import AUTO
 from liaam.model import AAM
 from liaam.model.aam import named_model
 from liaam.photometry import CameraModel
@@ -48,6 +49,7 @@ def fit(
     rotations: str | None = None,
     restarts: bool = True,
     margin: float = MARGIN,
+    side: str = AUTO,
     **options,
 ) -> FitResult:
     """Fit a model to one image. For many images use :func:`fit_many`, or make a :class:`Fitter` once.
@@ -61,7 +63,7 @@ def fit(
         Start, image pixels (see :meth:`Fitter.fit`). If None, the object is searched for.
     method : str or Method
         See :data:`liaam.fitting.METHODS`.
-    camera, rotations, restarts, margin
+    camera, rotations, restarts, margin, side
         As for :class:`Fitter`.
     **options
         Fields of :class:`liaam.fitting.SolverOptions`, such as ``max_iterations``.
@@ -76,7 +78,7 @@ def fit(
     ImageError, StartError, MethodError
         If an argument is invalid.
     """
-    settings = {"rotations": rotations, "restarts": restarts, "margin": margin, **options}
+    settings = {"rotations": rotations, "restarts": restarts, "margin": margin, "side": side, **options}
     return _with_image(kept_fitter(model, method, camera, **settings).fit(image, init), image)
 
 
@@ -89,13 +91,14 @@ def fit_all(
     rotations: str | None = None,
     restarts: bool = True,
     margin: float = MARGIN,
+    side: str = AUTO,
     **options,
 ) -> list[FitResult]:
     """Fit a model to every object that the search finds in an image.
 
     Parameters
     ----------
-    model, image, method, camera, rotations, restarts, margin, **options
+    model, image, method, camera, rotations, restarts, margin, side, **options
         As for :func:`fit`.
 
     Returns
@@ -108,7 +111,7 @@ def fit_all(
     ImageError, StartError, MethodError
         If an argument is invalid, or if no object is found.
     """
-    settings = {"rotations": rotations, "restarts": restarts, "margin": margin, **options}
+    settings = {"rotations": rotations, "restarts": restarts, "margin": margin, "side": side, **options}
     return [_with_image(result, image) for result in kept_fitter(model, method, camera, **settings).fit_all(image)]
 
 

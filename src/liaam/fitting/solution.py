@@ -9,6 +9,7 @@ from liaam.fitting.loop.angles import best_image_angle
 from liaam.fitting.loop.encoded_image import MARGIN, EncodedImage
 from liaam.fitting.loop.objective import Objective, State
 from liaam.fitting.result import FitResult
+from liaam.fitting.sides import as_fitted
 from liaam.photometry.picture import load_picture
 
 
@@ -52,7 +53,8 @@ def residual_at(fitter: Fitter, image, result: FitResult) -> tuple[np.ndarray, n
 
 def _end_of(fitter: Fitter, result: FitResult, image) -> tuple[Objective, EncodedImage, State]:
     """Return the objective over all pixels of the sharpest level, its image, and a result's state (lambda 0)."""
-    linear = fitter.linear(load_picture(image, "image")[0])
+    picture, result = as_fitted(load_picture(image, "image")[0], result)
+    linear = fitter.linear(picture)
     objective = fitter.dense
     encoded = EncodedImage.at(
         linear.image,

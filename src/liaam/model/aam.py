@@ -19,6 +19,7 @@ from liaam.model.mirror import mirrored_model
 from liaam.model.point_map import PointMap
 from liaam.model.regressor import LandmarkRegressor
 from liaam.model.shape import ShapeModel
+from liaam.model.sides import Sides
 from liaam.model.views import MESH, Level, View
 from liaam.model.warp import PiecewiseAffineWarp
 from liaam.models import MODELS, model_file
@@ -68,7 +69,7 @@ class AAM:
     card : ModelCard
         What users should know: data, licence, accuracy, limits, and whom to credit.
     others : tuple of AAM
-        Models of further shapes of the object, of which one Gaussian would not do (such as left and right wings). All
+        Models of further shapes of the object, of which one Gaussian would not do (such as two species). All
         other attributes are those of the model of the most frequent shape; see :attr:`parts`.
     same_images : bool
         Whether the further shapes were learnt from copies of the images of the first, such as turned heads.
@@ -85,6 +86,9 @@ class AAM:
     rotations : {"upright", "all"}
         Whether the objects in the training images are about upright, or turned in any direction: what fits search for
         by default.
+    sides : Sides, optional
+        The sides of the training images, of which those of one were reflected, so that fits try both; None if the
+        objects have one side as far as is known.
     """
 
     views: Mapping[str, View]
@@ -110,6 +114,7 @@ class AAM:
     scale: Length | None = None
     in_pieces: bool = False
     rotations: str = UPRIGHT
+    sides: Sides | None = None
 
     def __getstate__(self) -> dict:
         """Leave out the fitters that :func:`liaam.fit` keeps with a model."""
@@ -118,7 +123,8 @@ class AAM:
     def __repr__(self) -> str:
         images = count_of(self.n_all_images, "image")
         shapes = f", {len(self.parts)} shapes" if self.others else ""
-        return f"AAM({self.name!r}, {self.n_points} landmarks{shapes}, {self.n_pixels} pixels, {images})"
+        sides = "" if self.sides is None else f", sides {self.sides.own} and {self.sides.other}"
+        return f"AAM({self.name!r}, {self.n_points} landmarks{shapes}{sides}, {self.n_pixels} pixels, {images})"
 
     def with_view(self, name: str, **changes) -> "AAM":
         """Return a copy of the model with some fields of a view changed."""

@@ -40,6 +40,7 @@ from liaam.model.file_parts import (
 )
 from liaam.model.mesh import signed_areas
 from liaam.model.shape import diagonal_of
+from liaam.model.sides import Sides
 from liaam.model.views import MESH, shape_model_of
 from liaam.photometry import camera_from, parse_response
 from liaam.scale.choice import TRAINING
@@ -131,6 +132,7 @@ def _fields(header: dict, tensors: dict[str, np.ndarray]) -> dict[str, Any]:
         "name": text_of(header["name"]),
         "card": _card(header),
         "scale": _scale(header["scale"]) if "scale" in header else None,
+        "sides": _sides(header) if "sides" in header else None,
         "failing_methods": _failing_methods(header),
         "same_images": bool(header.get("same_images", False)),
         "rotations": _rotations(header),
@@ -159,6 +161,14 @@ def _scale(stored: Any) -> Length:
     if not isinstance(stored, dict):
         raise ValueError(f"scale {shortened(stored)} is not an object")
     return Length(finite(stored["value"]), text_of(stored["unit"]), source=TRAINING)
+
+
+def _sides(header: dict) -> Sides:
+    """Return the sides of the training images."""
+    stored = header["sides"]
+    if not isinstance(stored, dict):
+        raise ValueError(f"sides {shortened(stored)} is not an object")
+    return Sides(str(stored["own"]), _count(stored, "n_own"), _count(stored, "n_other"))
 
 
 def _mesh(tensors: dict[str, np.ndarray]) -> tuple[np.ndarray, np.ndarray]:

@@ -92,6 +92,8 @@ def _header(model: "AAM") -> dict[str, Any]:
         header["card"] = model.card.stated
     if model.scale is not None:
         header["scale"] = {"value": model.scale.value, "unit": model.scale.unit}
+    if model.sides is not None:
+        header["sides"] = vars(model.sides)
     if model.failing_methods:
         header["failing_methods"] = list(model.failing_methods)
     if model.same_images:

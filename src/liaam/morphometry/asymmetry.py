@@ -53,6 +53,8 @@ class AsymmetryResult:
         See :func:`asymmetry`.
     left_out : tuple of str
         A sentence for each individual that is left out.
+    n_estimated : int
+        Number of records with estimated landmarks, which do not count in the error term.
     """
 
     analysis: Asymmetry
@@ -64,6 +66,7 @@ class AsymmetryResult:
     permutations: int
     seed: int
     left_out: tuple[str, ...]
+    n_estimated: int = 0
 
     __repr__ = short_repr
 
@@ -119,6 +122,7 @@ class AsymmetryResult:
             "landmarks": list(self.landmarks),
             "twins": list(self.twins) if analysis.kind == OBJECT else None,
             "error_term": analysis.error or None,
+            "without_estimated": self.n_estimated,
             "permutations": self.permutations,
             "seed": self.seed,
             "left_out": list(self.left_out),
@@ -209,7 +213,8 @@ def asymmetry(
     -------
     AsymmetryResult
         Individuals that lack a side or a shape, or have another number of replicates than most, are left out. The error
-        term comes from replicates, or without any from the covariances of the landmarks, if all have them. Individuals
+        term comes from replicates, or without any from the covariances of the landmarks, if all have them; records with
+        estimated landmarks do not count in it. Individuals
         without a scale, where others have one, are left out of the analysis of centroid sizes alone.
 
     Raises
@@ -233,17 +238,19 @@ def asymmetry(
         raise LiaamError(_too_few(len(groups), chosen, left_out, kind))
     order = np.array([[groups[name][side] for side in sides] for name in chosen])  # (n, sides, r) specimens
     spread = _covariances(specimens, columns, shapes, numbers)
-    covariances = None if spread is None or np.isnan(spread[order]).any() else spread[order]
+    estimated = np.array([bool(specimen.estimated) for specimen in specimens])[order]
+    has_error = spread is not None and not estimated.all() and not np.isnan(spread[order][~estimated]).any()
+    covariances = np.nan_to_num(spread[order]) if spread is not None and has_error else None
     options: dict[str, Any] = {"permutations": permutations, "seed": seed, "progress": progress}
     twins: tuple[int, ...] = ()
     if kind == OBJECT:
         twins = _twins(specimens, numbers, pairs, shapes)
         of_object = None if covariances is None else covariances[:, 0]
-        analysis = object_asymmetry(shapes[order[:, 0]], twins, of_object, **options)
+        analysis = object_asymmetry(shapes[order[:, 0]], twins, of_object, estimated=estimated[:, 0], **options)
         sides = ("original", "mirrored")
     else:
         sizes = comparable(columns, size_column(columns))[order]
-        analysis = matching_asymmetry(shapes[order], covariances, sizes=sizes, **options)
+        analysis = matching_asymmetry(shapes[order], covariances, estimated=estimated, sizes=sizes, **options)
     return AsymmetryResult(
         analysis,
         tuple(chosen),
@@ -254,6 +261,7 @@ def asymmetry(
         permutations=permutations,
         seed=seed,
         left_out=left_out,
+        n_estimated=int(estimated.sum()),
     )
 
 

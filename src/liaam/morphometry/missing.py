@@ -21,6 +21,7 @@ from liaam.model.shape import Similarity, align
 from liaam.morphometry.measures import ScaleBar, indices_of, parse_scale
 from liaam.morphometry.specimens import Specimen
 from liaam.morphometry.superimposition import superimpose
+from liaam.scale.lengths import UNITS, Length
 
 METHODS = ("tps", "regression")
 
@@ -44,7 +45,8 @@ def with_estimated_landmarks(
         With the same landmarks, as :func:`liaam.morphometry.alike` gives them, and of one side
         (:func:`liaam.morphometry.of_one_side`).
     method : {"tps", "regression"}
-        Thin-plate spline, or regression. For regression all should have been photographed at one scale.
+        Thin-plate spline, or regression. Sizes count, above all for regression: those by the scale if it is known of
+        all specimens, or else those in pixels, for which all should have been photographed at one scale.
     scale : str, float or ScaleBar, optional
         As in :func:`liaam.measure`. The ends of a scale bar are neither used nor estimated.
 
@@ -72,9 +74,10 @@ def with_estimated_landmarks(
     ends = indices_of("scale bar", bar.ends, first.names, len(first.points)) if isinstance(bar, ScaleBar) else []
     inside = [index for index in range(len(first.points)) if index not in ends]
     points = np.array([specimens[i].points[inside] for i in used])
-    estimates, faults = estimate_missing(points, method, [specimens[i].name for i in used])
+    pixels = _lengths_of_pixels([specimens[i] for i in used], bar, ends)[:, None, None]
+    estimates, faults = estimate_missing(points * pixels, method, [specimens[i].name for i in used])
     completed = list(specimens)
-    for i, estimate in zip(used, estimates, strict=True):
+    for i, estimate in zip(used, estimates / pixels, strict=True):
         specimen = specimens[i]
         filled = specimen.points.copy()
         filled[inside] = estimate
@@ -87,6 +90,24 @@ def with_estimated_landmarks(
         which = tuple(np.flatnonzero(gaps).tolist())
         completed[i] = replace(specimen, points=filled, covariances=covariances, estimated=which)
     return tuple(completed), faults
+
+
+def _lengths_of_pixels(
+    specimens: Sequence[Specimen], rule: ScaleBar | Length | str | None, ends: Sequence[int]
+) -> np.ndarray:
+    """Return the length of a pixel of each specimen, (m,) float64; 1 for all if it is not known of all, or the same."""
+    same = np.ones(len(specimens))
+    if isinstance(rule, Length):
+        return same
+    if isinstance(rule, ScaleBar):
+        lengths = [rule.length / np.linalg.norm(np.diff(each.points[[*ends]], axis=0)) for each in specimens]
+    else:
+        have_units = all(each.unit for each in specimens)
+        if not have_units and any(each.unit for each in specimens):
+            return same  # which measuring refuses
+        lengths = [(each.scale or np.nan) * UNITS.get(each.unit, 1.0) for each in specimens]
+    found = np.array(lengths)
+    return found if (np.isfinite(found) & (found > 0)).all() else same
 
 
 def estimate_missing(shapes: np.ndarray, method: str, names: Sequence[str] = ()) -> tuple[np.ndarray, tuple[str, ...]]:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import csv
-import re
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -12,11 +11,9 @@ from numpy.typing import ArrayLike
 
 from liaam.errors import LiaamError
 from liaam.io.files import existing_file, some_names
+from liaam.io.sides import WORD
 from liaam.model.shape import mirror_order
 from liaam.morphometry.measures import indices_of
-
-WORD = re.compile(r"[A-Z]?[a-z]+|[A-Z]+(?![a-z])|[^A-Za-z]+")
-"""Words of a name, such as ``left``, ``_`` and ``eye`` of ``left_eye`` or ``Left`` and ``Eye`` of ``LeftEye``."""
 
 OTHER_SIDE = {"left": "right", "right": "left", "l": "r", "r": "l"}
 

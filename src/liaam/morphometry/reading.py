@@ -24,8 +24,8 @@ from liaam.io.landmarks.formats import ALSO_OTHER, name_of
 from liaam.io.landmarks.matching import shared_folder, unique_names
 from liaam.io.landmarks.reading import USUAL, Reading, UnrecognisedError
 from liaam.io.landmarks.tables import is_of_imagej, parse_long
+from liaam.io.sides import folder_side, side_of_text
 from liaam.morphometry.records import Record, doubts_about, objects_of_records, with_unique_codes
-from liaam.morphometry.sides import folder_side, side_of_text
 from liaam.morphometry.specimens import MOST, Specimen
 from liaam.scale.choice import length_of, tagged_length
 from liaam.scale.lengths import Length, unit_of
@@ -159,7 +159,8 @@ def _of_file(path: Path, complain: Callable[[str], object], reading: Reading) ->
             place = names[row["path"]] + (f"#{row['object']}" if row.get("object") else "")
             name = str(row["specimen"]) if row.get("code") else place
             specimen = _specimen(path, name, row, row.get("covariance"))
-            yield Record(place, replace(specimen, side=folder_side(row["path"]), image=row["path"]))
+            side = specimen.side or folder_side(row["path"])
+            yield Record(place, replace(specimen, side=side, image=row["path"]))
     else:
         yield from _of_landmarks(path, reading, complain)
 
@@ -181,6 +182,7 @@ def _specimen(path: Path, name: str, facts: dict[str, Any], covariances: Any) ->
             status=str(facts["status"]),
             curves=Contour.all_of(facts.get("contours") or ()),
             file=path.name,
+            side=str(facts.get("side") or ""),
             unit=unit_of(str(facts.get("scale_unit") or "")),
             scale_source=str(facts.get("scale_from") or ""),
             image=str(facts.get("image") or ""),

@@ -2,20 +2,18 @@
 
 from __future__ import annotations
 
-import re
-from collections import defaultdict
+from collections import Counter, defaultdict
 from collections.abc import Iterable, Sequence
 from dataclasses import replace
-from itertools import accumulate
-from typing import NamedTuple
 
 import numpy as np
 
 from liaam.errors import LiaamError
 from liaam.fitting.result import USABLE
 from liaam.io.files import count_of, some_names
+from liaam.io.sides import LEFT, OTHER_SIDE, RIGHT, Named, by_letters, by_word, folder_side, side_of_text
 from liaam.model.shape import align, procrustes_mean
-from liaam.morphometry.pairs import WORD
+from liaam.model.sides import MIRRORED, ORIGINAL, reflected_covariances
 from liaam.morphometry.specimens import Specimen, has_shape
 
 AUTO = "auto"
@@ -27,25 +25,16 @@ SIDES = (AUTO, "left", "right", REFLECTED, IGNORED)
 
 _CLEARLY = 1.5  # least factor by which mean shapes must be nearer to each other as they are than reflected
 
-_WORDS = {"left": "left", "right": "right"}
-_LETTERS = {"l": "left", "r": "right"}
-
-
-class _Named(NamedTuple):
-    """What a name tells: the side, or "", and the name without it."""
-
-    side: str
-    rest: str
-
 
 def of_one_side(
     specimens: Sequence[Specimen], side: str = AUTO, by: str | None = None
 ) -> tuple[tuple[Specimen, ...], str]:
     """Reflect the specimens of one side, so that all can be compared.
 
-    The side is that of a specimen (`Specimen.side`, from a column ``side`` or from a folder ``left`` or ``right``), or
-    else in its name: the word left or right (``wing1_left``, ``left/wing1``), or the last letter L or R (``wing1_L``,
-    ``wing1R``) if all names have one.
+    The side is that of a specimen (`Specimen.side`, from its fit, a column ``side`` or a folder ``left`` or ``right``),
+    or else in its name: the word left or right (``wing1_left``, ``left/wing1``), or the last letter L or R
+    (``wing1_L``, ``wing1R``) if all names have one. Fits by a model that does not know which of its sides is left are
+    ``original`` and ``mirrored``; if all names say which is which, they are called left and right.
 
     Parameters
     ----------
@@ -73,7 +62,7 @@ def of_one_side(
     specimens = tuple(specimens)
     if side == IGNORED:
         return tuple(replace(specimen, side="") for specimen in specimens), ""
-    named = _sides_of(specimens, by)
+    named, against = _sides_of(specimens, by)
     sides = sorted({each.side for each in named} - {""})
     if side not in (AUTO, REFLECTED) and side not in sides:
         what = f"the specimens are of the sides {some_names(sides)}" if sides else "no specimen has a known side"
@@ -94,9 +83,9 @@ def of_one_side(
             f"such as wing1_left, or give --side {IGNORED} if the names tell no sides"
         )
     if len(sides) < 2:
-        return sided, ""
+        return sided, against
     if side == REFLECTED:
-        return _as_reflected(sided, sides[0]), ""
+        return _as_reflected(sided, sides[0]), against
     reflected_side = next(each for each in sides if each != side) if side in sides else sides[0]
     other = next(each for each in sides if each != reflected_side)
     if side == AUTO and _are_alike_as_they_are(sided, sides):
@@ -104,9 +93,10 @@ def of_one_side(
             f"specimens of the sides {some_names(sides)} are compared as they are, since they are more alike than "
             f"reflected: --side {other} reflects those of the side {reflected_side} nonetheless"
         )
-        return _as_reflected(sided, sides[0]), said
+        return _as_reflected(sided, sides[0]), "; ".join(filter(None, (said, against)))
     n = sum(specimen.side == reflected_side for specimen in sided)
-    said = f"{count_of(n, 'specimen')} of the side {reflected_side} reflected, to be compared with the side {other}"
+    done = f"{count_of(n, 'specimen')} of the side {reflected_side} reflected, to be compared with the side {other}"
+    said = "; ".join(filter(None, (done, against)))
     return tuple(reflected(each) if each.side == reflected_side else each for each in sided), said
 
 
@@ -147,7 +137,7 @@ def reflected(specimen: Specimen) -> Specimen:
     """Reflect the landmarks of a specimen, and their covariances: x becomes −x."""
     covariances = specimen.covariances
     if covariances is not None:
-        covariances = np.asarray(covariances) * np.array([[1.0, -1.0], [-1.0, 1.0]])
+        covariances = reflected_covariances(covariances)
     points = specimen.points * [-1.0, 1.0]
     return replace(specimen, points=points, covariances=covariances, reflected=not specimen.reflected)
 
@@ -207,59 +197,43 @@ def structure_name(specimen: Specimen, by: str | None) -> str:
     return " ".join(filter(None, (specimen.individual or object_name(specimen, by), specimen.side)))
 
 
-def folder_side(path: str) -> str:
-    """Return the side of the folders of a path, such as ``left/wing1.jpg``, or ""."""
-    folders = re.split(r"[\\/]", path)[:-1]
-    sides = {(_WORDS | _LETTERS).get(folder.casefold(), "") for folder in folders} - {""}
-    return sides.pop() if len(sides) == 1 else ""
+def _sides_of(specimens: Sequence[Specimen], by: str | None) -> tuple[list[Named], str]:
+    """Return the side of each specimen, and the name of the individual that it is of.
+
+    Also return a sentence that names the specimens whose fits are of another side than their names say, or "".
+    """
+    in_names = _in_names(specimens, by)
+    stated = [folder_side(each.image) or named.side for each, named in zip(specimens, in_names, strict=True)]
+    called = _called(specimens, stated)
+    found = []
+    against = []
+    for specimen, named, said in zip(specimens, in_names, stated, strict=True):
+        side = called.get(specimen.side, side_of_text(specimen.side))
+        found.append(Named(side or named.side, named.rest))
+        if specimen.status in USABLE and said in OTHER_SIDE and side == OTHER_SIDE[said]:
+            against.append(f"{specimen.name} ({side})")
+    if not against:
+        return found, ""
+    return found, f"fits of another side than the names, which is taken: {some_names(against)}; check these"
 
 
-def side_of_text(text: str) -> str:
-    """Return ``left`` or ``right`` for texts such as ``Left`` or ``L``, and other texts as they are."""
-    key = text.strip().casefold()
-    return (_WORDS | _LETTERS).get(key, text.strip())
+def _called(specimens: Sequence[Specimen], stated: Sequence[str]) -> dict[str, str]:
+    """Return what the sides of fits that have no names are called, if names or folders of all specimens say so."""
+    counts = Counter(zip((specimen.side for specimen in specimens), stated, strict=True))
+    if set(stated) != {LEFT, RIGHT}:
+        return {}
+    n_right = counts[ORIGINAL, RIGHT] + counts[MIRRORED, LEFT]
+    n_left = counts[ORIGINAL, LEFT] + counts[MIRRORED, RIGHT]
+    return {ORIGINAL: RIGHT, MIRRORED: LEFT} if n_right >= n_left else {ORIGINAL: LEFT, MIRRORED: RIGHT}
 
 
-def _sides_of(specimens: Sequence[Specimen], by: str | None) -> list[_Named]:
-    """Return the side of each specimen, and the name of the individual that it is of."""
+def _in_names(specimens: Sequence[Specimen], by: str | None) -> list[Named]:
+    """Return the side that the name of each specimen says, and the name of the individual that it is of."""
     objects = [object_name(specimen, by) for specimen in specimens]
-    found = [_by_word(name) for name in objects]
+    found = [by_word(name) for name in objects]
     if by not in (None, "image"):  # the side may also follow the number of the replicate, as in wing1_2_left
         for i, specimen in enumerate(specimens):
-            whole = _by_word(specimen.name)
+            whole = by_word(specimen.name)
             if whole.side and not found[i].side:
-                found[i] = _Named(whole.side, object_name(replace(specimen, name=whole.rest), by))
-    if not any(each.side for each in found):
-        letters = [_by_letter(name) for name in objects]
-        if len({each.side for each in letters} - {""}) == 2 and all(each.side for each in letters):
-            found = letters
-    return [
-        _Named(side_of_text(specimen.side), each.rest) if specimen.side else each
-        for specimen, each in zip(specimens, found, strict=True)
-    ]
-
-
-def _by_word(name: str) -> _Named:
-    """Find the word left or right in a name, if there is one of them, once."""
-    words = WORD.findall(name)
-    at = [i for i, word in enumerate(words) if word.casefold() in _WORDS]
-    if len(at) != 1:
-        return _Named("", name)
-    return _Named(_WORDS[words[at[0]].casefold()], _without(words, at[0]))
-
-
-def _by_letter(name: str) -> _Named:
-    """Find the letter L or R at the end of a name."""
-    words = WORD.findall(name)
-    if len(words) < 2 or words[-1].casefold() not in _LETTERS:
-        return _Named("", name)
-    return _Named(_LETTERS[words[-1].casefold()], _without(words, len(words) - 1))
-
-
-def _without(words: Sequence[str], place: int) -> str:
-    """Join words without one, and without the separators that were around it."""
-    starts = [0, *accumulate(map(len, words))]
-    name = "".join(words)
-    before = name[: starts[place]].rstrip("_-. /\\")
-    after = name[starts[place + 1] :]
-    return before + after if before else after.lstrip("_-. /\\")
+                found[i] = Named(whole.side, object_name(replace(specimen, name=whole.rest), by))
+    return found if any(each.side for each in found) else by_letters(objects, found)

@@ -105,6 +105,7 @@ def matching_asymmetry(
     shapes: np.ndarray,
     covariances: np.ndarray | None = None,
     *,
+    estimated: np.ndarray | None = None,
     sizes: np.ndarray | None = None,
     permutations: int = PERMUTATIONS,
     seed: int = 0,
@@ -120,6 +121,9 @@ def matching_asymmetry(
         reflected.
     covariances : (n, 2, r, k, 2, 2) float, optional
         Covariances of the landmarks. Used where r is 1.
+    estimated : (n, 2, r) bool, optional
+        Which have landmarks that were estimated from other specimens. They do not count in the error term, since
+        replicates with estimates agree too well.
     sizes : (n, 2, r) float, optional
         Centroid sizes, if the shapes were scaled before; by default those of the shapes. NaN where
         unknown.
@@ -141,16 +145,20 @@ def matching_asymmetry(
     fit = superimpose(shapes.reshape(-1, k, 2), tolerance)
     aligned = fit.shapes.reshape(shapes.shape)
     sizes = np.reshape(fit.sizes if sizes is None else sizes, (n, sides, replicates, 1))
+    is_measured = _measured((n, sides), estimated)
     errors = None
     if covariances is not None and replicates == 1:
         errors = tangent_covariances(shapes.reshape(-1, k, 2), np.reshape(covariances, (-1, k, 2, 2)), fit.mean)
+        errors = _with_usual_errors(errors, is_measured.ravel())
     draw = None if errors is None else _draw_independently(errors, n)
     mean_square = np.nan if errors is None else float(np.trace(errors, axis1=1, axis2=2).mean())
     with reported("permutations", progress) as tell:
         rows = aligned.reshape(n, sides, replicates, -1)
-        shape_anova = _anova(rows, permutations, seed, tell, mean_square, draw)
+        shape_anova = _anova(rows, is_measured, permutations, seed, tell, mean_square, draw)
         has_sizes = np.isfinite(sizes).all(axis=(1, 2, 3))
-        size_anova = _anova(sizes[has_sizes], permutations, seed, tell) if has_sizes.sum() >= FEWEST else {}
+        size_anova = {}
+        if has_sizes.sum() >= FEWEST:
+            size_anova = _anova(sizes[has_sizes], is_measured[has_sizes], permutations, seed, tell)
     ratios = np.log(sizes.mean(axis=2)).reshape(n, sides)
     return _components("matching", aligned, fit, ratios[:, 0] - ratios[:, 1], errors, shape_anova, size_anova)
 
@@ -160,6 +168,7 @@ def object_asymmetry(
     twins: Sequence[int] | np.ndarray,
     covariances: np.ndarray | None = None,
     *,
+    estimated: np.ndarray | None = None,
     permutations: int = PERMUTATIONS,
     seed: int = 0,
     tolerance: float = TOLERANCE,
@@ -175,6 +184,8 @@ def object_asymmetry(
         Index of each landmark's twin on the other side; its own on the midline.
     covariances : (n, r, k, 2, 2) float, optional
         Covariances of the landmarks. Used where r is 1.
+    estimated : (n, r) bool, optional
+        Which have landmarks that were estimated from other specimens; see :func:`matching_asymmetry`.
     permutations, seed, tolerance, progress
         See :func:`matching_asymmetry`.
 
@@ -192,17 +203,33 @@ def object_asymmetry(
     fit = superimpose(both, tolerance)
     fit = _in_orientation_of(fit, first)
     aligned = np.stack([half.reshape(shapes.shape) for half in np.split(fit.shapes, 2)], axis=1)
+    is_measured = _measured((n,), estimated)
     errors = None
     draw = None
     mean_square = np.nan
     if covariances is not None and replicates == 1:
         errors = tangent_covariances(given, np.reshape(covariances, (-1, k, 2, 2)), fit.mean)
+        errors = _with_usual_errors(errors, is_measured)
         draw = _draw_mirrored(errors, _reflection(fit.mean, order), order)
         mean_square = float(np.trace(errors, axis1=1, axis2=2).mean())
     with reported("permutations", progress) as tell:
         rows = aligned.reshape(n, 2, replicates, -1)
-        shape_anova = _anova(rows, permutations, seed, tell, mean_square, draw)
+        of_both = np.stack([is_measured, is_measured], axis=1)
+        shape_anova = _anova(rows, of_both, permutations, seed, tell, mean_square, draw)
     return _components("object", aligned, fit, np.full(n, np.nan), errors, shape_anova, {})
+
+
+def _measured(shape: tuple[int, ...], estimated: np.ndarray | None) -> np.ndarray:
+    """Return of which cells of this shape no replicate has estimated landmarks, bool; ``estimated`` is one of these."""
+    if estimated is None:
+        return np.ones(shape, bool)
+    return ~np.logical_or.reduce(estimated, axis=-1)
+
+
+def _with_usual_errors(errors: np.ndarray, is_measured: np.ndarray) -> np.ndarray:
+    """Return covariances (m, d, d), with the mean of those that were measured, (m,) bool, for the others."""
+    usual = errors[is_measured].mean(axis=0)
+    return np.where(is_measured[:, None, None], errors, usual)
 
 
 def _mirrored(shapes: np.ndarray, twins: np.ndarray) -> np.ndarray:
@@ -253,8 +280,11 @@ def _components(
     )
 
 
-def sums_of_squares(values: np.ndarray) -> Squares:
-    """Sums of squares of individuals, sides, their interaction and error, of values (n, 2, r, d), (4,) float64."""
+def sums_of_squares(values: np.ndarray, is_measured: np.ndarray | None = None) -> Squares:
+    """Sums of squares of individuals, sides, their interaction and error, of values (n, 2, r, d), (4,) float64.
+
+    The error is that of the sides that ``is_measured`` (n, 2) bool names; by default of all.
+    """
     n, sides, replicates, _ = values.shape
     cells = values.mean(axis=2)
     individuals = cells.mean(axis=1)
@@ -266,15 +296,15 @@ def sums_of_squares(values: np.ndarray) -> Squares:
             sides * replicates * np.square(individuals - mean).sum(),
             n * replicates * np.square(of_sides - mean).sum(),
             replicates * np.square(interaction).sum(),
-            np.square(values - cells[:, :, None]).sum(),
+            np.square(values - cells[:, :, None])[... if is_measured is None else is_measured].sum(),
         ]
     )
 
 
-def _freedom(shape: tuple[int, ...]) -> np.ndarray:
+def _freedom(shape: tuple[int, ...], is_measured: np.ndarray) -> np.ndarray:
     """Degrees of freedom of the effects of values (n, 2, r, d), in configurations, (4,) float64."""
     n, sides, replicates, _ = shape
-    return np.array([n - 1, sides - 1, (n - 1) * (sides - 1), n * sides * (replicates - 1)], float)
+    return np.array([n - 1, sides - 1, (n - 1) * (sides - 1), is_measured.sum() * (replicates - 1)], float)
 
 
 def _ratios(squares: np.ndarray) -> np.ndarray:
@@ -285,25 +315,26 @@ def _ratios(squares: np.ndarray) -> np.ndarray:
 
 def _anova(
     values: np.ndarray,
+    is_measured: np.ndarray,
     permutations: int,
     seed: int,
     tell: Progress,
     error: float = np.nan,
     draw: Callable[[np.random.Generator], np.ndarray] | None = None,
 ) -> Columns:
-    """Analyse the variance of values (n, 2, r, d).
+    """Analyse the variance of values (n, 2, r, d), with the error of sides that were measured, (n, 2) bool.
 
     ``error`` is the mean square of the error that is known from covariances, and ``draw`` draws values (n, 2, 1, d)
     that have such errors and no asymmetry.
     """
-    freedom = _freedom(values.shape)
-    squares = sums_of_squares(values)
+    freedom = _freedom(values.shape, is_measured)
+    squares = sums_of_squares(values, is_measured)
     with np.errstate(divide="ignore", invalid="ignore"):
         means = squares / freedom
         means[ERROR] = means[ERROR] if freedom[ERROR] else error
         observed = _ratios(means)
         over_error = means[:3] / means[ERROR]
-        tests = _permuted(values, observed, permutations, seed, tell, draw, error)
+        tests = _permuted(values, is_measured, observed, permutations, seed, tell, draw, error)
         shares = squares / squares.sum()
     is_known = freedom[ERROR] > 0
     gap = np.nan
@@ -324,6 +355,7 @@ def _anova(
 
 def _permuted(
     values: np.ndarray,
+    is_measured: np.ndarray,
     observed: np.ndarray,
     permutations: int,
     seed: int,
@@ -347,7 +379,7 @@ def _permuted(
     # What the model without each effect leaves. Effects that it has add nothing to those that are tested.
     residuals = (values - mean, values - individuals, values - individuals - of_sides + mean)
     residuals = tuple(_compact(each.reshape(-1, d)) for each in residuals)
-    freedom = _freedom(values.shape)
+    freedom = _freedom(values.shape, is_measured)
     own = np.empty((permutations + 1, 3))
     mixed = np.empty((permutations + 1, 3))
     own[0] = observed
@@ -355,7 +387,7 @@ def _permuted(
     for i in range(1, permutations + 1):
         order = generator.permutation(n * sides * replicates)
         means = [
-            sums_of_squares(each[order].reshape(n, sides, replicates, -1)) / freedom for each in residuals
+            sums_of_squares(each[order].reshape(n, sides, replicates, -1), is_measured) / freedom for each in residuals
         ]  # one for each effect
         own[i] = [_ratios(each)[effect] for effect, each in enumerate(means)]
         last = means[_INTERACTION]

@@ -111,8 +111,8 @@ def overlay_of_fit(
 ) -> np.ndarray:
     """Draw a fit on its image, green if it may be used, amber if it is doubtful and red if it failed.
 
-    The status and the quality are in a corner. The parameters are those of :func:`overlay`; ``ellipses`` says
-    whether to draw those of the landmarks, which a failed fit does not have.
+    The status and the quality, and the side of the object if there are two, are in a corner. The parameters are those
+    of :func:`overlay`; ``ellipses`` says whether to draw those of the landmarks, which a failed fit does not have.
     """
     covariances = result.landmark_covariances if ellipses and not result.status.lost else None
     look = {"labels": labels, "mesh": mesh, "colour": result.status.colour, "caption": caption_of(result)}
@@ -120,11 +120,12 @@ def overlay_of_fit(
 
 
 def caption_of(result: "FitResult") -> str:
-    """Return the status and the quality of a fit in a few words."""
+    """Return the status and the quality of a fit in a few words, and the side of the object if the model has two."""
     if result.status.lost:
         return f"failed: {result.status}"
     remedy = "" if result.status.ok else ": check it"
-    return f"{result.status}, quality {result.quality_text}{remedy}"
+    side = f", {result.side}" if result.side else ""
+    return f"{result.status}, quality {result.quality_text}{side}{remedy}"
 
 
 def draw_shape(

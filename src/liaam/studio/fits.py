@@ -97,6 +97,7 @@ class Fit:
             # The page has no such setting.
             "message": result.message.replace(" or allow more iterations", ""),
             "quality": finite_or_none(result.quality),
+            "side": result.side or None,
             "seconds": {"search": round(self.search_seconds, 4), "fit": round(self.fit_seconds, 4)},
             "shape": numbers(result.landmarks, 3),
             "absent": np.flatnonzero(result.absent).tolist(),
@@ -256,10 +257,13 @@ class Fits:
         """Fit a picture, or the small copy of a large one, from a start, or else where the search finds the object."""
         with self.pictures.at_work(source, on_copy) as image:
             began = time.perf_counter()
-            begin = self._detection(source, image, current) if start is None else start
+            is_shared = start is None and fitter.model.sides is None  # of two sides, fits search for both
+            begin = self._detection(source, image, current) if is_shared else start
             searched = time.perf_counter()
-            fit_from = partial(fit_where_found, fitter) if start is None else fitter.fit
-            result = fit_from(image, begin, source.name)
+            if isinstance(begin, Detection):
+                result = fit_where_found(fitter, image, begin, source.name)
+            else:
+                result = fitter.fit(image, begin, source.name)
             fitted = time.perf_counter()
             no_flat = layers.why_not_flat(fitter, image, result)
             result = layers.scaled(result, (image.shape[1], image.shape[0]), source.size)

@@ -15,7 +15,7 @@ from contextlib import suppress
 from dataclasses import asdict, dataclass, field
 from datetime import UTC, datetime
 from functools import partial
-from pathlib import Path
+from pathlib import Path, PurePosixPath
 from types import SimpleNamespace
 from typing import Any
 
@@ -26,6 +26,7 @@ from liaam.errors import ImageError, LiaamError, TrainingError
 from liaam.fitting import Fitter
 from liaam.io import read_image
 from liaam.io.landmarks import Contour, Landmarks
+from liaam.io.sides import sides_by_place_or_name
 from liaam.model import AAM, load_model
 from liaam.model.mesh import folded_share
 from liaam.model.shape import align, diagonal_of
@@ -213,7 +214,11 @@ def folded(model: AAM, used: Sequence[Annotated]) -> dict[str, str]:
     n_folded = len(used) - model.n_all_images
     if n_folded <= 0:
         return {}
-    shares = {item.name: min(_folded_share(kind, item.points) for kind in (model, *model.others)) for item in used}
+    signs = [[1.0, 1.0]] if model.sides is None else [[1.0, 1.0], [-1.0, 1.0]]  # of two sides, one was reflected
+    shares = {
+        item.name: min(_folded_share(kind, item.points * sign) for kind in model.parts for sign in signs)
+        for item in used
+    }
     worst = sorted(shares, key=lambda name: -shares[name])[:n_folded]
     what = "its points fold the mesh ({:.0%} of its area is flipped)"
     remedy = "look for points that are misplaced, exchanged or mirrored"
@@ -240,7 +245,8 @@ def _work(job: TrainingJob, pipe: Any) -> None:
             model.save(job.model)
             pipe.send(("model", left_out))
             without = f", without {', '.join(left_out)}" if left_out else ""
-            summary = f"trained on {model.n_all_images} pictures{without}{warned}"
+            sides = "" if model.sides is None else f"; {model.sides.describe()}"
+            summary = f"trained on {model.n_all_images} pictures{without}{sides}{warned}"
             with suppress(LiaamError, MemoryError):  # such as too few pictures without those
                 rest, _ = _train(job, pipe.send, dict(left_out), job.held_out, "measuring", leave_out=False, lamps=None)
                 fitter = Fitter(rest)
@@ -287,9 +293,10 @@ def _train(
     while True:
         used = [item for item in job.done if item.name not in {*left_out, *unused}]
         marks = [Landmarks(item.points, job.contours, job.names) for item in used]
+        sides = sides_by_place_or_name([str(PurePosixPath(item.name).with_suffix("")) for item in used])
         items = [
-            SimpleNamespace(name=item.name, landmarks=landmarks, read_image=partial(read, item))
-            for item, landmarks in zip(used, marks, strict=True)
+            SimpleNamespace(name=item.name, landmarks=landmarks, read_image=partial(read, item), side=side)
+            for item, landmarks, side in zip(used, marks, sides, strict=True)
         ]
         try:
             with warnings.catch_warnings(record=True) as caught:

@@ -18,10 +18,12 @@ from liaam.io.files import count_of, some_names
 from liaam.io.images import as_pixels
 from liaam.io.landmarks.base import Contour, contour_of
 from liaam.io.landmarks.formats import needs_image
+from liaam.io.sides import side_of_text
 from liaam.model.file import MAX_POINTS
 from liaam.model.mesh import FOLD_TOLERANCE, folded_share
 from liaam.model.missing import Missing
 from liaam.model.shape import align
+from liaam.model.sides import Sides, reflected_image, reflected_points
 from liaam.progress import Progress, reported
 from liaam.scale.choice import length_of
 from liaam.scale.lengths import Length
@@ -56,6 +58,12 @@ class Entry:
         Which landmarks are known; None if all are.
     pixel : Length, optional
         The length of a pixel, if the landmark file states it.
+    side : str
+        Side of the object, if it is stated, or empty.
+    read_width : callable, optional
+        Function that returns the width of the image, pixels; of the image that is read by default.
+    reflected : bool
+        Whether image and landmarks are reversed left to right.
     """
 
     name: str
@@ -63,6 +71,27 @@ class Entry:
     points: np.ndarray
     known: np.ndarray | None = None
     pixel: Length | None = None
+    side: str = ""
+    read_width: Callable[[], int] | None = None
+    reflected: bool = False
+
+    @property
+    def width(self) -> int:
+        """Width of the image, pixels."""
+        return self.read_image().shape[1] if self.read_width is None else self.read_width()
+
+    def reflection(self) -> "Entry":
+        """Return the sample with image and landmarks reversed left to right; both are in the coordinates of that."""
+        return replace(
+            self,
+            read_image=partial(_read_reflected, self.read_image),
+            points=reflected_points(self.points, self.width),
+            reflected=not self.reflected,
+        )
+
+
+def _read_reflected(read_image: Callable[[], np.ndarray]) -> np.ndarray:
+    return reflected_image(read_image())
 
 
 @dataclass(frozen=True, eq=False)
@@ -80,6 +109,8 @@ class TrainingData:
         Names of the landmarks; empty if the samples have none, or do not agree.
     missing : Missing, optional
         Which landmarks are estimates; None if all are known, or if they have not been estimated yet.
+    sides : Sides, optional
+        The sides of the objects, of which one was reflected; None if there is one as far as is known.
     """
 
     entries: list[Entry]
@@ -87,6 +118,7 @@ class TrainingData:
     edges: np.ndarray
     landmark_names: tuple[str, ...]
     missing: Missing | None = None
+    sides: Sides | None = None
 
     @property
     def shapes(self) -> np.ndarray:
@@ -253,6 +285,7 @@ def _read_sample(item: Any, i: int, order: tuple[str, ...]) -> _Sample:
         name = item.name
         read = item.read_image
         landmarks = item.landmarks
+        image = getattr(item, "image", None)
     else:
         image, landmarks = _pair_of(item, i)
         name, read = _image_of_pair(image, i)
@@ -272,7 +305,14 @@ def _read_sample(item: Any, i: int, order: tuple[str, ...]) -> _Sample:
     is_known = np.asarray(~np.isnan(points).any(axis=1))
     known = None if is_known.all() else is_known
     pixel = length_of(landmarks) if isinstance(landmarks, Landmarks) else None
-    return _Sample(Entry(name, read, points, known, pixel), contours, tuple(getattr(landmarks, "names", ())))
+    side = getattr(item, "side", "") or side_of_text(getattr(landmarks, "side", ""))
+    read_width = partial(_width_of_file, image) if isinstance(image, str | os.PathLike) else None
+    entry = Entry(name, read, points, known, pixel, side, read_width)
+    return _Sample(entry, contours, tuple(getattr(landmarks, "names", ())))
+
+
+def _width_of_file(image: str | os.PathLike) -> int:
+    return image_size(image)[0]
 
 
 def _pair_of(item: Any, i: int) -> tuple[Any, Any]:
@@ -349,8 +389,9 @@ def check_flat(mean: np.ndarray, shapes: np.ndarray) -> None:
     # If most shapes are clearly less flat than the limit, their mean is flat only because they do not correspond.
     if np.median(spreads[:, 1] / spreads[:, 0]) > 2 * FLATTEST:
         raise TrainingError(
-            "the landmarks of each image are spread out, but their mean lies on one line: many images seem to be "
-            "mirrored, or to have their landmarks in another order; 'liaam check' shows them"
+            "the landmarks of each image are spread out, but their mean lies on one line: many seem to have y counted "
+            "from the other border, or to be in another order ('liaam check' shows them); if they are upside down "
+            "since the objects are of the other side, state the sides (a column 'side', or names such as wing1_left)"
         )
     raise TrainingError(
         "the landmarks lie on one line or at one point, or almost so (their minor spread is "
@@ -384,8 +425,8 @@ def without_folded(
         f"flipped: {some_names(folded, 20)})"
     )
     remedy = (
-        "check that their points are in the same order as in the other images, that none is misplaced, and that the "
-        "images are not mirrored ('liaam check' finds such points)"
+        "check that their points are in the same order as in the other images, and that none is misplaced ('liaam "
+        "check' finds such points)"
     )
     if strict or len(sound) < max(FEWEST, len(folded)):
         raise TrainingError(f"{fault}; {remedy}")

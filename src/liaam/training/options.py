@@ -24,6 +24,8 @@ BLURS = {MESH: (3.0, 0.5), SURROUNDINGS: (4.0, 2.0, 1.0)}
 FULL_SIZE = 150.0
 LEAST_BLUR = 0.5
 AUTO = "auto"  # Value of options that training chooses itself: shapes, and lamps of train
+SIDES = (AUTO, "both", "one")
+"""What training does about sides (:attr:`TrainingOptions.sides`)."""
 # Default and largest number of relit copies of each image
 COPIES = 3
 MOST_COPIES = 20
@@ -77,8 +79,13 @@ class TrainingOptions:
     methods : names or Methods, or "all"
         Methods to fit with, besides the default ``soft-li``. Each makes training longer and the model file larger. Fits
         of those that are named have a quality; ``"all"`` calibrates the default method only.
+    sides : {"auto", "both", "one"}
+        What to do about objects of two sides, such as left and right wings. ``auto``: reflect the images of one side,
+        by their stated sides (:attr:`liaam.datasets.Sample.side`) or else by their shapes, so that one model is learnt
+        from both; fits then try both (:attr:`liaam.FitResult.side`). ``both``: the same, and fits also try both if all
+        training images are of one side that is not stated. ``one``: use all images as they are.
     shapes : int or "auto"
-        Number of kinds of shape, 1 to 4, such as left and right wings. Each has a model of its own
+        Number of kinds of shape, 1 to 4, such as those of two species. Each has a model of its own
         (:attr:`liaam.AAM.parts`). ``auto``: more than one if this makes left-out shapes clearly more likely.
     regressor : bool or "auto"
         Whether to learn also a regressor of the landmarks (:mod:`liaam.model.regressor`), which fits of the default
@@ -101,6 +108,7 @@ class TrainingOptions:
     triangles: np.ndarray | None = None
     copies: int | None = None
     methods: Methods = ()
+    sides: str = AUTO
     shapes: int | str = AUTO
     regressor: bool | str = AUTO
     leave_out: bool = True
@@ -120,6 +128,8 @@ class TrainingOptions:
             )
         if self.shapes != AUTO and self.shapes not in range(1, MOST_SHAPES + 1):
             raise TrainingError(f"shapes {self.shapes!r}: give 1 to {MOST_SHAPES}, or '{AUTO}'")
+        if self.sides not in SIDES:
+            raise TrainingError(f"sides {self.sides!r}: give {', '.join(SIDES)}")
         chosen(self.methods)
         if self.regressor != AUTO and not isinstance(self.regressor, bool):
             raise TrainingError(f"regressor {self.regressor!r}: give True, False or '{AUTO}'")

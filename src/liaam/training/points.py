@@ -12,6 +12,7 @@ from liaam.io import LANDMARK_SUFFIXES, read_landmarks
 from liaam.io.files import companions
 from liaam.model.file_format import MAX_POINTS
 from liaam.model.point_map import PointMap, learn_point_map
+from liaam.model.sides import reflected_points
 from liaam.photometry.encoding import as_colour
 from liaam.training.entries import Entry, image_of
 from liaam.training.left_out import folds_of
@@ -83,11 +84,22 @@ def _points_of(points: Points, entries: Sequence[Entry]) -> Iterator[np.ndarray 
             files = companions(folder, names, LANDMARK_SUFFIXES)
             file_of_entry = next((file for file in files if file.is_file()), None)
             yield (
-                None if file_of_entry is None else read_landmarks(file_of_entry, entry.read_image().shape[1::-1]).points
+                None
+                if file_of_entry is None
+                else _as_read(entry, read_landmarks(file_of_entry, entry.read_image().shape[1::-1]).points)
             )
     elif callable(points):
         yield from (points(as_colour(entry.read_image(), entry.name)) for entry in entries)
     elif len(points) != len(entries):
         raise TrainingError(f"points: there are points for {len(points)} images, but {len(entries)} images")
     else:
-        yield from points
+        yield from map(_as_read, entries, points)
+
+
+def _as_read(entry: Entry, points: np.ndarray | None) -> np.ndarray | None:
+    """Return points of the image of a sample as it is read: reflected if that is."""
+    if points is None or not entry.reflected:
+        return points
+    array = np.array(getattr(points, "points", points), dtype=np.float64)
+    is_reflectable = array.ndim == 2 and array.shape[1] == 2
+    return reflected_points(array, entry.width) if is_reflectable else array  # others are refused

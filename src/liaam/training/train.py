@@ -42,6 +42,7 @@ from liaam.training.regressor import LEAST_OBJECTS, Regression, RegressorData
 from liaam.training.rotations import rotations_of
 from liaam.training.search_filter import FilterLearner
 from liaam.training.shapes import shape_groups
+from liaam.training.sides import on_one_side
 from liaam.training.symmetry import describe_offset, sideways_offset
 from liaam.training.textures import FITTED, Sampled, Steps, Wanted, learning_cost, level_appearances, sample_all
 from liaam.training.triangulation import MeshOfLandmarks, mesh_of
@@ -69,7 +70,8 @@ def train(
     ----------
     data : Dataset, or iterable of Sample or (image, landmarks) pairs
         Images are (h, w, 3) arrays or paths; landmarks are (n, 2) arrays (x, y), :class:`liaam.io.Landmarks` or paths.
-        All must have the same number of points, in the same order. Missing ones are (NaN, NaN): the shapes are learnt
+        All must have the same number of points, in the same order. Images of one side, such as left wings, are
+        reflected to the other (``sides``). Missing landmarks are (NaN, NaN): the shapes are learnt
         by expectation maximisation, and the appearance where known landmarks place it. :attr:`liaam.AAM.n_missing`
         counts them.
     options : TrainingOptions, optional
@@ -119,7 +121,7 @@ def train(
     options = (options or TrainingOptions()).changed(changes)
     camera = camera or CameraModel()
     check_camera(camera)
-    samples = read_entries(data, contours, options.strict)
+    samples = on_one_side(read_entries(data, contours, options.strict), options.sides)
     samples = with_all_landmarks(samples, folds_of(samples.names), progress)
     groups = shape_groups(samples.shapes, samples.names, options.shapes)
     if len(groups) > 1 and not isinstance(lamps, str | PathLike | LearntLamps | None):
@@ -138,6 +140,7 @@ def train(
         part = samples if len(groups) == 1 else _part_of(samples, group, progress)
         points_of_part = points if len(groups) == 1 else points_of(points, group)
         models.append(_train_one(part, points_of_part, task))
+    models = [replace(model, sides=samples.sides) for model in models]
     scale = shared_length([entry.pixel for entry in samples.entries])
     return replace(models[0], others=tuple(models[1:]), scale=scale)
 

@@ -138,12 +138,19 @@ def factors_of(header: Sequence[str]) -> tuple[tuple[str, int], ...]:
     """Return the columns of the individual and of the side that objects belong to, in a header in lower case.
 
     Individuals are specimens where no other column names these.
+
+    Raises
+    ------
+    LandmarkError
+        If there are two columns of sides.
     """
     known = {*header}
     has_names = bool(known & (IMAGES | (SPECIMENS - INDIVIDUALS)))
     found = [("individual", i) for i, name in enumerate(header) if name in INDIVIDUALS and has_names]
     sides = [("side", i) for i, name in enumerate(header) if name == SIDE]
-    return (*found[:1], *sides[:1])
+    if len(sides) > 1:
+        raise LandmarkError(f"there are {len(sides)} columns '{SIDE}': keep one, with left or right in each row.")
+    return (*found[:1], *sides)
 
 
 def _filled(source: Source, rows: list[TableLine], column: int | None) -> list[str]:

@@ -101,6 +101,7 @@ export function factsOf(fit) {
   const { search, fit: fitting } = fit.seconds ?? {};
   return [
     ["Quality", fit.quality == null ? "unknown" : percent(fit.quality)],
+    fit.side && ["Side", fit.side],
     fit.error && ["Error", errorText(fit)],
     fit.theta_deg != null && ["θ", `${fit.theta_deg.toFixed(1)}°`],
     ["Time", search ? `${duration(search)} search + ${duration(fitting)} fit` : duration(fitting)],

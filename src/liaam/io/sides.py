@@ -1,0 +1,98 @@
+"""Sides of individuals: what texts, folders and names of files say about them."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Sequence
+from itertools import accumulate
+from typing import NamedTuple
+
+LEFT = "left"
+RIGHT = "right"
+
+OTHER_SIDE = {LEFT: RIGHT, RIGHT: LEFT}
+
+WORD = re.compile(r"[A-Z]?[a-z]+|[A-Z]+(?![a-z])|[^A-Za-z]+")
+"""Words of a name, such as ``left``, ``_`` and ``eye`` of ``left_eye`` or ``Left`` and ``Eye`` of ``LeftEye``."""
+
+_WORDS = {LEFT: LEFT, RIGHT: RIGHT}
+_LETTERS = {"l": LEFT, "r": RIGHT}
+
+# Values of tables, in the languages of many collections; names of files in these are not searched for, since they are
+# part of other words, such as the French "droit".
+_VALUES = _WORDS | _LETTERS
+_VALUES |= dict.fromkeys(("links", "linke", "linker", "linkes", "gauche", "izquierda", "izquierdo", "izq"), LEFT)
+_VALUES |= dict.fromkeys(("sinistra", "sinistro", "sin", "sinister", "esquerda", "esquerdo", "left side", "lt"), LEFT)
+_VALUES |= dict.fromkeys(("rechts", "rechte", "rechter", "rechtes", "droite", "droit", "derecha", "derecho"), RIGHT)
+_VALUES |= dict.fromkeys(("der", "destra", "destro", "dex", "dexter", "direita", "direito", "right side", "rt"), RIGHT)
+
+
+class Named(NamedTuple):
+    """What a name says: the side, or "", and the name without it."""
+
+    side: str
+    rest: str
+
+
+def side_of_text(text: str) -> str:
+    """Return ``left`` or ``right`` for texts such as ``Left``, ``L`` or ``links``, and other texts as they are."""
+    return _VALUES.get(text.strip().casefold(), text.strip())
+
+
+def folder_side(path: str) -> str:
+    """Return the side of the folders of a path, such as ``left/wing1.jpg``, or ""."""
+    folders = re.split(r"[\\/]", path)[:-1]
+    sides = {(_WORDS | _LETTERS).get(folder.casefold(), "") for folder in folders} - {""}
+    return sides.pop() if len(sides) == 1 else ""
+
+
+def sides_by_place_or_name(paths: Sequence[str]) -> list[str]:
+    """Return the side of each path without suffix, such as ``left/wing1`` or ``wing1_left``; "" unless all have one."""
+    folders = [folder_side(path) for path in paths]
+    if all(folders):
+        return folders
+    names = [named.side for named in sides_in_names(paths)]
+    return names if all(names) else [""] * len(paths)
+
+
+def sides_in_names(names: Sequence[str]) -> list[Named]:
+    """Return the side that each name says by the word left or right, or all names by the last letter L or R.
+
+    Letters count only if all names have one, and both occur.
+    """
+    found = [by_word(name) for name in names]
+    return found if any(each.side for each in found) else by_letters(names, found)
+
+
+def by_letters(names: Sequence[str], otherwise: list[Named]) -> list[Named]:
+    """Return what the last letters L and R of names say if all names have one and both occur; ``otherwise`` if not."""
+    letters = [_by_letter(name) for name in names]
+    if len({each.side for each in letters} - {""}) == 2 and all(each.side for each in letters):
+        return letters
+    return otherwise
+
+
+def by_word(name: str) -> Named:
+    """Find the word left or right in a name, if there is one of them, once."""
+    words = WORD.findall(name)
+    at = [i for i, word in enumerate(words) if word.casefold() in _WORDS]
+    if len(at) != 1:
+        return Named("", name)
+    return Named(_WORDS[words[at[0]].casefold()], _without(words, at[0]))
+
+
+def _by_letter(name: str) -> Named:
+    """Find the letter L or R at the end of a name."""
+    words = WORD.findall(name)
+    if len(words) < 2 or words[-1].casefold() not in _LETTERS:
+        return Named("", name)
+    return Named(_LETTERS[words[-1].casefold()], _without(words, len(words) - 1))
+
+
+def _without(words: Sequence[str], place: int) -> str:
+    """Join words without one, and without the separators that were around it."""
+    starts = [0, *accumulate(map(len, words))]
+    name = "".join(words)
+    before = name[: starts[place]].rstrip("_-. /\\")
+    after = name[starts[place + 1] :]
+    return before + after if before else after.lstrip("_-. /\\")

@@ -1,0 +1,48 @@
+"""Reflect the images of one side, so that one model is learnt from both, such as left and right wings."""
+
+import warnings
+from dataclasses import replace
+
+from liaam.datasets.sides import SidesOfShapes, sides_of_shapes
+from liaam.errors import LiaamError, TrainingError
+from liaam.model.sides import ORIGINAL, Sides
+from liaam.training.entries import TrainingData
+
+
+def on_one_side(data: TrainingData, choice: str) -> TrainingData:
+    """Reflect the samples of the side that fewer have.
+
+    Parameters
+    ----------
+    data : TrainingData
+        Missing landmarks are NaN.
+    choice : str
+        As :attr:`liaam.training.TrainingOptions.sides`.
+
+    Raises
+    ------
+    TrainingError
+        If sides are stated for some samples only, are neither left nor right, or contradict the shapes.
+    """
+    if choice == "one":
+        return data
+    found = _sides_of(data)
+    if found.said:
+        warnings.warn(found.said, stacklevel=4)  # the caller of train, which is decorated
+    sides = found.sides
+    if sides is None and choice == "both":
+        return replace(data, sides=Sides(ORIGINAL, len(data.entries)))
+    if sides is None:
+        return data
+    entries = [
+        entry.reflection() if is_other else entry
+        for entry, is_other in zip(data.entries, found.is_other.tolist(), strict=True)
+    ]
+    return replace(data, entries=entries, sides=sides)
+
+
+def _sides_of(data: TrainingData) -> SidesOfShapes:
+    try:
+        return sides_of_shapes(data.shapes, [entry.side for entry in data.entries], data.names)
+    except LiaamError as fault:
+        raise TrainingError(str(fault)) from fault
