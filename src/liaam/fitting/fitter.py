@@ -249,7 +249,7 @@ class Fitter(OneShapeFitter):
         image, name = load_picture(image, name)  # once for all parts
         target, detection = self.target(image, init, name)
         targets = self._targets_of_parts(target, image, init, name) if self._several else [target]
-        is_last = not self._may_look_elsewhere(init) or region_of(init, target.image) is None
+        is_last = not self._may_look_elsewhere(init) or region_of(init, target.image) is None or self._is_limited
         part, result = fit_likeliest_part(self.parts, targets, self.options, is_last)
         return PlacedFit(result, targets[part], detection, part)
 

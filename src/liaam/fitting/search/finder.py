@@ -4,8 +4,8 @@ Templates of gradient orientations (:mod:`liaam.fitting.search.templates`) are c
 image at many sizes. The best places are fitted with the reduced model by method ``igo``, and scored by how well it
 explains the orientations there. If one object is wanted, small ones are searched for only if no large one is certain.
 
-Where the first fit has low quality, and for one object of a model of several parts, the learnt filters take the place of
-the templates. Those of all parts are correlated in one search, and the place of a filter is fitted with its part.
+Where the first fit has low quality, and for one object of a model of several parts, the learnt filters take the place
+of the templates. Those of all parts are correlated in one search, and the place of a filter is fitted with its part.
 """
 
 from collections.abc import Iterator, Sequence
