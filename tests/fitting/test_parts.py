@@ -9,7 +9,7 @@ import pytest
 
 import liaam
 from liaam.datasets import load_face
-from liaam.fitting import Detection, Fitter
+from liaam.fitting import Detection, FitStatus, Fitter
 from liaam.fitting.detection import are_apart
 from liaam.fitting.loop.options import SolverOptions
 from liaam.fitting.one_shape_fitter import Blurred, OneShapeFitter
@@ -83,6 +83,29 @@ def test_where_there_is_no_face_the_work_is_bounded(fitter, rng, work):
     assert work["fit_sharpest"] <= 2 * PROMISING_OF_PARTS + 1
     sizes = search.search_sizes(image.shape[:2], fitter.finder.small.diagonal)
     assert work["field"] == len(sizes)  # each is looked at once, although the search is continued
+
+
+@pytest.mark.parametrize("settings", [{"max_iterations": 20}, {"restarts": False}], ids=["limited", "from a box"])
+def test_a_fit_that_no_other_follows_is_finished(fitter, rng, settings, monkeypatch):
+    """Where the object is not looked for elsewhere, the first fit has all of its steps, although it is hopeless."""
+    steps = []
+    sharpest = OneShapeFitter.fit_sharpest
+
+    def recorded(own, fit, options):
+        steps.append(options.max_iterations)
+        return sharpest(own, fit, options)
+
+    monkeypatch.setattr(OneShapeFitter, "fit_sharpest", recorded)
+    other = Fitter.of(fitter.model, **settings)
+    image = rng.integers(0, 255, (120, 160, 3), np.uint8)
+    other.fit(image, None if "max_iterations" in settings else (30, 20, 110, 110))
+    assert set(steps) == {other.options.max_iterations}
+
+
+def test_without_other_places_the_first_is_doubtful(fitter, rng, monkeypatch):
+    monkeypatch.setattr(search.Finder, "others_in_turn", lambda *_: iter([]))
+    result = fitter.fit(rng.integers(0, 255, (120, 160, 3), np.uint8))
+    assert (result.status, result.n_starts) == (FitStatus.DOUBTFUL, 1)
 
 
 def test_other_places_come_in_turn_and_none_twice(fitter, rng):

@@ -357,7 +357,7 @@ class Fitter(OneShapeFitter):
         target, detection = self.target(image, init, name)
         if self._several:
             targets = self._targets_of_parts(target, image, init, name)
-            is_last = searched_region(init, target.image, restarts=self.restarts) is None
+            is_last = self.judge.is_limited or searched_region(init, target.image, restarts=self.restarts) is None
             part, result = fit_likeliest_part(self.parts, targets, self.options, is_last)
             return PlacedFit(result, targets[part], detection, part)
         fits = [PlacedFit(self.fit_target(each), each, detection) for each in self._targets_in_rotations(target, init)]

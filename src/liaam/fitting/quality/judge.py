@@ -91,9 +91,14 @@ class Judge:
 
     def reliability_for(self, result: FitResult) -> Reliability | None:
         """Return the calibration if it says something about a fit: not if that was limited to few iterations."""
-        if result.status.unusable or self.options.max_iterations <= SLOW:
+        if result.status.unusable or self.is_limited:
             return None
         return self.calibration.reliability
+
+    @property
+    def is_limited(self) -> bool:
+        """Whether fits are limited to few iterations, so that a low quality does not say that another is better."""
+        return self.options.max_iterations <= SLOW
 
     def falls_short(self, result: FitResult) -> bool:
         """Return whether a fit has low quality, so that another start may be better."""

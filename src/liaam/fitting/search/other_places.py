@@ -71,6 +71,8 @@ def likeliest(
         prior = _prior_beside(best, fits, unpromising, odds)
         if with_prior(best.result, prior).quality >= LEAST_QUALITY:
             break
+    if n_starts == 1:  # there are no other places
+        best = fits[_finish_best(fits, fitters, odds.of_result)]
     return replace(best, result=replace(best.result, n_starts=n_starts)), prior
 
 
