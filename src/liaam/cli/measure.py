@@ -62,7 +62,8 @@ def measure(
         list[str] | None,
         typer.Argument(
             metavar="MEASURE...",
-            help="distance:1-5, angle:1-2-3 (at landmark 2) or area:1-2-3-4, with landmarks counted from 1, or with "
+            help="distance:1-5, angle:1-2-3 (at landmark 2), area:1-2-3-4 or length:1-2-3-4 (of the line through "
+            "them), with landmarks counted from 1, or with "
             "their names.",
         ),
     ] = None,

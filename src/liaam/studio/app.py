@@ -29,7 +29,7 @@ from liaam.io.landmarks import LANDMARK_SUFFIXES
 from liaam.model import load_model
 from liaam.photometry import CameraModel
 from liaam.relighting.lamp import AMBIENT
-from liaam.studio import contract, live
+from liaam.studio import contract, live, shapes
 from liaam.studio.background import Background
 from liaam.studio.fits import LAYER_SIZE, Fits, truth_of
 from liaam.studio.folder import checked_folder, plain_name, status_of
@@ -143,6 +143,8 @@ class Studio:
             route("POST", "/api/review", self._review, read_json),
             route("GET", "/api/export/{kind}", lambda it: attachment(*project.export(it.path_params["kind"]))),
             route("GET", "/api/measurements", self._measurements),
+            route("GET", "/api/shapes", lambda asked: shapes.shapes(project, asked.query_params)),
+            route("PUT", "/api/groups", self._save_groups, read_json),
             route("GET", of_picture + "others", lambda asked: others(project, asked.path_params["name"])),
             route("POST", "/api/sets", lambda _, data: make_set(project, data), read_json, status=201),
             route("GET", "/api/agreement", lambda _: agreement(project)),
@@ -225,8 +227,12 @@ class Studio:
         return answer
 
     def _measurements(self, request: Request) -> Response:
-        asked = request.query_params
-        return attachment(*self.project.measurements(asked.get("measures", ""), asked.get("scale", "")))
+        return attachment(*shapes.table(self.project, request.query_params))
+
+    def _save_groups(self, request: Request, data: Any) -> dict[str, int]:
+        answer = shapes.save_groups(self.project, data)
+        self.events.publish("project", {})
+        return answer
 
     def _save_template(self, request: Request, data: Any) -> contract.Template | None:
         try:

@@ -226,6 +226,62 @@ class Unchanged(TypedDict):
     stamp: str
 
 
+class Column(TypedDict):
+    """A measure of all pictures with landmarks."""
+
+    measure: Annotated[str | None, "Such as distance:1-5; null: the centroid size."]
+    name: str
+    unit: Annotated[str, "px, °, or a unit of length or area."]
+    values: Annotated[list[float | None], "null: a landmark is missing, or the picture has no scale."]
+
+
+class Grid(TypedDict):
+    """A grid over the mean shape, and how its points move with each principal component."""
+
+    rows: int
+    columns: int
+    points: list[list[float]]
+    bends: Annotated[list[list[list[float]]], "For a score of 1, by component."]
+
+
+class Space(TypedDict):
+    """The space of shapes, of centroid size 1, y downwards as in pictures."""
+
+    landmarks: Annotated[list[int], "Indices of the points that make the shape."]
+    of: Annotated[list[int], "Indices of the pictures that have a shape."]
+    mean: list[list[float]]
+    shapes: Annotated[list[list[list[float]]], "Those of the first of them, to be drawn over each other."]
+    scores: Annotated[list[list[float]], "By picture, of each principal component."]
+    axes: Annotated[list[list[list[float]]], "By component: the mean plus scores times axes is a shape."]
+    shares: list[float]
+    distances: Annotated[list[float], "From the mean shape, in centroid sizes."]
+    limit: Annotated[float, "Distance beyond which a shape is unusual."]
+    grid: Annotated[Grid | None, "null: the landmarks lie on one line."]
+
+
+class GroupTest(TypedDict):
+    """A permutation test of the difference in shape between groups."""
+
+    groups: str
+    specimens: int
+    distance: Annotated[float | None, "Between the mean shapes of two groups, in centroid sizes."]
+    share: Annotated[float, "Of the groups in the variance of shape."]
+    p: float
+
+
+class Shapes(TypedDict):
+    """Measures of all pictures with landmarks, and the space of their shapes."""
+
+    pictures: list[str]
+    groups: Annotated[list[str], "Group of each; empty if it has none."]
+    estimated: Annotated[list[int], "Number of points of each that were estimated."]
+    columns: list[Column]
+    space: Space | None
+    why_not: Annotated[str, "Why there is no space."]
+    tests: list[GroupTest]
+    has_table: Annotated[bool, "Whether a table of groups was given."]
+
+
 class Agreement(TypedDict):
     """How far observers are apart."""
 
@@ -251,6 +307,6 @@ EVENTS: dict[str, Any] = {
 
 TYPES = (
     Contour, Picture, Template, Bar, Marks, SaveMarks, Saved, Reviewed, HistoryEntry, Model, Training, Method, Version,
-    Counted, Formats, Limits, Project, Unchanged, Agreement,
+    Counted, Formats, Limits, Project, Unchanged, Column, Grid, Space, GroupTest, Shapes, Agreement,
 )  # fmt: skip
 """All types, in the order in which they are written for the page."""

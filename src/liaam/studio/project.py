@@ -25,9 +25,6 @@ import numpy as np
 from liaam.errors import ImageError, LiaamError
 from liaam.io.images import PICTURE_SUFFIXES
 from liaam.io.landmarks import Landmarks, collection_text, parse_landmark_data
-from liaam.io.table_writer import columns_text
-from liaam.morphometry import Specimen, measure
-from liaam.scale.lengths import unit_of
 from liaam.studio import contract
 from liaam.studio.folder import File, Folder, Listing, checked_folder, plain_name, revision_of, sets_in
 from liaam.studio.landmark_files import LandmarkFiles, parse_bar
@@ -364,25 +361,6 @@ class Project:
         if kind == "csv":
             text = _with_column(text, "origin", [origin or "" for picture in pictures for origin in picture.origins])
         return name, text.encode()
-
-    def measurements(self, measures: str, scale: str) -> tuple[str, bytes]:
-        """Return the name and the content of a table of measurements, as ``liaam measure`` writes them."""
-        specimens = []
-        for picture in self.placed("measure"):
-            landmarks = picture.landmarks
-            specimens.append(
-                Specimen(
-                    picture.file.stem,
-                    landmarks.points,
-                    names=landmarks.names,
-                    scale=landmarks.scale,
-                    unit=unit_of(landmarks.unit),
-                )
-            )
-        units = {specimen.unit for specimen in specimens if specimen.scale is not None}
-        of_files = "mm" if len(units) > 1 else None  # scales of files without a unit are in millimetres, as the bars
-        columns = measure(specimens, measures.split(), scale or of_files)
-        return f"{plain_name(self.title)}-measurements.csv", columns_text(columns).encode()
 
     def placed(self, to: str = "export") -> list[Placed]:
         """Return the usable pictures with landmarks for the current template; ``to`` is what they are needed for."""

@@ -224,6 +224,75 @@ interface Unchanged {
   stamp: string;
 }
 
+/** A measure of all pictures with landmarks. */
+interface Column {
+  /** Such as distance:1-5; null: the centroid size. */
+  measure: string | null;
+  name: string;
+  /** px, °, or a unit of length or area. */
+  unit: string;
+  /** null: a landmark is missing, or the picture has no scale. */
+  values: (number | null)[];
+}
+
+/** A grid over the mean shape, and how its points move with each principal component. */
+interface Grid {
+  rows: number;
+  columns: number;
+  points: number[][];
+  /** For a score of 1, by component. */
+  bends: number[][][];
+}
+
+/** The space of shapes, of centroid size 1, y downwards as in pictures. */
+interface Space {
+  /** Indices of the points that make the shape. */
+  landmarks: number[];
+  /** Indices of the pictures that have a shape. */
+  of: number[];
+  mean: number[][];
+  /** Those of the first of them, to be drawn over each other. */
+  shapes: number[][][];
+  /** By picture, of each principal component. */
+  scores: number[][];
+  /** By component: the mean plus scores times axes is a shape. */
+  axes: number[][][];
+  shares: number[];
+  /** From the mean shape, in centroid sizes. */
+  distances: number[];
+  /** Distance beyond which a shape is unusual. */
+  limit: number;
+  /** null: the landmarks lie on one line. */
+  grid: Grid | null;
+}
+
+/** A permutation test of the difference in shape between groups. */
+interface GroupTest {
+  groups: string;
+  specimens: number;
+  /** Between the mean shapes of two groups, in centroid sizes. */
+  distance: number | null;
+  /** Of the groups in the variance of shape. */
+  share: number;
+  p: number;
+}
+
+/** Measures of all pictures with landmarks, and the space of their shapes. */
+interface Shapes {
+  pictures: string[];
+  /** Group of each; empty if it has none. */
+  groups: string[];
+  /** Number of points of each that were estimated. */
+  estimated: number[];
+  columns: Column[];
+  space: Space | null;
+  /** Why there is no space. */
+  why_not: string;
+  tests: GroupTest[];
+  /** Whether a table of groups was given. */
+  has_table: boolean;
+}
+
 /** How far observers are apart. */
 interface Agreement {
   observers: string[];

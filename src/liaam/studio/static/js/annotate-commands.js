@@ -116,6 +116,17 @@ export function createCommands(tab) {
 
     ruler: () => tab.ruler.start(),
 
+    /** Measure the selected points in all pictures; with none selected, show or hide the measures. */
+    measure() {
+      if (tab.drawing) return;
+      const inOrder = [...marking.selection].filter((i) => marking.points[i]); // as they were selected
+      if (inOrder.length > 1) return void app.toast(`${tab.measured.add(inOrder)}, in all pictures.`, "good", { label: "Show all", onclick: () => app.openTab("measure") });
+      tab.drawn.measures = !tab.drawn.measures;
+      tab.toolbar.press("measures", tab.drawn.measures);
+      say(tab.drawn.measures ? "Measures shown" : "Measures hidden");
+      viewer.redraw();
+    },
+
     /** Trace the contour of the selected or next point; again: end it, or stop if it has too few places. */
     trace() {
       const { tracing } = tab;

@@ -21,6 +21,7 @@ export const SHORTCUTS = [
   { keys: "U", what: "Mark the point as absent: this object does not have it" },
   { keys: "X M", what: "Move mirrored points together; flip left and right" },
   { keys: "B S", what: "Select with a box; draw a scale bar" },
+  { keys: "T", what: "Measure the selected points in all pictures; with none selected, show or hide the measures" },
   { keys: "C", what: "Trace a contour by a few clicks; Enter ends it, Backspace removes the last place" },
   { keys: "Shift+C", what: "Space the points of the contour evenly" },
   { keys: "L K E", what: "Show names, contours, ellipses" },
@@ -45,7 +46,7 @@ export function createKeys(tab) {
   const marks = {
     v: commands.toggleInvisible, u: commands.toggleAbsent, y: commands.confirm, x: commands.toggleMirrored, m: commands.flip,
     p: ({ shiftKey }) => (shiftKey ? commands.copyPrevious() : commands.placeChosen()),
-    s: commands.ruler, delete: commands.removeChosen, backspace: commands.removeChosen,
+    s: commands.ruler, t: commands.measure, delete: commands.removeChosen, backspace: commands.removeChosen,
     c: ({ shiftKey }) => (shiftKey ? commands.space() : commands.trace()),
   };
   const tracing = { c: commands.trace, delete: () => tab.tracing.drop(), backspace: () => tab.tracing.drop() };

@@ -12,6 +12,7 @@ import { createAssist } from "./assist.js";
 import { drawGesture, drawHint, drawMarking, loupeOver } from "./drawing.js";
 import { PointTool } from "./gestures.js";
 import { Marking } from "./marking.js";
+import { createMeasured } from "./measured.js";
 import { createPointsPanel } from "./points-panel.js";
 import { createReview } from "./review.js";
 import { ScaleBar } from "./scale-bar.js";
@@ -29,7 +30,7 @@ export class Tab {
   shortcuts = SHORTCUTS;
   name = null; // name of the open picture
   visible = false;
-  drawn = { names: false, contours: true, ellipses: true }; // what is drawn beside the points
+  drawn = { names: false, contours: true, ellipses: true, measures: true }; // what is drawn beside the points
   boxing = false; // whether dragging selects with a box
   waiting = null; // timer of an announcement
   container = h("div", { testid: "annotate-viewer" });
@@ -66,6 +67,7 @@ export class Tab {
       onshare: (bar, anyway) => this.shareBar(bar, anyway),
     });
     this.tracing = new Tracing(this.marking, { onchange: () => this.refresh() });
+    this.measured = createMeasured(this);
     // In this order: the later ones use the earlier ones.
     this.commands = createCommands(this);
     this.status = createStatus(this);
@@ -264,6 +266,7 @@ export class Tab {
     else if (marking.book) {
       if (this.tracing.on) this.tracing.draw(ctx, viewer);
       drawMarking(ctx, viewer, this.doc === marking ? tool : BUSY, marking, this.drawn, this.wrong);
+      this.measured.draw(ctx);
       this.ruler.draw(ctx, viewer);
     }
     drawGesture(ctx, viewer, tool, marking.suggested);

@@ -14,13 +14,14 @@ import { button, consume, h, iconButton, isPlain, isTyping, press, runKey, toast
 
 const TABS = [
   { name: "annotate", label: "Annotate", what: "Place landmarks with the help of the model" },
+  { name: "measure", label: "Measure", what: "Measures of all pictures, and their shapes" },
   { name: "fit", label: "Fit", what: "Fit the model to a picture and change its light" },
   { name: "compare", label: "Compare", what: "Compare two methods side by side" },
   { name: "live", label: "Live", what: "Follow the object in the picture of a camera, or in a video" },
 ];
 
 const COMMON_KEYS = [
-  { keys: "1 2 3 4", what: "Annotate, Fit, Compare, Live" },
+  { keys: "1 2 3 4 5", what: "Annotate, Measure, Fit, Compare, Live" },
   { keys: "[ ] PageUp PageDown", what: "Previous, next picture" },
   { keys: "+ - 0", what: "Zoom in, out, whole picture" },
   { keys: "Space drag", what: "Pan (or drag an empty area, use the middle button or two fingers)" },
