@@ -32,7 +32,7 @@ from liaam.relighting.lamp import AMBIENT
 from liaam.studio import contract, live, shapes
 from liaam.studio.background import Background
 from liaam.studio.fits import LAYER_SIZE, Fits, truth_of
-from liaam.studio.folder import checked_folder, plain_name, status_of
+from liaam.studio.folder import Folder, checked_folder, plain_name, status_of
 from liaam.studio.live import LiveVideos
 from liaam.studio.model_store import ModelStore, load_dropped_model, load_studio_model, model_json
 from liaam.studio.pictures import Pictures, PictureSource, Uploads, jpeg_bytes
@@ -43,6 +43,7 @@ from liaam.studio.sets import agreement, make_set, observers, others
 from liaam.studio.settings import StudioSettings
 from liaam.studio.static_files import Page
 from liaam.studio.store import folder_locked
+from liaam.studio.tiles import Tiles
 from liaam.studio.training import Trainer
 
 IMAGE_SIZE = 2048  # default longest side of an image, pixels
@@ -82,13 +83,16 @@ class Studio:
         self.settings = settings or StudioSettings()
         with ExitStack() as lock:
             if of is None:
-                lock.enter_context(folder_locked(checked_folder(folder), self.settings.address.partition("?")[0]))
+                lock.enter_context(
+                    folder_locked(Folder(checked_folder(folder)), self.settings.address.partition("?")[0])
+                )
             self.project: Project = of[0].project.of_set(of[1]) if of else Project(folder, self.settings)
             self.project.store.prepare()
             self._others: dict[str, Studio] = {}  # of further sets of landmarks
             self._making = threading.Lock()
             self.models, self.events = ModelStore(), Events(self.settings.heartbeat_seconds)
             self.pictures = of[0].pictures if of else Pictures()
+            self.tiles = of[0].tiles if of else Tiles(self.pictures)
             self.uploads = Uploads(self.pictures, self.settings)
             self.training = Trainer(self.project, self.models, self.events.publish)
             self.background = Background(self.project, self.models, self.training, self.events.publish)
@@ -137,6 +141,7 @@ class Studio:
             route("GET", "/api/project", self._overview),
             route("GET", of_picture + "image", self._image, limiter=shown),
             route("GET", of_picture + "chroma", self._chroma, limiter=shown),
+            route("GET", of_picture + "tiles/{level:int}/{column:int}/{row:int}", self._tile, limiter=shown),
             route("GET", of_picture + "landmarks", lambda asked: project.marks(asked.path_params["name"])),
             route("PUT", of_picture + "landmarks", self._save_landmarks, read_json),
             route("GET", of_picture + "history", lambda asked: project.history(asked.path_params["name"])),
@@ -183,6 +188,7 @@ class Studio:
             "id": project.store.id,
             "stamp": overview.stamp + suffix,
             "folder": project.root.name or str(project.root),
+            "read_only": project.folder.is_read_only,
             "set": project.set_name,
             "sets": sets,
             "observers": observers(project),
@@ -284,6 +290,15 @@ class Studio:
     def _image(self, request: Request) -> Response:
         size = checked_size(request.query_params.get("size"), IMAGE_SIZE)
         return self._cached(request, f"{size}", lambda picture: self.pictures.image(picture, size), "image/jpeg")
+
+    def _tile(self, request: Request) -> Response:
+        asked = request.path_params
+        level, column, row = asked["level"], asked["column"], asked["row"]
+
+        def make(picture: PictureSource) -> bytes:
+            return self.tiles.get(picture, level, column, row)
+
+        return self._cached(request, f"tile-{level}-{column}-{row}", make, "image/jpeg")
 
     def _chroma(self, request: Request) -> Response:
         size = checked_size(request.query_params.get("size"), CHROMA_SIZE)

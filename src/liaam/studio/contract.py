@@ -199,6 +199,7 @@ class Project(TypedDict):
     id: str
     stamp: str
     folder: str
+    read_only: Annotated[bool, "Whether nothing can be written, so that pictures are only shown, fitted and relit."]
     set: Annotated[str, "The set of landmarks that the page shows."]
     sets: Annotated[list[str], "All sets of the folder; '' is the first one."]
     observers: Annotated[list[str], "The sets of the same points, if there are several."]

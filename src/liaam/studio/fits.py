@@ -127,6 +127,11 @@ class Fit:
         }
 
     @property
+    def at_work(self) -> FitResult:
+        """The result in the pixels at which the picture is worked on."""
+        return layers.scaled(self.result, self.source.size, self.source.work_size)
+
+    @property
     def _is_finite(self) -> bool:
         return bool(np.isfinite(self.result.landmarks).all())
 
@@ -255,7 +260,10 @@ class Fits:
         """Fit a picture, or the small copy of a large one, from a start, or else where the search finds the object."""
         with self.pictures.at_work(source, on_copy) as image:
             began = time.perf_counter()
-            begin = self._detection(source, image, current) if start is None else start
+            if start is None:
+                begin = self._detection(source, image, current)
+            else:
+                begin = layers.start_at(start, source.size, (image.shape[1], image.shape[0]))
             searched = time.perf_counter()
             result = fitter.fit(image, begin, source.name)
             if start is None and result.quality < result.least_quality:  # try the search's other places
@@ -306,12 +314,12 @@ class Fits:
             from liaam.plotting import overlay_of_fit  # heavy: imported when first needed
 
             with self.pictures.at_work(fit.source) as pixels:
-                image = shown(pixels, fit.source.size, fit.source.raw)
-            return overlay_of_fit(image, fit.result, fit.model, ellipses=True), None
+                image = shown(pixels, fit.source.work_size, fit.source.raw)
+            return overlay_of_fit(image, fit.at_work, fit.model, ellipses=True), None
         if what == "residual":
             to = fitted_size(*fit.source.size, size or max(fit.source.size))
             with self.pictures.at_work(fit.source) as image:
-                return layers.residual_layer(fit.fitter, image, fit.result, to)
+                return layers.residual_layer(fit.fitter, image, fit.at_work, to)
         relighter, to = self._relighter(fit, size)
         if what == "normals":
             layer, box = layers.normals_layer(relighter)
@@ -354,7 +362,7 @@ class Fits:
             if fit.no_flat is not None:
                 raise MethodError(fit.no_flat)
             with self.pictures.at_work(fit.source) as image:
-                return layers.taken_apart(fit.fitter, image, fit.result, to, fit.source.raw)
+                return layers.taken_apart(fit.fitter, image, fit.at_work, to, fit.source.raw)
 
         if size is None and prod(whole) > self.settings.whole_pixels:
             text = f"{fit.source.name} has {whole[0]} x {whole[1]} pixels, more than the {self.settings.whole_pixels:,}"

@@ -453,6 +453,7 @@ class Project:
         accepted with any revision, since an earlier answer may have been lost.
         """
         data = self.checked(data, "points, invisible and revision")
+        self.folder.check_writable()
         who = parse_who(data.get("who"))
         with self._lock:
             self.templates.finish()
@@ -531,6 +532,7 @@ class Project:
         one, by which landmark files are updated, and ``revision``, that of the template that is being changed.
         """
         template = parse_template(self.checked(data, "names, contours, mirror and points"), self.settings.points)
+        self.folder.check_writable()
         with self._lock:
             return template, self.templates.save(template, data)
 

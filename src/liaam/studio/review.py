@@ -347,6 +347,8 @@ class PictureStates:
         """
         if did not in ACTIONS:
             raise Refusal(422, f"the action is not known: send one of {', '.join(ACTIONS)}")
+        if did in WRITING:
+            self.store.folder.check_writable()
         revisions: dict[str, str | None] = {}
         refused: dict[str, str] = {}
         for file in files:

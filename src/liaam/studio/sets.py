@@ -27,6 +27,7 @@ def make_set(project: Project, data: Any) -> dict[str, str]:
     A subfolder of this name that holds landmark files, but no pictures, becomes the set's.
     """
     data = project.checked(data, "name and same")
+    project.folder.check_writable()
     name = data.get("name")
     template = project.templates.needed if data.get("same") else None
     if not isinstance(name, str) or not SET_NAME.fullmatch(name):

@@ -57,15 +57,25 @@ def lasting_token(folder: Path) -> str:
     if not folder.is_dir():
         return new_token()
     with suppress(OSError, RuntimeError):  # no home folder, a full disk, no rights: a token for this time
-        tokens = _state_folder() / "liaam" / "studio"
+        tokens = user_folder()
         tokens.mkdir(parents=True, exist_ok=True, mode=0o700)
-        path = tokens / f"{hashlib.sha256(os.fsencode(real_path(folder))).hexdigest()[:16]}.token"
+        path = tokens / f"{key_of(folder)}.token"
         token = _read(path)
         if token is None:
             token = new_token()
             _write(path, token)
         return token
     return new_token()
+
+
+def user_folder() -> Path:
+    """Return the folder in which the studio keeps what belongs to the user."""
+    return _state_folder() / "liaam" / "studio"
+
+
+def key_of(folder: Path) -> str:
+    """Return the name by which a folder of pictures is known there."""
+    return hashlib.sha256(os.fsencode(real_path(folder))).hexdigest()[:16]
 
 
 def _state_folder() -> Path:

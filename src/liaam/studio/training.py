@@ -24,15 +24,18 @@ import numpy as np
 from liaam.error_measures import point_error
 from liaam.errors import ImageError, LiaamError, TrainingError
 from liaam.fitting import Fitter
-from liaam.io import read_image
+from liaam.io import image_size
 from liaam.io.landmarks import Contour, Landmarks
 from liaam.model import AAM, load_model
 from liaam.model.mesh import folded_share
 from liaam.model.shape import align, diagonal_of
 from liaam.photometry.encoding import refuse_unscaled
+from liaam.studio.layers import fit_file
 from liaam.studio.model_store import MODEL_FILE, ModelStore, Versions
+from liaam.studio.pictures import read_for_work, work_size
 from liaam.studio.project import Annotated, Project
 from liaam.studio.safety import Refusal
+from liaam.tracking.motion import rescaled
 from liaam.workers import fresh_interpreters, obey_parent
 
 LEAST = 3  # minimum number of pictures for training
@@ -248,7 +251,7 @@ def _work(job: TrainingJob, pipe: Any) -> None:
                 for item in job.done:
                     if item.name in job.held_out:
                         with suppress(LiaamError, MemoryError):
-                            landmarks = fitter.fit(item.path).landmarks
+                            landmarks = fit_file(fitter, item.path).landmarks
                             size = diagonal_of(item.points[item.placed])
                             error = point_error(landmarks[item.own], item.points[item.own]) / size
                             if np.isfinite(error):
@@ -257,6 +260,13 @@ def _work(job: TrainingJob, pipe: Any) -> None:
             pipe.send(("done", summary))
         except (LiaamError, MemoryError) as fault:
             pipe.send(("failed", str(fault) or "the training ran out of memory: train on smaller pictures"))
+
+
+def _points_at_work(item: Annotated) -> np.ndarray:
+    """Return the points of a picture in the pixels at which it is worked on."""
+    width, height = image_size(item.path)
+    to = work_size(width, height)
+    return rescaled(item.points, (height, width), (to[1], to[0]))
 
 
 def _train(
@@ -274,7 +284,7 @@ def _train(
 
     def read(item: Annotated) -> np.ndarray:
         try:
-            image = read_image(item.path)
+            image = read_for_work(item.path)
             refuse_unscaled(image, item.name, "srgb")
             return image
         except ImageError as fault:
@@ -286,7 +296,7 @@ def _train(
 
     while True:
         used = [item for item in job.done if item.name not in {*left_out, *unused}]
-        marks = [Landmarks(item.points, job.contours, job.names) for item in used]
+        marks = [Landmarks(_points_at_work(item), job.contours, job.names) for item in used]
         items = [
             SimpleNamespace(name=item.name, landmarks=landmarks, read_image=partial(read, item))
             for item, landmarks in zip(used, marks, strict=True)

@@ -191,6 +191,8 @@ interface Project {
   id: string;
   stamp: string;
   folder: string;
+  /** Whether nothing can be written, so that pictures are only shown, fitted and relit. */
+  read_only: boolean;
   /** The set of landmarks that the page shows. */
   set: string;
   /** All sets of the folder; '' is the first one. */

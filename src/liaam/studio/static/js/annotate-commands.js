@@ -212,7 +212,7 @@ export function createCommands(tab) {
     },
 
     accept() {
-      if (!commands.marks) return commands.skip(); // there is nothing to accept
+      if (!commands.marks || marking.locked) return commands.skip(); // there is nothing to accept
       if (tab.tracing.on) return tab.tracing.finish();
       if (marking.state.source === "layout") // left as it is
         return void (warned === tab.name ? goOnAfter(tab.saving.markUnchecked) : warn(UNTOUCHED));

@@ -60,6 +60,7 @@ export class Tab {
       onpreview: () => viewer.redraw(),
       onplaced: (index) => this.placed(index),
     });
+    this.marking.locked = state.readOnly;
     this.ruler = new ScaleBar(this.marking, {
       onchange: () => this.refresh(),
       onpreview: () => viewer.redraw(),
@@ -199,7 +200,7 @@ export class Tab {
     }
     const isMarking = !editing && marking.book !== null;
     this.toolbar.refresh({ history: this.doc.history, editing, marking: isMarking });
-    panel.edit.disabled = !isMarking || this.tracing.on;
+    panel.edit.disabled = !isMarking || this.tracing.on || marking.locked;
     if (!editing) panel.render(marking);
     // It accepts points at the mean shape as they are. Its place stays, so that nothing moves between pictures.
     assist.sure.style.visibility = marking.state?.source === "layout" ? "" : "hidden";
@@ -229,6 +230,7 @@ export class Tab {
     if (!cover.hidden) return "";
     if (editing) return templates.prompt;
     if (!marking.book) return "";
+    if (marking.locked) return "This folder can only be read: copy it to place landmarks";
     return drawing?.prompt ?? promptOf(marking);
   }
 

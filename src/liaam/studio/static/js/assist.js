@@ -128,7 +128,7 @@ export function createAssist(app, commands) {
     onchange: () => localStorage.setItem(AUTO_KEY, auto.checked ? "on" : "off"),
   });
   const often = `when ${AUTO_FIRST} pictures are done, and again after every ${AUTO_AGAIN} more`;
-  const next = button("Accept and continue", {
+  const next = button(state.readOnly ? "Next picture" : "Accept and continue", {
     icon: "check", kind: "primary", shortcut: "Enter", testid: "accept-next", onclick: commands.accept,
     title: "Accept these points and open the picture that helps the model most",
   });

@@ -32,6 +32,7 @@ const COMMON_KEYS = [
   { keys: "?", what: "Show these keys" },
 ];
 
+const READ_ONLY = "Nothing can be written in this folder: pictures are shown, fitted, relit and measured. Copy the folder to place landmarks.";
 const PANELS = { i: ["strip"], d: ["side"], z: ["strip", "side"] }; // by key
 const state = new State();
 const tabs = new Map(); // name -> {root, tab, button}
@@ -42,7 +43,7 @@ const pictures = new PictureStore(state);
 const app = {
   state, api, ui, toast, confirm: ui.confirm, openTab, pictures,
   /** Whether the open tab shows a picture that is not in the folder. */
-  showsPictures: () => ["fit", "compare"].includes(open) || state.guest, sources: new Sources(state, pictures),
+  showsPictures: () => ["fit", "compare"].includes(open) || state.guest || state.readOnly, sources: new Sources(state, pictures),
   fits: new FitStore(state), adding: null, bulk: null, selection: () => [],
   saved: async () => {},
 };
@@ -65,6 +66,7 @@ async function start() {
   document.getElementById("folder").textContent = state.project.folder;
   document.getElementById("folder").title = state.project.folder;
   document.getElementById("folder").after(createSetList(app));
+  if (state.readOnly) document.getElementById("folder").after(h("span.badge.warn", { title: READ_ONLY, testid: "read-only" }, "Read only"));
   document.title = `${[state.project.folder, state.project.set].filter(Boolean).join(" – ")} – liaam studio`;
   look.open(state.project.id);
   mountStrip(document.getElementById("strip"), app);
@@ -113,11 +115,14 @@ async function mountTabs() {
   });
 }
 
-/** A guest only fits, so the tab Annotate is hidden. */
+/** Whether no picture can be annotated: a guest only fits, and a folder that can only be read gets no first template. */
+const onlyFits = () => state.guest || (state.readOnly && !state.project.template);
+
+/** Then the tab Annotate is hidden. */
 function followGuest() {
-  const guest = state.guest;
-  tabs.get("annotate").button.hidden = guest;
-  if (guest && open === "annotate") openTab("fit");
+  const isHidden = onlyFits();
+  tabs.get("annotate").button.hidden = isHidden;
+  if (isHidden && open === "annotate") openTab("fit");
 }
 
 function openTab(name, options = {}) {
@@ -125,7 +130,7 @@ function openTab(name, options = {}) {
   wanted = name;
   if (!tabs.size) return;
   if (!tabs.has(name)) name = "annotate";
-  if (name === "annotate" && state.guest) name = "fit";
+  if (name === "annotate" && onlyFits()) name = "fit";
   if (open === name) return tabs.get(name).tab.show?.(options);
   tabs.get(open)?.tab.hide?.();
   open = name;

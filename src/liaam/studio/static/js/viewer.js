@@ -16,6 +16,7 @@ const SHARP_FROM = 3; // zoom from which pixels are shown as squares
 export class Viewer extends EventTarget {
   tool = null;
   source = null;
+  tiles = null;
   width = 0;
   height = 0;
   scale = 1;
@@ -58,11 +59,15 @@ export class Viewer extends EventTarget {
     this._resize();
   }
 
-  /** Show a picture; width and height are those of landmark coordinates, the source may have any resolution. */
-  setPicture(source, width = 0, height = 0) {
+  /** Show a picture; width and height are those of landmark coordinates, the source may have any resolution. Tiles are
+   *  drawn over it. @param {any} source; @param {import("./tiles.js").Tiles | null} tiles */
+  setPicture(source, width = 0, height = 0, tiles = null) {
     const same = width === this.width && height === this.height;
-    if (same && source === this.source) return;
+    if (same && source === this.source && tiles === this.tiles) return;
     this.source = source;
+    this.tiles?.removeEventListener("ready", this.redraw);
+    this.tiles = tiles;
+    tiles?.addEventListener("ready", this.redraw);
     this.width = width;
     this.height = height;
     if (!same) this.fit();
@@ -222,8 +227,10 @@ export class Viewer extends EventTarget {
   _drawPicture(ctx) {
     ctx.filter = look.filter;
     ctx.imageSmoothingEnabled = this.scale < SHARP_FROM;
-    ctx.imageSmoothingQuality = "high";
-    ctx.drawImage(this.source, this.left, this.top, this.scale * this.width, this.scale * this.height);
+    ctx.imageSmoothingQuality = this.tiles && this.scale * this.width > this.source.width ? "low" : "high"; // tiles follow
+    if (!this.tiles?.cover(ctx, this))
+      ctx.drawImage(this.source, this.left, this.top, this.scale * this.width, this.scale * this.height);
+    this.tiles?.draw(ctx, this);
     ctx.filter = "none";
   }
 
@@ -239,7 +246,7 @@ export class Viewer extends EventTarget {
   /** The scaled picture on a canvas of the same size. It is cached, because scaling takes longer than other drawing. */
   _scaledTo({ width, height }, ratio, x, y) {
     const { source } = this;
-    const what = [source, this.scale, this.width, this.height, ratio, width, height, look.values];
+    const what = [source, this.tiles?.version, this.scale, this.width, this.height, ratio, width, height, look.values];
     const at = [this.left + x, this.top + y].map((v) => v * ratio);
     const before = this._scaled;
     const moved = what.every((value, i) => value === before?.what[i]) && at.map((v, i) => v - before.at[i]);
