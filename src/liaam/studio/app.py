@@ -30,6 +30,7 @@ from liaam.model import load_model
 from liaam.photometry import CameraModel
 from liaam.relighting.lamp import AMBIENT
 from liaam.studio import contract, live, shapes
+from liaam.studio.agreement import model_agreement
 from liaam.studio.background import Background
 from liaam.studio.fits import LAYER_SIZE, Fits, truth_of
 from liaam.studio.folder import Folder, checked_folder, plain_name, status_of
@@ -153,6 +154,7 @@ class Studio:
             route("GET", of_picture + "others", lambda asked: others(project, asked.path_params["name"])),
             route("POST", "/api/sets", lambda _, data: make_set(project, data), read_json, status=201),
             route("GET", "/api/agreement", lambda _: agreement(project)),
+            route("GET", "/api/agreement/model", lambda _: model_agreement(project)),
             route("PUT", "/api/template", self._save_template, read_json),
             route("POST", "/api/template/file", lambda it, raw: project.read_template(_name(it), raw).as_json(), data),
             route("POST", "/api/training", self._train, maybe_json, status=202),

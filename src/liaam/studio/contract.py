@@ -283,6 +283,24 @@ class Shapes(TypedDict):
     has_table: Annotated[bool, "Whether a table of groups was given."]
 
 
+class ShapeAgreement(TypedDict):
+    """How shapes agree with labels, for statistics of shape."""
+
+    names: Annotated[list[str], "Of the two: shapes and labels."]
+    pictures: int
+    slope: Annotated[float, "Of the shapes on the labels."]
+    slope_interval: list[float]
+    attenuation: Annotated[float | None, "What a difference between groups is multiplied by; null without groups."]
+    attenuation_interval: list[float | None]
+    variance_ratio: float
+    reliability: float
+    repeatability: Annotated[float, "Intraclass correlation."]
+    mean_distance: Annotated[float, "Of the mean shapes, in standard errors."]
+    p: Annotated[float, "That the mean shapes are as far apart by chance."]
+    size_correlation: float
+    methods: Annotated[str, "Sentences for the section Methods of a paper."]
+
+
 class Agreement(TypedDict):
     """How far observers are apart."""
 
@@ -295,6 +313,7 @@ class Agreement(TypedDict):
     unconfirmed: Annotated[list[str], "Pictures that do not count, since points were accepted as they were proposed."]
     file: str
     table: str
+    shapes: Annotated[list[ShapeAgreement], "Of each other observer and the set that is shown, from 5 pictures on."]
 
 
 Json = dict[str, Any]
@@ -308,6 +327,7 @@ EVENTS: dict[str, Any] = {
 
 TYPES = (
     Contour, Picture, Template, Bar, Marks, SaveMarks, Saved, Reviewed, HistoryEntry, Model, Training, Method, Version,
-    Counted, Formats, Limits, Project, Unchanged, Column, Grid, Space, GroupTest, Shapes, Agreement,
+    Counted, Formats, Limits, Project, Unchanged, Column, Grid, Space, GroupTest, Shapes,
+    ShapeAgreement, Agreement,
 )  # fmt: skip
 """All types, in the order in which they are written for the page."""

@@ -15,7 +15,7 @@ from typing import Any, Literal
 import numpy as np
 
 from liaam.io.files import real_path
-from liaam.studio.folder import Folder
+from liaam.studio.folder import STATE, Folder, sets_in
 from liaam.studio.safety import Refusal
 from liaam.studio.store import Store, StoredTable
 
@@ -59,9 +59,25 @@ class Origins:
             self._table.save({name: entry or None})
 
 
+SAME = 0.01
+"""Distance in pixels up to which a point in a file is the one that the studio stored."""
+
+
+def without_proposals(points: np.ndarray, proposals: np.ndarray | None) -> tuple[np.ndarray, int]:
+    """Return points (n, 2) without those that were proposed (k, 2), which become NaN, and how many these are."""
+    if proposals is None:
+        return points, 0
+    distances = np.linalg.norm(points[:, None] - proposals, axis=2)
+    proposed = (distances <= SAME).any(axis=1)
+    return np.where(proposed[:, None], np.nan, points), int(proposed.sum())
+
+
 def saved_proposals(folder: Path) -> dict[str, np.ndarray]:
-    """Return the points that the studio saved for a folder as proposed, or accepted together, by picture, (k, 2)."""
-    store = Store(Folder(real_path(folder)))
+    """Return the points that the studio saved for a folder as proposed, or accepted together, by picture, (k, 2).
+
+    The folder may be the subfolder of a further set of landmarks.
+    """
+    store = _store_of(real_path(folder))
     entries = store.all("origin")
     store.close()
     found = {}
@@ -70,6 +86,12 @@ def saved_proposals(folder: Path) -> dict[str, np.ndarray]:
         if positions:
             found[picture] = np.array(positions, np.float64).reshape(-1, 2)
     return found
+
+
+def _store_of(folder: Path) -> Store:
+    above = Folder(folder.parent)
+    is_set = not (folder / STATE).exists() and folder.name in sets_in(above)
+    return Store(above, folder.name) if is_set else Store(Folder(folder))
 
 
 def own_points(origins: Sequence[Origin | None]) -> np.ndarray:

@@ -43,6 +43,9 @@ LEAST_OWN = 0.5
 """Least fraction of a held-out picture's points that a person has placed, moved or confirmed. Only these are measured;
 if they were fewer, those would be measured that a model had placed badly, and hardly any others."""
 
+HELD_OUT = "held out"
+"""Kind of the newest fits to held-out pictures in the store."""
+
 Publish = Callable[[str, Any], None]  # sends an event of a kind to the pages
 
 
@@ -186,7 +189,8 @@ class Trainer:
             self.is_measuring = True
             self._publish("project", {})
         elif kind == "measured" and self.is_measuring and self.models.own is not None:
-            self.versions.add(self.models.own.facts, data)
+            self.versions.add(self.models.own.facts, data["errors"])
+            self.project.store.put(HELD_OUT, {"": {"order": job.order, "fits": data["fits"]}})
             self._publish("project", {})
         elif kind == "failed":
             return Training("failed", error=self.project.folder.plain(data))
@@ -248,6 +252,7 @@ def _work(job: TrainingJob, pipe: Any) -> None:
                 rest, _ = _train(job, pipe.send, dict(left_out), job.held_out, "measuring", leave_out=False, lamps=None)
                 fitter = Fitter(rest)
                 errors = {}  # relative to the diagonal of the points
+                fits = {}
                 for item in job.done:
                     if item.name in job.held_out:
                         with suppress(LiaamError, MemoryError):
@@ -256,7 +261,8 @@ def _work(job: TrainingJob, pipe: Any) -> None:
                             error = point_error(landmarks[item.own], item.points[item.own]) / size
                             if np.isfinite(error):
                                 errors[item.name] = round(error, 5)
-                pipe.send(("measured", errors))
+                                fits[item.name] = np.round(landmarks, 3).tolist()
+                pipe.send(("measured", {"errors": errors, "fits": fits}))
             pipe.send(("done", summary))
         except (LiaamError, MemoryError) as fault:
             pipe.send(("failed", str(fault) or "the training ran out of memory: train on smaller pictures"))

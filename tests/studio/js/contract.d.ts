@@ -295,6 +295,30 @@ interface Shapes {
   has_table: boolean;
 }
 
+/** How shapes agree with labels, for statistics of shape. */
+interface ShapeAgreement {
+  /** Of the two: shapes and labels. */
+  names: string[];
+  pictures: number;
+  /** Of the shapes on the labels. */
+  slope: number;
+  slope_interval: number[];
+  /** What a difference between groups is multiplied by; null without groups. */
+  attenuation: number | null;
+  attenuation_interval: (number | null)[];
+  variance_ratio: number;
+  reliability: number;
+  /** Intraclass correlation. */
+  repeatability: number;
+  /** Of the mean shapes, in standard errors. */
+  mean_distance: number;
+  /** That the mean shapes are as far apart by chance. */
+  p: number;
+  size_correlation: number;
+  /** Sentences for the section Methods of a paper. */
+  methods: string;
+}
+
 /** How far observers are apart. */
 interface Agreement {
   observers: string[];
@@ -309,4 +333,6 @@ interface Agreement {
   unconfirmed: string[];
   file: string;
   table: string;
+  /** Of each other observer and the set that is shown, from 5 pictures on. */
+  shapes: ShapeAgreement[];
 }

@@ -3,6 +3,7 @@
 import { percent, several } from "./annotate-words.js";
 import { act, askName, whoAmI } from "./bulk.js";
 import { createAgreement } from "./sets.js";
+import { showModelAgreement } from "./shape-agreement.js";
 import { button, h, listOf, menu, saveFile } from "./ui.js";
 
 const DID = {
@@ -72,8 +73,12 @@ export function createReview(tab) {
       class: version.same && "same", title: said(version), style: { height: `${(100 * version.error) / most}%` },
     }));
     const label = `Errors of the models: ${versions.map(said).join("; ")}`;
+    const shapes = button("Shapes for statistics…", {
+      small: true, kind: "ghost", testid: "model-agreement", onclick: () => showModelAgreement(app),
+      title: "Slope, variance ratio and intraclass correlation of the model's shapes in held-out pictures",
+    });
     return chart.replaceChildren(
-      h("div.version-chart", { role: "img", "aria-label": label }, bars), h("p.muted", accuracyText(versions)));
+      h("div.version-chart", { role: "img", "aria-label": label }, bars), h("p.muted", accuracyText(versions)), shapes);
   }
 
   function show() {
