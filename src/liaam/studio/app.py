@@ -8,6 +8,7 @@ import threading
 from collections.abc import Callable, Sequence
 from contextlib import ExitStack, suppress
 from dataclasses import asdict
+from functools import partial
 from pathlib import Path
 from typing import Any, cast
 
@@ -29,7 +30,7 @@ from liaam.io.landmarks import LANDMARK_SUFFIXES
 from liaam.model import load_model
 from liaam.photometry import CameraModel
 from liaam.relighting.lamp import AMBIENT
-from liaam.studio import contract, live, shapes
+from liaam.studio import contract, live, picture_files, shapes
 from liaam.studio.agreement import model_agreement
 from liaam.studio.background import Background
 from liaam.studio.fits import LAYER_SIZE, Fits, truth_of
@@ -147,6 +148,9 @@ class Studio:
             route("PUT", of_picture + "landmarks", self._save_landmarks, read_json),
             route("GET", of_picture + "history", lambda asked: project.history(asked.path_params["name"])),
             route("POST", "/api/review", self._review, read_json),
+            route("POST", "/api/removed", partial(self._change_files, picture_files.remove), read_json),
+            route("POST", "/api/restored", partial(self._change_files, picture_files.restore), read_json),
+            route("POST", "/api/renamed", self._rename, read_json),
             route("GET", "/api/export/{kind}", lambda it: attachment(*project.export(it.path_params["kind"]))),
             route("GET", "/api/measurements", self._measurements),
             route("GET", "/api/shapes", lambda asked: shapes.shapes(project, asked.query_params)),
@@ -232,6 +236,18 @@ class Studio:
         self.events.publish("landmarks", written)
         self.background.woken.set()
         self.events.publish("project", {})
+        return answer
+
+    def _change_files(self, change: Callable[[Project, Any], Any], request: Request, data: Any) -> Any:
+        try:
+            return change(self.project, data)
+        finally:
+            self.background.woken.set()
+            self.events.publish("project", {})
+
+    def _rename(self, request: Request, data: Any) -> contract.Renamed:
+        answer = self._change_files(picture_files.rename, request, data)
+        self.training.rename(answer["before"], answer["name"])
         return answer
 
     def _measurements(self, request: Request) -> Response:

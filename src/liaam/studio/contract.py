@@ -113,6 +113,20 @@ class Reviewed(TypedDict):
     refused: Annotated[dict[str, str], "Reasons by name."]
 
 
+class Removed(TypedDict):
+    """Pictures that were removed from the folder, or restored."""
+
+    token: Annotated[str, "Restores them."]
+    pictures: list[str]
+
+
+class Renamed(TypedDict):
+    """A picture that was renamed."""
+
+    before: str
+    name: str
+
+
 class HistoryEntry(TypedDict):
     """An entry in the log of a picture."""
 
@@ -326,7 +340,8 @@ EVENTS: dict[str, Any] = {
 """Data of the events that the server sends, by kind."""
 
 TYPES = (
-    Contour, Picture, Template, Bar, Marks, SaveMarks, Saved, Reviewed, HistoryEntry, Model, Training, Method, Version,
+    Contour, Picture, Template, Bar, Marks, SaveMarks, Saved, Reviewed, Removed, Renamed,
+    HistoryEntry, Model, Training, Method, Version,
     Counted, Formats, Limits, Project, Unchanged, Column, Grid, Space, GroupTest, Shapes,
     ShapeAgreement, Agreement,
 )  # fmt: skip

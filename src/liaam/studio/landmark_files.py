@@ -253,6 +253,15 @@ class LandmarkFiles:
         if data != after:
             write_bytes_atomically(target, after, LandmarkError)
 
+    def rename_invisible(self, moves: Mapping[str, str]) -> None:
+        """Keep the invisible points of landmark files that were renamed, by their old names."""
+        names = {}
+        for key in self._invisible:
+            file, _, revision = key.rpartition(" ")
+            if file in moves:
+                names[key] = f"{moves[file]} {revision}"
+        self._invisible.rename(names)
+
     def _bytes(self, path: Path) -> bytes:
         return read_bytes(path, LandmarkError, self._most_bytes)
 

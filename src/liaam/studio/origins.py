@@ -31,19 +31,19 @@ class Origins:
     """The origins of all points that were not placed, by picture. ``entry`` changes with them."""
 
     def __init__(self, store: Store) -> None:
-        self._table = StoredTable(store, "origin")
+        self.table = StoredTable(store, "origin")
 
     def __contains__(self, name: str) -> bool:
-        return name in self._table
+        return name in self.table
 
     def entry(self, name: str) -> Mapping[str, Any] | None:
         """Return what is stored for a picture: positions by their origin."""
-        return self._table.get(name)
+        return self.table.get(name)
 
     def of(self, name: str, points: Points) -> list[Origin | None]:
         """Return the origin of each point of a picture; None without a position."""
         known: dict[tuple[float, ...], Origin] = {}
-        stored = self._table.get(name) or {}
+        stored = self.table.get(name) or {}
         for origin in ORIGINS:
             for position in stored.get(origin, ()):
                 known[tuple(position)] = origin
@@ -55,8 +55,8 @@ class Origins:
         for point, origin in zip(points, origins, strict=True):
             if point is not None and origin not in (None, "placed"):
                 entry.setdefault(str(origin), []).append(list(point))
-        if entry or name in self._table:
-            self._table.save({name: entry or None})
+        if entry or name in self.table:
+            self.table.save({name: entry or None})
 
 
 SAME = 0.01

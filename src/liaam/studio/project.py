@@ -13,8 +13,8 @@ import threading
 import time
 import zipfile
 from collections import deque
-from collections.abc import Container, Mapping, Sequence
-from contextlib import nullcontext, suppress
+from collections.abc import Container, Iterator, Mapping, Sequence
+from contextlib import contextmanager, nullcontext, suppress
 from dataclasses import dataclass, replace
 from itertools import zip_longest
 from pathlib import Path
@@ -26,7 +26,7 @@ from liaam.errors import ImageError, LiaamError
 from liaam.io.images import PICTURE_SUFFIXES
 from liaam.io.landmarks import Landmarks, collection_text, parse_landmark_data
 from liaam.studio import contract
-from liaam.studio.folder import File, Folder, Listing, checked_folder, plain_name, revision_of, sets_in
+from liaam.studio.folder import OWN_SUFFIXES, File, Folder, Listing, checked_folder, plain_name, revision_of, sets_in
 from liaam.studio.landmark_files import LandmarkFiles, parse_bar
 from liaam.studio.origins import Origin, Origins, origins_after, own_points, parse_origins
 from liaam.studio.pictures import PictureSource, source_of
@@ -407,6 +407,63 @@ class Project:
         """Add a picture or a landmark file to the folder (:meth:`liaam.studio.folder.Listing.add`)."""
         with self._lock:
             return self._listing.add(name, data)
+
+    @contextmanager
+    def changing(self) -> Iterator[None]:
+        """Hold the lock while files of the folder are moved, and list the folder before and after, in all sets."""
+        with self._lock:
+            self._rescan(strict=True)
+            for name in self.sets:
+                templates = self.of_set(name).templates
+                if templates.current is not None and not templates.is_offered:
+                    templates.keep()  # the picture that it was taken from may go
+            try:
+                yield
+            finally:
+                for name in self.sets:
+                    self.of_set(name)._rescan()
+
+    def files_of(self, name: str) -> list[str]:
+        """Return a picture's file and the landmark files that the studio writes for it, in all sets, by name."""
+        with self._lock:
+            file = self._find(name)
+            found = [file.name]
+            if self._listing.winners[file.stem] == file.name:
+                for each in self.sets:
+                    listing = self.of_set(each)._listing
+                    listing.scan()
+                    own = [f"{listing.place}{file.stem}{suffix}" for suffix in OWN_SUFFIXES]
+                    found += [landmarks for landmarks in own if landmarks in listing.files]
+            return found
+
+    def has_stem(self, stem: str, but: str) -> bool:
+        """Return whether another picture than ``but`` has a name that differs by its suffix only."""
+        with self._lock:
+            return self._listing.winners.get(stem, but) != but
+
+    def take_own(self, name: str) -> None:
+        """Write the landmarks of a picture into a file of its own, in all sets, if they are in another one."""
+        with self._lock:
+            file = self._find(name)
+            for each in self.sets:
+                project = self.of_set(each)
+                marks = project._landmarks.of(file)
+                template = project.templates.current
+                is_other = marks.n_placed and project._listing.own(file) is None
+                if is_other and template is not None and marks.landmarks is not None and marks.fits(template):
+                    project._landmarks.save(file, template, marks.points, marks.landmarks.invisible)
+
+    def rekey(self, name: str, new: str, moves: Mapping[str, str]) -> None:
+        """Give what is kept of a picture its new name, in all sets; ``moves`` are its files, by their old names."""
+        with self._lock:
+            for each in self.sets:
+                project = self.of_set(each)
+                tables = (project._proposals, project._unchecked, project._absent, project._origins.table)
+                for table in (*tables, project._landmarks.bars) if each == "" else tables:
+                    table.rename({name: new})
+                project._landmarks.rename_invisible(moves)
+                project._log.rename(name, new)
+                project._states.slips.pop(name, None)
 
     def set_slips(self, slips: dict[str, tuple[str, str, list[int]]]) -> None:
         """Set the revision of the landmarks, the slip in them and its points, by picture."""

@@ -71,6 +71,17 @@ class ReviewLog:
         for entry in entries:
             self._entries[entry["picture"]].append(entry)
 
+    def rename(self, name: str, new: str) -> None:
+        """Give the entries of a picture its new name."""
+
+        def changed(entry: contract.HistoryEntry) -> contract.HistoryEntry:
+            return {**entry, "picture": new} if entry["picture"] == name else entry
+
+        self._store.replace_lines("review", changed)
+        entries = [changed(entry) for entry in self._entries.pop(name, [])]
+        if entries:
+            self._entries[new] = entries
+
     def add_change(self, who: str, name: str, did: str, revision: str | None) -> None:
         """Append that the points of a picture were placed or cleared, once for all changes in a few minutes."""
         if not self._is_same_work(who, name, did):

@@ -10,7 +10,7 @@ import os
 import secrets
 import sqlite3
 import threading
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import contextmanager, suppress
 from functools import cached_property, partial
 from pathlib import Path
@@ -87,6 +87,15 @@ class Store:
         """Return all lines of a kind, oldest first."""
         rows = self._read("SELECT number, json, hash FROM line WHERE kind = ? ORDER BY number", [kind])
         return [value for _, value in rows]
+
+    def replace_lines(self, kind: str, changed: Callable[[Any], Any]) -> None:
+        """Replace lines of a kind by what a function makes of them."""
+        with self.transaction() as connection:
+            for number, value in self._read("SELECT number, json, hash FROM line WHERE kind = ?", [kind]):
+                after = changed(value)
+                if after != value:
+                    text, digest = _row(after)
+                    connection.execute("UPDATE line SET json = ?, hash = ? WHERE number = ?", (text, digest, number))
 
     @contextmanager
     def transaction(self) -> Iterator[sqlite3.Connection]:
@@ -209,6 +218,13 @@ class StoredTable(dict[str, Any]):
         self.update(values)
         for name in [name for name, value in values.items() if value is None]:
             del self[name]
+
+    def rename(self, names: Mapping[str, str]) -> None:
+        """Give values new names."""
+        moved = {name: new for name, new in names.items() if name in self}
+        if moved:
+            values = {new: self[name] for name, new in moved.items()}
+            self.save({**dict.fromkeys(moved), **values})
 
     def forget(self) -> None:
         """Remove all values."""

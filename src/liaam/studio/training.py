@@ -145,6 +145,16 @@ class Trainer:
             store.set_aside(MODEL_FILE)
             store.put("model", {MODEL_FILE: None})
 
+    def rename(self, name: str, new: str) -> None:
+        """Let the studio's model, which was trained on a picture, know it by its new name."""
+        trained = self.models.own
+        if trained is None or trained.facts["source"] != "studio":
+            return
+        for names in (trained.facts["pictures"], trained.facts.get("left_out", {})):
+            if name in names:
+                names[new] = names.pop(name)
+        self.project.store.put("model", {MODEL_FILE: trained.facts})
+
     def wait(self, timeout: float | None = None) -> Training:
         """Wait for a running training and return its final state."""
         if self._listener is not None:

@@ -108,6 +108,19 @@ interface Reviewed {
   refused: Record<string, string>;
 }
 
+/** Pictures that were removed from the folder, or restored. */
+interface Removed {
+  /** Restores them. */
+  token: string;
+  pictures: string[];
+}
+
+/** A picture that was renamed. */
+interface Renamed {
+  before: string;
+  name: string;
+}
+
 /** An entry in the log of a picture. */
 interface HistoryEntry {
   time: string;

@@ -29,6 +29,7 @@ const COMMON_KEYS = [
   { keys: "I D Z", what: "Slide away or show the list of pictures, the panel, both" },
   { keys: "A", what: "Change brightness, contrast and gamma for looking" },
   { keys: "G W", what: "Wall of all pictures (PageUp, PageDown: scroll it; Shift+Enter: accept what is in view); open the worst of them" },
+  { keys: "F2 Delete", what: "In the list: rename the picture; remove it from the folder, with undo" },
   { keys: "?", what: "Show these keys" },
 ];
 
