@@ -225,7 +225,8 @@ class Studio:
     def _save_landmarks(self, request: Request, data: Any) -> contract.Saved:
         name = request.path_params["name"]
         answer = self.project.save_marks(name, data)
-        self.events.publish("landmarks", {"name": name, "revision": answer["revision"]})
+        changed = {"name": name, "revision": answer["revision"], "beside": answer["beside"]}
+        self.events.publish("landmarks", changed)
         self.background.woken.set()
         return answer
 

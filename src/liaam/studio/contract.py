@@ -82,6 +82,14 @@ class Marks(TypedDict):
     width: int
     height: int
     bar: Bar | None
+    beside: Annotated[str, "Changes with the absent points and the origins, which the file does not hold."]
+
+
+class Base(TypedDict):
+    """What a page has changed from, beside the landmark file."""
+
+    absent: NotRequired[list[int]]
+    origins: NotRequired[list[Origin | None]]
 
 
 class SaveMarks(TypedDict):
@@ -91,6 +99,7 @@ class SaveMarks(TypedDict):
     invisible: NotRequired[list[int]]
     absent: NotRequired[list[int]]
     origins: NotRequired[list[Origin | None]]
+    base: Annotated[NotRequired[Base], "With it, what others have changed meanwhile of other points stays."]
     bar: NotRequired[Bar | None]
     revision: str | None
     template: Annotated[NotRequired[str | None], "Revision of the template of the points."]
@@ -103,6 +112,8 @@ class Saved(TypedDict):
     """The answer to it."""
 
     revision: str | None
+    beside: str
+    merged: Annotated[bool, "Whether others had changed absent points or origins, which were kept."]
     picture: Picture
 
 
@@ -340,7 +351,7 @@ EVENTS: dict[str, Any] = {
 """Data of the events that the server sends, by kind."""
 
 TYPES = (
-    Contour, Picture, Template, Bar, Marks, SaveMarks, Saved, Reviewed, Removed, Renamed,
+    Contour, Picture, Template, Bar, Marks, Base, SaveMarks, Saved, Reviewed, Removed, Renamed,
     HistoryEntry, Model, Training, Method, Version,
     Counted, Formats, Limits, Project, Unchanged, Column, Grid, Space, GroupTest, Shapes,
     ShapeAgreement, Agreement,

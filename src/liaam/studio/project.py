@@ -138,6 +138,31 @@ class _Wanted:
         )
 
 
+def _merged(wanted: _Wanted, base: Any, current: contract.Marks) -> _Wanted:
+    """Keep what others have changed of absent points and origins since a page read them, as ``base``.
+
+    A point that the page has changed as well is as the page has it.
+    """
+    n = len(wanted.points)
+    absent = wanted.absent
+    origins = wanted.origins
+    if not isinstance(base, dict):
+        return wanted
+    if "absent" in base:
+        before = {*parse_indices(base["absent"], n, "absent")}
+        now = {*current["absent"]}
+        mine = {*wanted.absent}
+        kept = {index for index in range(n) if index in (now if (index in mine) == (index in before) else mine)}
+        absent = sorted(index for index in kept if wanted.points[index] is None)
+    known = current["origins"]
+    if "origins" in base and known is not None and isinstance(base["origins"], list) and len(base["origins"]) == n:
+        origins = [
+            known[i] if mine == base["origins"][i] and wanted.points[i] == current["points"][i] else mine
+            for i, mine in enumerate(wanted.origins)
+        ]
+    return replace(wanted, absent=absent, origins=origins)
+
+
 class Project:
     """A project's folder; thread-safe. ``root`` is the folder with links resolved.
 
@@ -506,7 +531,8 @@ class Project:
         The data are those of :class:`liaam.studio.contract.SaveMarks`. ``template`` is the revision of the template of
         the points, to check; ``unchecked`` says whether a picture without points was left at the mean shape. The scale
         bar and the absent points stay as they are without ``bar`` and ``absent``. Without ``origins``, points that have
-        changed were placed. ``who`` is the name of the person, for the log. Landmarks equal to those in the file are
+        changed were placed. With ``base``, absent points and origins that others have changed since stay as they are.
+        ``who`` is the name of the person, for the log. Landmarks equal to those in the file are
         accepted with any revision, since an earlier answer may have been lost.
         """
         data = self.checked(data, "points, invisible and revision")
@@ -519,7 +545,8 @@ class Project:
             if "template" in data:
                 self.templates.check(data["template"], f"the landmarks of {name}")
             current = self._states.marks_json(file)
-            wanted = _Wanted.parse(data, current, len(template))
+            asked = _Wanted.parse(data, current, len(template))
+            wanted = _merged(asked, data.get("base"), current)
             points_before = current["points"] if current["source"] == "file" else [None] * len(template)
             has_moved = wanted.points != points_before or wanted.invisible != current["invisible"]
             is_scaled = wanted.bar != current["bar"]
@@ -543,8 +570,13 @@ class Project:
                     self._log.add_change(who, file.name, did, self._landmarks.of(file).revision)
             if "unchecked" in data and not wanted.has_points:
                 self._set_unchecked(file, bool(data["unchecked"]))
-            revision = self._landmarks.of(file).revision
-            return {"revision": revision, "picture": self._states.as_json(file, self._states.ranks())}
+            marks = self._landmarks.of(file)
+            return {
+                "revision": marks.revision,
+                "beside": self._states.beside(file, marks),
+                "merged": wanted != asked,
+                "picture": self._states.as_json(file, self._states.ranks()),
+            }
 
     def _set_unchecked(self, file: File, is_unchecked: bool) -> None:
         """Store whether a picture without points was left at the mean shape, if that has changed."""

@@ -233,6 +233,7 @@ class PictureStates:
             "bar": self.landmarks.scale_bar(file)["bar"],
             "absent": self.absent_of(file, marks),
             "origins": None,
+            "beside": self.beside(file, marks),
         }
         if marks.landmarks is not None and marks.n_placed:
             answer["source"] = "file"
@@ -244,6 +245,10 @@ class PictureStates:
             for key in ("points", "covariances", "quality", "status", "doubtful"):
                 answer[key] = proposal[key]
         return answer
+
+    def beside(self, file: File, marks: Marks) -> str:
+        """Return a hash of the absent points and the origins of a picture, which its landmark file does not hold."""
+        return revision_of(repr((self.absent_of(file, marks), self.origins.entry(file.name))).encode())
 
     def absent_of(self, file: File, marks: Marks) -> list[int]:
         """Return the points that the object in a picture lacks; those with a position are there after all."""

@@ -78,6 +78,14 @@ interface Marks {
   width: number;
   height: number;
   bar: Bar | null;
+  /** Changes with the absent points and the origins, which the file does not hold. */
+  beside: string;
+}
+
+/** What a page has changed from, beside the landmark file. */
+interface Base {
+  absent?: number[];
+  origins?: ("placed" | "moved" | "confirmed" | "accepted" | "proposed" | null)[];
 }
 
 /** A request to save the landmarks of a picture. */
@@ -86,6 +94,8 @@ interface SaveMarks {
   invisible?: number[];
   absent?: number[];
   origins?: ("placed" | "moved" | "confirmed" | "accepted" | "proposed" | null)[];
+  /** With it, what others have changed meanwhile of other points stays. */
+  base?: Base;
   bar?: Bar | null;
   revision: string | null;
   /** Revision of the template of the points. */
@@ -98,6 +108,9 @@ interface SaveMarks {
 /** The answer to it. */
 interface Saved {
   revision: string | null;
+  beside: string;
+  /** Whether others had changed absent points or origins, which were kept. */
+  merged: boolean;
   picture: Picture;
 }
 

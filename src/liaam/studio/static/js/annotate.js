@@ -110,7 +110,7 @@ export class Tab {
     const { state, saver, opening, commands } = this;
     state.addEventListener("select", (/** @type {any} */ { detail }) => this.selected(detail));
     state.addEventListener("project", () => this.templates.noticed() || opening.refresh());
-    state.addEventListener("landmarks", (/** @type {any} */ { detail }) => saver.heard(detail.name, detail.revision));
+    state.addEventListener("landmarks", (/** @type {any} */ { detail }) => saver.heard(detail.name, detail.revision, detail.beside));
     state.addEventListener("online", (/** @type {any} */ { detail }) => detail && this.online());
     this.viewer.addEventListener("view", () => opening.sharpen());
     // A gesture in progress is not saved when the page is closed.
