@@ -575,7 +575,7 @@ test("tiles are asked for from the middle of the view, and drawn once they are t
     return new Promise((done) => waiting.push(() => done({ width: 512, height: 512, close() {} })));
   });
   const ctx = {
-    getTransform: () => ({ a: 1, e: 0, f: 0 }), canvas: { width: 1536, height: 512 },
+    getTransform: () => ({ a: 1, d: 1, e: 0, f: 0 }), canvas: { width: 1536, height: 512 },
     drawImage: (_, ...place) => drawn.push(place.join(" ")),
   };
   const view = { scale: 1, left: 0, top: 0 };

@@ -84,6 +84,14 @@ export function createCommands(tab) {
       viewer.redraw();
     },
 
+    /** Show the open picture mirrored, or as it is; the page remembers which ones. */
+    mirrorView() {
+      const { mirroredViews, name } = tab;
+      if (!mirroredViews.delete(name)) mirroredViews.add(name);
+      viewer.mirror(mirroredViews.has(name));
+      say(viewer.mirrored ? "Shown mirrored" : "Shown as it is");
+    },
+
     hideMarks(on) {
       if (marking.hidden === on) return;
       marking.hidden = on;

@@ -26,6 +26,7 @@ export const SHORTCUTS = [
   { keys: "Shift+C", what: "Space the points of the contour evenly" },
   { keys: "L K E", what: "Show names, contours, ellipses" },
   { keys: "R", what: "Loupe where a click places a point: on, off" },
+  { keys: "F", what: "Show this picture mirrored, as a right wing beside left ones; or as it is. Points and files stay as they are" },
   { keys: "H", what: "Hide all points while held" },
   { keys: "Ctrl+Z Ctrl+Y", what: "Undo, redo" },
   { keys: "N C X P", what: "In the template: draw or end a curve, close it, mirror, add a point in the middle" },
@@ -41,6 +42,7 @@ export function createKeys(tab) {
   const always = {
     l: () => commands.flick("names"), k: () => commands.flick("contours"), e: () => commands.flick("ellipses"),
     b: commands.toggleBox, h: () => commands.hideMarks(true), escape: commands.escape, n: commands.skip,
+    f: commands.mirrorView,
     r: () => { tab.tool.magnifies = !tab.tool.magnifies; },
   };
   const marks = {
@@ -63,7 +65,7 @@ export function createKeys(tab) {
     const chosen = [...doc.selection].filter((i) => doc.points[i]);
     const before = doc.points;
     if (editing && !chosen.length && tab.templates.doc.shiftAxis(event)) return true;
-    const edit = keyEdit(event, before, chosen.length ? chosen : placed(before), chosen);
+    const edit = keyEdit(event, before, chosen.length ? chosen : placed(before), chosen, viewer.mirrored);
     if (!edit) return false;
     doc.commit(doc.follow(before, edit.points, chosen), edit.what, edit.key);
     if (chosen.length === 1) tab.tool.nudged(doc.points[chosen[0]]);

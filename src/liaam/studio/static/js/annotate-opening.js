@@ -43,6 +43,7 @@ export function createOpening(tab, begins) {
       if (own !== turn) return;
       const { width, height } = marks ?? picture;
       viewer.setPicture(picture.bitmap, width, height, picture.tiles);
+      viewer.mirror(tab.mirroredViews.has(name));
       if (before !== name || width !== wasWide || height !== wasHigh) viewer.fit();
       if (!tab.template) tab.templates.begin();
       else await take(name, marks, own);

@@ -31,6 +31,7 @@ export class Tab {
   name = null; // name of the open picture
   visible = false;
   drawn = { names: false, contours: true, ellipses: true, measures: true }; // what is drawn beside the points
+  mirroredViews = new Set(); // names of the pictures that are shown mirrored
   boxing = false; // whether dragging selects with a box
   waiting = null; // timer of an announcement
   container = h("div", { testid: "annotate-viewer" });
@@ -113,6 +114,7 @@ export class Tab {
     state.addEventListener("landmarks", (/** @type {any} */ { detail }) => saver.heard(detail.name, detail.revision, detail.beside));
     state.addEventListener("online", (/** @type {any} */ { detail }) => detail && this.online());
     this.viewer.addEventListener("view", () => opening.sharpen());
+    this.viewer.addEventListener("unmirror", () => commands.mirrorView());
     // A gesture in progress is not saved when the page is closed.
     document.addEventListener("visibilitychange", () => document.visibilityState === "hidden" && saver.flush());
     addEventListener("pagehide", () => saver.flush());

@@ -126,7 +126,7 @@ export function drawLoupe(ctx, viewer, xy, pointer, colour = COLOURS.placed) {
   circle();
   filled(ctx, "#1b2030");
   ctx.clip();
-  viewer.drawAs(ctx, { scale, left: cx - scale * (xy[0] + 0.5), top: cy - scale * (xy[1] + 0.5) });
+  viewer.drawAs(ctx, { scale, ...viewer.cornerFor(xy, [cx, cy], scale) });
   const arm = (/** @type {number[]} */ [dx, dy]) => [6, 22].map((away) => [cx + away * dx, cy + away * dy]);
   lines(ctx, Object.values(ARROWS).map(arm));
   stroked(ctx, colour, 1.4);

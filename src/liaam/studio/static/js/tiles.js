@@ -43,12 +43,13 @@ export class Tiles extends EventTarget {
 
   /** The level, the part of the picture and the tiles that a view on a canvas needs; null if no tile is finer. */
   _need(ctx, { scale, left, top }) {
-    const { a: ratio, e, f } = ctx.getTransform();
+    const { a, d: ratio, e, f } = ctx.getTransform(); // a is negative if the picture is mirrored
     const level = levelFor(scale, ratio);
     if (level > this.coarsest) return null;
     const { width, height } = ctx.canvas;
-    const at = (place, shift, corner) => ((place - shift) / ratio - corner) / scale;
-    const part = [at(0, e, left), at(0, f, top), at(width, e, left), at(height, f, top)];
+    const across = [0, width].map((place) => ((place - e) / a - left) / scale).sort((one, other) => one - other);
+    const down = [0, height].map((place) => ((place - f) / ratio - top) / scale);
+    const part = [across[0], down[0], across[1], down[1]];
     const tiles = tilesIn(part, level, this.width, this.height);
     return { level, part, ratio, tiles, isWhole: tiles.every(([column, row]) => this._tiles.get(addressOf(level, column, row))) };
   }
