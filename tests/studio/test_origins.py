@@ -167,3 +167,18 @@ def test_a_base_that_is_not_valid_is_refused_or_ignored(small):
     assert refused(small.save_marks, "p1.png", {**page, "base": {"absent": [9]}}).status == 422
     for base in (None, 3, [], {"origins": 3}, {"origins": []}):
         assert not small.save_marks("p1.png", {**page, "base": base})["merged"]
+
+
+def test_points_that_the_model_finds_absent_are_proposed_as_absent(small):
+    found = {**proposal(), "absent": [1]}
+    small.add_proposals({"p1.png": found, "p2.png": found, "p10.png": found})
+    marks = small.marks("p1.png")
+    assert marks["absent"] == [1] and marks["points"][1] is None and marks["points"][0] == POINTS[0]
+    base = {"absent": marks["absent"]}
+    page = {"points": marks["points"], "revision": None, "absent": [1], "base": base}
+    assert small.save_marks("p1.png", page)["picture"]["state"] == "done"
+    small.review({"pictures": ["p2.png"], "did": "accepted"})
+    assert small.marks("p2.png")["absent"] == [1] and by_name(small)["p2.png"]["state"] == "done"
+    there = {"points": POINTS, "revision": None, "absent": [], "base": base}
+    small.save_marks("p10.png", there)  # a person has found and placed it
+    assert small.marks("p10.png")["absent"] == [] and small.marks("p10.png")["points"] == POINTS

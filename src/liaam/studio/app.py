@@ -364,7 +364,8 @@ class Studio:
     def _export_fit(self, request: Request) -> Response:
         fit = self.fits.get(request.path_params["id"])
         what = request.query_params.get("what", "")
-        name, kind, data = self.fits.export(fit, what, light_of(request.query_params))
+        pixel = self.project.pixel_length(fit.of[1]) if fit.of[0] == "picture" else None
+        name, kind, data = self.fits.export(fit, what, light_of(request.query_params), pixel)
         return attachment(name, data, kind)
 
     def _fit(self, request: Request, body: Any) -> dict[str, Any]:

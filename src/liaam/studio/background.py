@@ -257,4 +257,5 @@ def proposal_of(result: FitResult) -> dict[str, Any]:
         "found": is_certain,
         "doubtful": not is_certain or not result.status.ok,
         "uncertainty": round(float(result.sd.mean()) / size, 5) if has_covariances else None,
+        "absent": np.flatnonzero(result.absent).tolist() if result.status.ok else [],
     }

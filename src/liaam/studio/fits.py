@@ -31,6 +31,7 @@ from liaam.studio.folder import plain_name
 from liaam.studio.model_store import ModelInUse, ModelStore
 from liaam.studio.pictures import Kept, Pictures, PictureSource, averaged, fitted_size, png_bytes, shown
 from liaam.studio.safety import Refusal
+from liaam.studio.scale_bars import with_scale_bar
 from liaam.studio.settings import StudioSettings
 from liaam.studio.template import text_of
 
@@ -330,8 +331,13 @@ class Fits:
             return averaged(relighter.under(*light), to), None
         return averaged(relighter.flat(), to), None
 
-    def export(self, fit: Fit, what: str, light: Lighting) -> tuple[str, str, bytes]:
-        """Return the name, media type and content of a file, one of :data:`FILES`; the light is for ``relit``."""
+    def export(
+        self, fit: Fit, what: str, light: Lighting, pixel: tuple[float, str] | None = None
+    ) -> tuple[str, str, bytes]:
+        """Return the name, media type and content of a file, one of :data:`FILES`; the light is for ``relit``.
+
+        With the length of a ``pixel`` and its unit, the overlay has a scale bar.
+        """
         if what not in FILES:
             raise Refusal(422, f"a fit cannot be exported as '{what[:40]}': choose one of {', '.join(FILES)}")
         media_type = FILES[what]
@@ -339,6 +345,9 @@ class Fits:
         stem = name.rpartition(".")[0] or name
         if media_type == "image/png":
             image, _ = self.draw(fit, what, None, light)
+            if what == "overlay" and pixel is not None:
+                length, unit = pixel
+                image = with_scale_bar(image, length * fit.source.size[0] / image.shape[1], unit)
             ending = "fit" if what == "overlay" else what
             return f"{stem}_{ending}.png", media_type, png_bytes(image)
         points, _ = fit.result.reported()

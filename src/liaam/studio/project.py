@@ -519,6 +519,14 @@ class Project:
         with self._lock:
             return self._landmarks.of(self._find(name)).landmarks
 
+    def pixel_length(self, name: str) -> tuple[float, str] | None:
+        """Return the length of a pixel of a picture and its unit; None if it has no scale, or none with a unit."""
+        with self._lock:
+            file = self._find(name)
+            scale = self._landmarks.scale_of(file)
+            unit = self._landmarks.unit_of(file)
+        return (scale, unit) if scale and unit else None
+
     def marks(self, name: str) -> contract.Marks:
         """Return the landmarks of a picture as JSON for the page: from its file, from a proposal, or none."""
         with self._lock:
@@ -558,7 +566,7 @@ class Project:
                 self._landmarks.set_bar(file, wanted.bar)
             if wanted.has_points and wanted.origins != current["origins"]:
                 self._origins.save(file.name, wanted.points, wanted.origins)  # first, as it belongs to what is written
-            if wanted.absent != current["absent"]:
+            if wanted.absent != (self._absent.get(file.name) or []):  # the model may have found others
                 self._absent.save({file.name: wanted.absent or None})
             if has_moved:
                 self.templates.keep()  # the first save fixes a template that was taken from a file

@@ -244,7 +244,13 @@ class PictureStates:
             answer["source"] = "proposal"
             for key in ("points", "covariances", "quality", "status", "doubtful"):
                 answer[key] = proposal[key]
+            answer["absent"] = self._absent_with(file, proposal)
+            answer["points"] = [None if i in answer["absent"] else point for i, point in enumerate(answer["points"])]
         return answer
+
+    def _absent_with(self, file: File, proposal: Mapping[str, Any]) -> list[int]:
+        """Return the points that a person said to be absent in a picture, and those that the model found absent."""
+        return sorted({*self.absent.get(file.name, ()), *proposal.get("absent", ())})
 
     def beside(self, file: File, marks: Marks) -> str:
         """Return a hash of the absent points and the origins of a picture, which its landmark file does not hold."""
@@ -475,9 +481,10 @@ class PictureStates:
             return
         template = self.templates.needed
         if did == "accepted":
-            absent = self.absent.get(file.name, ())
-            proposed = (self.proposal_of(file) or {})["points"]
-            points = [None if index in absent else point for index, point in enumerate(proposed)]
+            proposal = self.proposal_of(file) or {}
+            absent = self._absent_with(file, proposal)
+            points = [None if index in absent else point for index, point in enumerate(proposal["points"])]
+            self.absent.save({file.name: absent or None})
             accepted: list[Origin | None] = ["accepted"] * len(points)
             self.origins.save(file.name, points, accepted)
             self.landmarks.save(file, template, points, ())
