@@ -6,6 +6,7 @@ import { test } from "node:test";
 import { namesFor, summary } from "./modules/adding.js";
 import { outcome, whoAmI } from "./modules/bulk.js";
 import { percent } from "./modules/annotate-words.js";
+import { faultIn, meant } from "./modules/hotkeys.js";
 import { bins, joined, kindFor, measureOf, measureText, numberText, parsed, summary as summaryOf, valueOf } from "./modules/measures.js";
 import { accuracyText, sentence } from "./modules/review.js";
 import { between, describe, FILTERS, foldersOf, matching, openIn } from "./modules/strip-filters.js";
@@ -129,6 +130,14 @@ test("a histogram holds each known value once", () => {
   assert.deepEqual(bins([null]).of, []);
   const { n, mean, sd } = summaryOf([1, null, 3]);
   assert.deepEqual([n, mean, sd], [2, 2, Math.SQRT2]);
+});
+
+test("a letter of one's own means its command, and the old letter nothing", () => {
+  const chosen = { q: "c", c: "v" };
+  assert.deepEqual(["q", "Q", "c", "v", "x"].map((key) => meant(key, chosen)), ["c", "c", "v", "", "x"]);
+  assert.equal(faultIn({ n: "n", p: "q" }), "");
+  assert.match(faultIn({ n: "x", p: "x" }), /have the same key, X/);
+  assert.match(faultIn({ n: "" }), /give one letter/);
 });
 
 test("an observer's set logs under its name, other sets under that of the browser", (t) => {

@@ -11,6 +11,7 @@ import { descriptionOf, placeOf, promptOf, several, tallyOf } from "./annotate-w
 import { createAssist } from "./assist.js";
 import { drawGesture, drawHint, drawMarking, loupeOver } from "./drawing.js";
 import { PointTool } from "./gestures.js";
+import { chosenKeys, meant } from "./hotkeys.js";
 import { Marking } from "./marking.js";
 import { createMeasured } from "./measured.js";
 import { createPointsPanel } from "./points-panel.js";
@@ -118,7 +119,7 @@ export class Tab {
     // A gesture in progress is not saved when the page is closed.
     document.addEventListener("visibilitychange", () => document.visibilityState === "hidden" && saver.flush());
     addEventListener("pagehide", () => saver.flush());
-    document.addEventListener("keyup", (event) => event.key.toLowerCase() === "h" && commands.hideMarks(false));
+    document.addEventListener("keyup", (event) => meant(event.key, chosenKeys()) === "h" && commands.hideMarks(false));
     addEventListener("blur", () => commands.hideMarks(false));
     setTimeout(() => this.saving.sendKept(), SEND_KEPT_AFTER);
   }

@@ -2,6 +2,7 @@
 
 import { api, ApiError, busy } from "./api.js";
 import { acceptFiles, createAdding } from "./adding.js";
+import { chosenKeys, chooseKeys, translate } from "./hotkeys.js";
 import { FitStore } from "./fit-run.js";
 import { PictureStore, Sources } from "./fit-source.js";
 import { unsavedWork } from "./unsaved.js";
@@ -147,6 +148,7 @@ function openTab(name, options = {}) {
 
 function keys(event) {
   if (event.defaultPrevented || isTyping(event) || document.querySelector("dialog[open]")) return;
+  if (open === "annotate" && !tabs.get(open).tab.editing) translate(event);
   if (tabs.get(open)?.tab.key?.(event) || (isPlain(event) && commonKey(event))) event.preventDefault();
 }
 
@@ -164,7 +166,12 @@ async function showKeys() {
   const table = (title, rows) => h("section", h("h2", title), h("dl", rows.map(({ keys: names, what }) => [
     h("dt", names.split(" ").map((key) => [h("kbd", key), " "])), h("dd", what)])));
   const sections = TABS.map(({ name, label }) => table(label, tabs.get(name).tab.shortcuts ?? []));
-  await ui.dialog("Keys", h("div.keys", table("Everywhere", COMMON_KEYS), sections), undefined, { wide: true });
+  const own = Object.entries(chosenKeys()).map(([letter, command]) => `${letter.toUpperCase()} for ${command.toUpperCase()}`);
+  const note = own.length > 0 && h("p.small", `Your own keys in Annotate: ${own.join(", ")}.`);
+  const change = { label: "Change keys…", value: "change", testid: "change-keys" };
+  const actions = [change, { label: "Close", kind: "primary", value: null }];
+  const asked = await ui.dialog("Keys", h("div.column", note, h("div.keys", table("Everywhere", COMMON_KEYS), sections)), actions, { wide: true });
+  if (asked === "change") await chooseKeys(toast);
 }
 
 function actions() {
