@@ -172,6 +172,8 @@ def test_a_base_that_is_not_valid_is_refused_or_ignored(small):
 def test_points_that_the_model_finds_absent_are_proposed_as_absent(small):
     found = {**proposal(), "absent": [1]}
     small.add_proposals({"p1.png": found, "p2.png": found, "p10.png": found})
+    assert small.marks("p1.png")["absent"] == []  # as far as anybody has said, all objects are complete
+    save(small, "q.jpg", [POINTS[0], None, POINTS[2]], absent=[1])
     marks = small.marks("p1.png")
     assert marks["absent"] == [1] and marks["points"][1] is None and marks["points"][0] == POINTS[0]
     base = {"absent": marks["absent"]}

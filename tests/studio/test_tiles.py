@@ -10,7 +10,7 @@ from PIL import Image
 from liaam.io import read_image, read_strips, write_image
 from liaam.studio import pictures as module
 from liaam.studio.pictures import Pictures, read_for_work, source_of, work_size
-from liaam.studio.safety import Refusal
+from liaam.studio.refusal import Refusal
 from liaam.studio.tiles import Tiles, size_at
 
 

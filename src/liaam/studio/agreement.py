@@ -12,7 +12,7 @@ from liaam.formatting import finite_or_none
 from liaam.morphometry import groups_of
 from liaam.studio import contract
 from liaam.studio.project import Project
-from liaam.studio.safety import Refusal, refusing
+from liaam.studio.refusal import Refusal, refusing
 from liaam.studio.shapes import GROUPS
 from liaam.studio.training import HELD_OUT
 

@@ -39,8 +39,9 @@ from liaam.studio.live import LiveVideos
 from liaam.studio.model_store import ModelStore, load_dropped_model, load_studio_model, model_json
 from liaam.studio.pictures import Pictures, PictureSource, Uploads, jpeg_bytes
 from liaam.studio.project import Project
+from liaam.studio.refusal import Refusal
 from liaam.studio.routes import Events, attachment, checked_size, light_of, maybe_json, parse_start, read_json, route
-from liaam.studio.safety import FILES, FITS, GUEST, HEADERS, UPLOADS, Guard, Refusal
+from liaam.studio.safety import FILES, FITS, GUEST, HEADERS, UPLOADS, Guard
 from liaam.studio.sets import agreement, make_set, observers, others
 from liaam.studio.settings import StudioSettings
 from liaam.studio.static_files import Page

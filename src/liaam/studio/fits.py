@@ -30,7 +30,7 @@ from liaam.studio import layers
 from liaam.studio.folder import plain_name
 from liaam.studio.model_store import ModelInUse, ModelStore
 from liaam.studio.pictures import Kept, Pictures, PictureSource, averaged, fitted_size, png_bytes, shown
-from liaam.studio.safety import Refusal
+from liaam.studio.refusal import Refusal
 from liaam.studio.scale_bars import with_scale_bar
 from liaam.studio.settings import StudioSettings
 from liaam.studio.template import text_of

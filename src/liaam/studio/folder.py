@@ -26,7 +26,7 @@ from liaam.io.files import count_of, may_write_in, natural_key, real_path, some_
 from liaam.io.images import PICTURE_SUFFIXES, UNREAD_SUFFIXES, image_size
 from liaam.io.landmarks import LANDMARK_SUFFIXES, parse_landmark_data
 from liaam.photometry.encoding import as_colour
-from liaam.studio.safety import Refusal, refusing
+from liaam.studio.refusal import Refusal, refusing
 from liaam.studio.tokens import key_of, user_folder
 
 STATE = ".liaam-studio"  # name of the subfolder for the studio's own files

@@ -23,7 +23,7 @@ from liaam.io.files import read_bytes, some_names
 from liaam.io.landmarks import Landmarks, parse_landmark_data
 from liaam.studio import contract
 from liaam.studio.folder import OWN_SUFFIXES, File, Listing, Signature, disk_errors, revision_of
-from liaam.studio.safety import Refusal
+from liaam.studio.refusal import Refusal
 from liaam.studio.store import Store, StoredTable
 from liaam.studio.template import Template, landmarks_of, parse_points, text_of
 

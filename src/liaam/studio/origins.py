@@ -16,7 +16,7 @@ import numpy as np
 
 from liaam.io.files import real_path
 from liaam.studio.folder import STATE, Folder, sets_in
-from liaam.studio.safety import Refusal
+from liaam.studio.refusal import Refusal
 from liaam.studio.store import Store, StoredTable
 
 Origin = Literal["placed", "moved", "confirmed", "accepted", "proposed"]

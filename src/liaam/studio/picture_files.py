@@ -15,7 +15,7 @@ from liaam.io.files import some_names
 from liaam.studio import contract
 from liaam.studio.folder import disk_errors, is_relative, plain_name
 from liaam.studio.project import Project
-from liaam.studio.safety import Refusal
+from liaam.studio.refusal import Refusal
 
 REMOVED = "removed"
 """Kind of what was removed in the store, and the subfolder where it lies."""

@@ -26,7 +26,7 @@ from liaam.io import decode_image, image_size, is_raw, read_image, read_preview,
 from liaam.photometry import Response, linear_to_srgb
 from liaam.photometry.encoding import as_colour, encode, refuse_grey, stored_values
 from liaam.studio.folder import disk_errors, plain_name, size_in_header
-from liaam.studio.safety import Refusal, refusing
+from liaam.studio.refusal import Refusal, refusing
 from liaam.studio.settings import StudioSettings
 
 JPEG_QUALITY = 92

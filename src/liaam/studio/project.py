@@ -30,8 +30,8 @@ from liaam.studio.folder import OWN_SUFFIXES, File, Folder, Listing, checked_fol
 from liaam.studio.landmark_files import LandmarkFiles, parse_bar
 from liaam.studio.origins import Origin, Origins, origins_after, own_points, parse_origins
 from liaam.studio.pictures import PictureSource, source_of
+from liaam.studio.refusal import Refusal
 from liaam.studio.review import PictureStates, ReviewLog, parse_who
-from liaam.studio.safety import Refusal
 from liaam.studio.settings import StudioSettings
 from liaam.studio.store import Store, StoredTable
 from liaam.studio.template import (

@@ -19,7 +19,7 @@ from liaam.studio import contract
 from liaam.studio.folder import File, Listing, revision_of
 from liaam.studio.landmark_files import LandmarkFiles, Marks, revision_of_proposal
 from liaam.studio.origins import OWN, Origin, Origins
-from liaam.studio.safety import Refusal
+from liaam.studio.refusal import Refusal
 from liaam.studio.store import Store, StoredTable
 from liaam.studio.template import Templates, text_of
 
@@ -249,8 +249,13 @@ class PictureStates:
         return answer
 
     def _absent_with(self, file: File, proposal: Mapping[str, Any]) -> list[int]:
-        """Return the points that a person said to be absent in a picture, and those that the model found absent."""
-        return sorted({*self.absent.get(file.name, ()), *proposal.get("absent", ())})
+        """Return the points that a person said to be absent in a picture, and those that the model found absent.
+
+        What the model finds counts once a person has marked a point as absent in any picture: of objects that are all
+        complete, it would be wrong wherever it says so.
+        """
+        found = proposal.get("absent", ()) if any(self.absent.values()) else ()
+        return sorted({*self.absent.get(file.name, ()), *found})
 
     def beside(self, file: File, marks: Marks) -> str:
         """Return a hash of the absent points and the origins of a picture, which its landmark file does not hold."""

@@ -18,7 +18,7 @@ from liaam.studio import contract
 from liaam.studio.agreement import shape_agreement
 from liaam.studio.folder import ADDED, SET_NAME, disk_errors, plain_name
 from liaam.studio.project import Project
-from liaam.studio.safety import Refusal
+from liaam.studio.refusal import Refusal
 from liaam.studio.store import DATABASE, Store
 
 

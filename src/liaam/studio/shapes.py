@@ -27,7 +27,7 @@ from liaam.scale.lengths import unit_of
 from liaam.studio import contract
 from liaam.studio.folder import plain_name
 from liaam.studio.project import Placed, Project
-from liaam.studio.safety import Refusal
+from liaam.studio.refusal import Refusal
 from liaam.tables import Columns
 
 GROUPS = "groups"

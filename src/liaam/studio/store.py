@@ -20,7 +20,7 @@ from liaam.errors import LiaamError
 from liaam.io.atomic import lock, sweep
 from liaam.io.files import real_path
 from liaam.studio.folder import SETS, STATE, File, Folder, disk_errors, revision_of
-from liaam.studio.safety import Refusal
+from liaam.studio.refusal import Refusal
 
 DATABASE = "studio.db"
 LOCK_FILE = "lock"

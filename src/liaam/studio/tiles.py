@@ -13,7 +13,7 @@ import numpy as np
 from liaam.drawing import as_picture
 from liaam.photometry.encoding import as_colour
 from liaam.studio.pictures import TILE, Kept, Pictures, PictureSource, jpeg_bytes, shown
-from liaam.studio.safety import Refusal
+from liaam.studio.refusal import Refusal
 
 KEPT_BYTES = 200_000_000
 """Bytes of tiles that are kept: all levels of a picture of 200 megapixels, at up to 6 bits per pixel."""

@@ -34,7 +34,7 @@ from liaam.studio.layers import fit_file
 from liaam.studio.model_store import MODEL_FILE, ModelStore, Versions
 from liaam.studio.pictures import read_for_work, work_size
 from liaam.studio.project import Annotated, Project
-from liaam.studio.safety import Refusal
+from liaam.studio.refusal import Refusal
 from liaam.tracking.motion import rescaled
 from liaam.workers import fresh_interpreters, obey_parent
 

@@ -41,7 +41,7 @@ export function drawPaths(ctx, viewer, points, contours, suggested) {
 }
 
 export function drawText(ctx, text, x, y, { colour = "#fff", align = "left" } = {}) {
-  ctx.font = "600 12px system-ui, sans-serif";
+  ctx.font = "600 12px Inter, system-ui, sans-serif";
   ctx.textAlign = align;
   ctx.textBaseline = "middle";
   ctx.lineJoin = "round";
