@@ -43,8 +43,12 @@ DIGITS = 5
 """Decimals of shapes of size 1: finer than a pixel of any screen."""
 
 PERMUTATIONS = 999
-TESTED = 2000
-"""Specimens up to which groups are tested, which then takes about a second."""
+FEWER_PERMUTATIONS = 199
+MANY = 200
+"""Specimens from which on there are fewer permutations, since a table that follows the points cannot wait for more."""
+
+TESTED = 1000
+"""Specimens up to which groups are tested."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -226,7 +230,8 @@ def _tests(sample: Sample) -> list[contract.GroupTest]:
     if len({group for group in sample.groups if group}) < 2 or len(sample.pictures) > TESTED:
         return []
     try:
-        found = shape_variation(sample.specimens, sample.columns, sample.groups, PERMUTATIONS)
+        permutations = PERMUTATIONS if len(sample.pictures) < MANY else FEWER_PERMUTATIONS
+        found = shape_variation(sample.specimens, sample.columns, sample.groups, permutations)
     except LiaamError:
         return []
     tests: list[contract.GroupTest] = []
