@@ -62,9 +62,9 @@ def test_groups_come_from_a_table_that_is_kept(sample):
     assert rows[5]["PC1"] == "" or rows[5]["PC1"] == "nan"
 
 
-@pytest.mark.parametrize("text", ["a,b\n1,2\n", "specimen,group\nother,x\n"])
+@pytest.mark.parametrize("text", ["a,b\n1,2\n", "specimen,group\nother,x\n", f"specimen,group\n{'x' * 200_000},y\n"])
 def test_a_table_of_something_else_is_refused(sample, text):
-    with pytest.raises(LiaamError, match=r"x\.csv has no columns|no specimen is in the table"):
+    with pytest.raises(LiaamError, match=r"x\.csv has no columns|no specimen is in the table|x\.csv is no table"):
         save_groups(sample, {"text": text, "name": "x.csv"})
     assert shapes(sample, {})["has_table"] is False
 
@@ -82,3 +82,10 @@ def test_points_on_a_line_have_no_grid(sample):
         put(sample, name, points, picture["revision"])
     found = shapes(sample, {})
     assert found["space"]["grid"] is None
+
+
+def test_shapes_that_are_all_alike_have_a_space_of_no_extent(sample):
+    for name, picture in by_name(sample).items():
+        put(sample, name, BASE.tolist(), picture["revision"])
+    space = shapes(sample, {"by": "folder"})["space"]
+    assert space["limit"] == 0 and set(space["distances"]) == {0.0} and not np.isnan(space["scores"]).any()
