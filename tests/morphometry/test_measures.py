@@ -15,6 +15,7 @@ from liaam.morphometry.measures import (
     area,
     centroid_size,
     distance,
+    length,
     parse_scale,
     procrustes,
 )
@@ -30,10 +31,11 @@ def test_known_values() -> None:
     assert angle(np.array([[1.0, 0], [0, 0], [-1, 1]]))[0] == pytest.approx(135)
     assert area(np.array([[0.0, 0], [0, 3], [2, 3], [2, 0]]))[0] == 6  # in either direction
     assert area(np.array([[2.0, 0], [2, 3], [0, 3], [0, 0]]))[0] == 6
+    assert length(np.array([[0.0, 0], [3, 4], [3, 10]]))[0] == 11
     assert centroid_size(np.array([[0.0, 0], [2, 0]]))[0] == pytest.approx(np.sqrt(2))
 
 
-@pytest.mark.parametrize(("function", "n"), [(distance, 2), (angle, 3), (area, 5), (centroid_size, 6)])
+@pytest.mark.parametrize(("function", "n"), [(distance, 2), (angle, 3), (area, 5), (length, 4), (centroid_size, 6)])
 @given(seed=seeds)
 @SOME
 def test_gradients(function, n: int, seed: int) -> None:
@@ -107,6 +109,7 @@ def test_unknown_measures(text: str) -> None:
         ("distance:1-1", "distance takes 2 different"),
         ("angle:1-2", "angle takes 3 different"),
         ("area:1-2", "area takes 3 or more different landmarks"),
+        ("length:1", "length takes 2 or more different landmarks"),
     ],
 )
 def test_wrong_numbers_of_landmarks(text: str, words: str) -> None:

@@ -3,7 +3,7 @@
 import httpx
 import pytest
 
-from liaam.studio.safety import Refusal
+from liaam.studio.refusal import Refusal
 
 TRIANGLE = {"names": ["a", "b", "c"], "contours": [{"indices": [0, 1, 2], "closed": True}], "mirror": [1, 0, 2]}
 POINTS = [[1.0, 2.0], [30.5, 2.25], [15.0, 20.0]]

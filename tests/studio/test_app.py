@@ -68,7 +68,7 @@ def test_the_project_is_described(folder, serve):
     }  # fmt: skip
     assert answer["default_method"] in {method["name"] for method in answer["methods"]}
     assert answer["default_ambient"] == AMBIENT
-    assert answer["limits"] == {"upload_bytes": 64_000_000, "pixels": 50_000_000}
+    assert answer["limits"] == {"upload_bytes": 64_000_000, "pixels": 200_000_000}
 
 
 def test_an_empty_folder_has_an_empty_page(folder, serve):
@@ -134,7 +134,8 @@ def test_landmarks_are_saved_and_other_pages_told(folder, serve, listen):
     marks = {"points": [[1, 2], [30, 2], None], "invisible": [], "revision": None}
     answer = client.put("/api/pictures/p1.png/landmarks", json=marks).json()
     assert (answer["picture"]["state"], answer["picture"]["placed"]) == ("partial", 2)
-    assert page.event("landmarks") == {"name": "p1.png", "revision": answer["revision"]}
+    told = {"name": "p1.png", "revision": answer["revision"], "beside": answer["beside"]}
+    assert page.event("landmarks") == told
     clash = client.put("/api/pictures/p1.png/landmarks", json={**marks, "points": [[5, 5], None, None]})
     assert clash.status_code == 409
     assert clash.json()["current"] == client.get("/api/pictures/p1.png/landmarks").json()

@@ -20,7 +20,7 @@ from liaam.studio.model_store import (
     model_json,
 )
 from liaam.studio.project import Project
-from liaam.studio.safety import Refusal
+from liaam.studio.refusal import Refusal
 from liaam.studio.training import Trainer
 
 pytestmark = pytest.mark.slow

@@ -31,8 +31,8 @@ from liaam.studio.fits import FILES, Fits, error_of, example, numbers, truth_of
 from liaam.studio.model_store import ModelInUse, ModelStore
 from liaam.studio.pictures import Kept, Pictures, averaged, fitted_size, source_of
 from liaam.studio.project import Project
+from liaam.studio.refusal import Refusal
 from liaam.studio.routes import attachment, light_of, parse_start
-from liaam.studio.safety import Refusal
 from liaam.studio.settings import StudioSettings
 from liaam.tracking.motion import rescaled
 from scenes import Scene

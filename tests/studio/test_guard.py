@@ -8,7 +8,8 @@ from dataclasses import dataclass, field
 import h11
 import pytest
 
-from liaam.studio.safety import HEADERS, RETRY_AFTER, Crowd, Guard, Refusal, is_own_host
+from liaam.studio.refusal import Refusal
+from liaam.studio.safety import HEADERS, RETRY_AFTER, Crowd, Guard, is_own_host
 from liaam.studio.settings import StudioSettings
 
 SETTINGS = StudioSettings(

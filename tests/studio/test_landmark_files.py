@@ -12,7 +12,7 @@ from liaam.errors import LandmarkError, LiaamError
 from liaam.io import Contour, Landmarks, read_landmarks, write_collection, write_image, write_landmarks
 from liaam.studio.folder import STATE
 from liaam.studio.project import Project
-from liaam.studio.safety import Refusal
+from liaam.studio.refusal import Refusal
 
 
 def test_landmarks_are_saved_beside_the_picture_as_train_reads_them(small):

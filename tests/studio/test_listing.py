@@ -1,6 +1,5 @@
 """Which pictures a project has, and which of them can be used."""
 
-import os
 import threading
 
 import numpy as np
@@ -139,15 +138,12 @@ def test_sizes_are_upright(small):
     assert small.source("turned.jpg").size == (20, 50)
 
 
-def test_folders_that_cannot_be_used_are_refused(tmp_path, monkeypatch):
+def test_folders_that_cannot_be_used_are_refused(tmp_path):
     with pytest.raises(ImageError, match="does not exist"):
         Project(tmp_path / "missing")
     (tmp_path / "file").touch()
     with pytest.raises(ImageError, match="is a file, not a folder"):
         Project(tmp_path / "file")
-    monkeypatch.setattr(os, "access", lambda *_: False)
-    with pytest.raises(ImageError, match="cannot be written to"):
-        Project(tmp_path)
 
 
 def test_an_empty_folder_is_fine(tmp_path):

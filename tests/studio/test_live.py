@@ -13,7 +13,7 @@ from liaam.errors import MethodError
 from liaam.studio import live
 from liaam.studio.live import Frame, LiveVideo, LiveVideos, in_whole
 from liaam.studio.model_store import ModelStore
-from liaam.studio.safety import Refusal
+from liaam.studio.refusal import Refusal
 from liaam.studio.settings import StudioSettings
 from liaam.tracking import Tracker, TrackStatus
 from setups import moving_scene

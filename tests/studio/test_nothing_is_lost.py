@@ -15,7 +15,7 @@ from liaam.studio import folder as project_folder, landmark_files
 from liaam.studio.app import Studio
 from liaam.studio.folder import STATE, Listing
 from liaam.studio.project import Project
-from liaam.studio.safety import Refusal
+from liaam.studio.refusal import Refusal
 from liaam.studio.settings import StudioSettings
 from liaam.studio.store import Store
 

@@ -140,3 +140,47 @@ def test_absent_points_are_stored_before_any_is_placed_and_go_along_with_the_tem
     assert (small.marks("p1.png")["absent"], states(small)["p1.png"]) == ([0], "done")
     data = {"points": [None] * 2, "revision": None, "absent": [7]}
     assert refused(small.save_marks, "p2.png", data).status == 422
+
+
+def test_two_pages_keep_the_absent_points_and_confirmations_of_each_other(small):
+    save(small, "p1.png", [POINTS[0], None, None], origins=["proposed", None, None])
+    read = small.marks("p1.png")
+    base = {"absent": read["absent"], "origins": read["origins"]}
+    page = {"points": read["points"], "revision": read["revision"], "base": base}
+    first = small.save_marks("p1.png", {**page, "absent": [1], "origins": read["origins"]})
+    assert not first["merged"] and first["beside"] != read["beside"]
+    second = small.save_marks("p1.png", {**page, "absent": [2], "origins": ["confirmed", None, None]})
+    now = small.marks("p1.png")
+    assert second["merged"] and now["absent"] == [1, 2] and now["origins"] == ["confirmed", None, None]
+    third = small.save_marks("p1.png", {**page, "absent": [], "origins": ["proposed", None, None]})
+    assert third["merged"] and small.marks("p1.png")["absent"] == [1, 2]  # it had changed nothing
+    assert small.marks("p1.png")["origins"] == ["confirmed", None, None] and third["beside"] == now["beside"]
+    withdrawn = {**page, "base": {"absent": [1, 2]}, "absent": [2]}
+    small.save_marks("p1.png", withdrawn)
+    assert small.marks("p1.png")["absent"] == [2]
+
+
+def test_a_base_that_is_not_valid_is_refused_or_ignored(small):
+    save(small, "p1.png")
+    read = small.marks("p1.png")
+    page = {"points": read["points"], "revision": read["revision"], "absent": []}
+    assert refused(small.save_marks, "p1.png", {**page, "base": {"absent": [9]}}).status == 422
+    for base in (None, 3, [], {"origins": 3}, {"origins": []}):
+        assert not small.save_marks("p1.png", {**page, "base": base})["merged"]
+
+
+def test_points_that_the_model_finds_absent_are_proposed_as_absent(small):
+    found = {**proposal(), "absent": [1]}
+    small.add_proposals({"p1.png": found, "p2.png": found, "p10.png": found})
+    assert small.marks("p1.png")["absent"] == []  # as far as anybody has said, all objects are complete
+    save(small, "q.jpg", [POINTS[0], None, POINTS[2]], absent=[1])
+    marks = small.marks("p1.png")
+    assert marks["absent"] == [1] and marks["points"][1] is None and marks["points"][0] == POINTS[0]
+    base = {"absent": marks["absent"]}
+    page = {"points": marks["points"], "revision": None, "absent": [1], "base": base}
+    assert small.save_marks("p1.png", page)["picture"]["state"] == "done"
+    small.review({"pictures": ["p2.png"], "did": "accepted"})
+    assert small.marks("p2.png")["absent"] == [1] and by_name(small)["p2.png"]["state"] == "done"
+    there = {"points": POINTS, "revision": None, "absent": [], "base": base}
+    small.save_marks("p10.png", there)  # a person has found and placed it
+    assert small.marks("p10.png")["absent"] == [] and small.marks("p10.png")["points"] == POINTS

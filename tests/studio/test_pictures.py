@@ -30,8 +30,8 @@ from liaam.studio.pictures import (
     shown,
     source_of,
 )
+from liaam.studio.refusal import Refusal
 from liaam.studio.routes import checked_size
-from liaam.studio.safety import Refusal
 
 LIMIT = 50_000_000
 

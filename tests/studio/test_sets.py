@@ -16,7 +16,7 @@ from liaam.io import Landmarks, read_landmarks, write_image, write_landmarks
 from liaam.morphometry import measure, measurement_error, read_specimens
 from liaam.studio.model_store import ModelStore, load_studio_model
 from liaam.studio.project import Project
-from liaam.studio.safety import Refusal
+from liaam.studio.refusal import Refusal
 from liaam.studio.sets import agreement, make_set, others
 
 HAND = {"names": ["u", "v"], "contours": [], "mirror": None}

@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 
 from liaam.io import Contour, Landmarks
-from liaam.studio.safety import Refusal
+from liaam.studio.refusal import Refusal
 from liaam.studio.template import Template, parse_template, template_of
 
 

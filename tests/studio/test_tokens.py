@@ -5,7 +5,7 @@ import stat
 
 import pytest
 
-from liaam.studio.tokens import TICKET_SECONDS, Tickets, lasting_token
+from liaam.studio.tokens import TICKET_SECONDS, TOKEN_SECONDS, Tickets, lasting_token
 
 
 @pytest.fixture
@@ -58,6 +58,17 @@ def test_a_token_that_others_may_know_is_replaced(state, tmp_path, what):
     assert second != first and len(second) >= 32
     if what != "folder":  # nothing can be written there, so the token is for this time
         assert lasting_token(tmp_path) == second
+
+
+def test_a_start_after_thirty_days_has_another_token(state, tmp_path):
+    first = lasting_token(tmp_path)
+    (file,) = files(state)
+    made = file.stat().st_mtime
+    os.utime(file, (made, made - TOKEN_SECONDS + 60))
+    assert lasting_token(tmp_path) == first
+    os.utime(file, (made, made - TOKEN_SECONDS - 60))
+    second = lasting_token(tmp_path)
+    assert second != first and lasting_token(tmp_path) == second
 
 
 def test_without_a_state_folder_each_start_has_another_token(tmp_path, monkeypatch):

@@ -14,8 +14,8 @@ from PIL import Image
 
 from liaam.studio.folder import plain_name
 from liaam.studio.pictures import Pictures, Uploads
+from liaam.studio.refusal import Refusal
 from liaam.studio.routes import read_json
-from liaam.studio.safety import Refusal
 from liaam.studio.settings import StudioSettings
 
 

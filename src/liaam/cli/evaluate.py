@@ -21,7 +21,6 @@ if TYPE_CHECKING:
     from liaam.datasets import Dataset
     from liaam.evaluation import LearningCurve
 
-SAME = 0.01  # Distance in pixels up to which a point in a file is the one that the studio stored
 SHOWN = 10  # Landmarks in the printed table, and images on the contact sheet: those with the largest errors
 
 
@@ -172,7 +171,7 @@ def without_proposals(data: "Dataset", folder: Path) -> "Dataset":
 
     They would confirm the model that proposed them.
     """
-    from liaam.studio.origins import saved_proposals
+    from liaam.studio.origins import saved_proposals, without_proposals as own_of
 
     proposals = saved_proposals(folder) if folder.is_dir() else {}
     samples = []
@@ -180,16 +179,10 @@ def without_proposals(data: "Dataset", folder: Path) -> "Dataset":
     n_points = 0
     for sample in data:
         known = proposals.get(_picture_of(sample.image, folder))
-        points = sample.landmarks.points
-        if known is None:
-            samples.append(sample)
-            continue
-        distances = np.linalg.norm(points[:, None] - known, axis=2)
-        proposed = (distances <= SAME).any(axis=1)
-        if proposed.any():
+        own, n_proposed = own_of(sample.landmarks.points, known)
+        if n_proposed:
             changed.append(sample.name)
-            n_points += int(proposed.sum())
-        own = np.where(proposed[:, None], np.nan, points)
+            n_points += n_proposed
         samples.append(replace(sample, landmarks=replace(sample.landmarks, points=own)))
     if changed:
         complain(

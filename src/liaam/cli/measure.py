@@ -3,6 +3,7 @@
 import re
 from collections import defaultdict
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -62,7 +63,8 @@ def measure(
         list[str] | None,
         typer.Argument(
             metavar="MEASURE...",
-            help="distance:1-5, angle:1-2-3 (at landmark 2) or area:1-2-3-4, with landmarks counted from 1, or with "
+            help="distance:1-5, angle:1-2-3 (at landmark 2), area:1-2-3-4 or length:1-2-3-4 (of the line through "
+            "them), with landmarks counted from 1, or with "
             "their names.",
         ),
     ] = None,
@@ -268,9 +270,30 @@ def _agreement(
 ) -> "ShapeAgreement":
     """Compare specimens with the landmarks that people have placed."""
     from liaam.evaluation import compare_specimens
-    from liaam.morphometry import read_specimens
 
-    return compare_specimens(specimens, [read_specimens(path, complain, reading) for path in labels], groups)
+    return compare_specimens(specimens, [_labels(path, reading) for path in labels], groups)
+
+
+def _labels(path: Path, reading: Reading) -> "list[Specimen]":
+    """Read the landmarks that a person has placed, without points that the studio proposed and nobody confirmed."""
+    from liaam.morphometry import read_specimens
+    from liaam.studio.origins import saved_proposals, without_proposals
+
+    folder = path if path.is_dir() else path.parent
+    proposals = {picture.rpartition(".")[0]: points for picture, points in saved_proposals(folder).items()}
+    specimens = []
+    changed = []
+    for specimen in read_specimens(path, complain, reading):
+        own, n_proposed = without_proposals(specimen.points, proposals.get(specimen.name))
+        if n_proposed:
+            changed.append(specimen.name)
+        specimens.append(replace(specimen, points=own) if n_proposed else specimen)
+    if changed:
+        complain(
+            f"{count_of(len(changed), 'specimen')} of {path} left out, since points were accepted as they were "
+            f"proposed, and are no labels: {some_names(changed)}; move or confirm each in the studio"
+        )
+    return specimens
 
 
 def _write_agreement(agreement: "ShapeAgreement", output: Path) -> None:

@@ -2,7 +2,16 @@
 
 from liaam.io.atomic import atomic_path, write_bytes_atomically, write_text_atomically
 from liaam.io.files import make_folder
-from liaam.io.images import IMAGE_SUFFIXES, decode_image, image_kind, image_size, read_image, read_preview, write_image
+from liaam.io.images import (
+    IMAGE_SUFFIXES,
+    decode_image,
+    image_kind,
+    image_size,
+    read_image,
+    read_preview,
+    read_strips,
+    write_image,
+)
 from liaam.io.landmarks import (
     LANDMARK_SUFFIXES,
     Contour,
@@ -37,6 +46,7 @@ __all__ = [
     "read_image",
     "read_landmarks",
     "read_preview",
+    "read_strips",
     "video_writer",
     "write_bytes_atomically",
     "write_collection",

@@ -2,13 +2,14 @@
 
 from liaam.morphometry.asymmetry import MATCHING, OBJECT, AsymmetryResult, asymmetry
 from liaam.morphometry.curves import with_even_curves
-from liaam.morphometry.groups import groups_of, read_groups
+from liaam.morphometry.groups import groups_in, groups_of, read_groups
 from liaam.morphometry.measures import Measure, ScaleBar
 from liaam.morphometry.missing import with_estimated_landmarks
 from liaam.morphometry.reading import read_specimens
 from liaam.morphometry.replicates import exchanged_landmarks, measurement_error
 from liaam.morphometry.scale_tables import read_lengths, with_lengths
 from liaam.morphometry.sides import of_one_side
+from liaam.morphometry.space import Grid, ShapeSpace, shape_space, thin_plate_weights
 from liaam.morphometry.specimens import Specimen
 from liaam.morphometry.symmetry import Asymmetry, matching_asymmetry, object_asymmetry
 from liaam.morphometry.table import alike, measure
@@ -19,13 +20,16 @@ __all__ = [
     "OBJECT",
     "Asymmetry",
     "AsymmetryResult",
+    "Grid",
     "Measure",
     "ScaleBar",
+    "ShapeSpace",
     "ShapeVariation",
     "Specimen",
     "alike",
     "asymmetry",
     "exchanged_landmarks",
+    "groups_in",
     "groups_of",
     "matching_asymmetry",
     "measure",
@@ -35,7 +39,9 @@ __all__ = [
     "read_groups",
     "read_lengths",
     "read_specimens",
+    "shape_space",
     "shape_variation",
+    "thin_plate_weights",
     "with_estimated_landmarks",
     "with_even_curves",
     "with_lengths",

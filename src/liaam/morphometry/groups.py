@@ -28,7 +28,15 @@ def read_groups(path: AnyPath) -> dict[str, str]:
         If the file or a column is missing, or a specimen occurs twice.
     """
     path = existing_file(path, LiaamError, "table of groups")
-    rows = list(csv.DictReader(read_text(path).splitlines()))
+    return groups_in(read_text(path), str(path))
+
+
+def groups_in(text: str, path: str) -> dict[str, str]:
+    """Parse the text of a table of groups, as :func:`read_groups`; ``path`` names it in messages."""
+    try:
+        rows = list(csv.DictReader(text.splitlines()))
+    except csv.Error as fault:  # such as a field of a hundred thousand letters
+        raise LiaamError(f"{path} is no table ({fault}): save it again as .csv") from fault
     column = next((column for column in NAMES if rows and column in rows[0]), None)
     if column is None or "group" not in rows[0]:
         raise LiaamError(

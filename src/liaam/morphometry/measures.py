@@ -50,6 +50,17 @@ def area(points: np.ndarray) -> Measured:
     return abs(signed), math.copysign(1, signed) * np.stack([chord[:, 1], -chord[:, 0]], axis=1)
 
 
+def length(points: np.ndarray) -> Measured:
+    """Length of the line through the points, in pixels."""
+    steps = np.diff(points, axis=0)
+    lengths = np.linalg.norm(steps, axis=1)
+    directions = steps / lengths[:, None]
+    gradient = np.zeros_like(points, np.float64)
+    gradient[:-1] -= directions
+    gradient[1:] += directions
+    return float(lengths.sum()), gradient
+
+
 def centroid_size(points: np.ndarray) -> Measured:
     """Root of the sum of squared distances from the centroid, in pixels."""
     centred = points - points.mean(axis=0)
@@ -89,20 +100,22 @@ _KINDS = {
     "distance": _Kind(distance, fewest=2, most=2, power=1),
     "angle": _Kind(angle, fewest=3, most=3, power=0),
     "area": _Kind(area, fewest=3, most=1000, power=2),
+    "length": _Kind(length, fewest=2, most=1000, power=1),
 }
 
 _REMEDY = (
-    "give distance:1-5, angle:1-2-3 (at landmark 2) or area:1-2-3-4, with landmarks counted from 1, or with their names"
+    "give distance:1-5, angle:1-2-3 (at landmark 2), area:1-2-3-4 or length:1-2-3-4 (of the line through them), with "
+    "landmarks counted from 1, or with their names"
 )
 
 
 @dataclass(frozen=True)
 class Measure:
-    """A distance, an angle or an area.
+    """A distance, an angle, an area, or the length of a line.
 
     Attributes
     ----------
-    kind : {"distance", "angle", "area"}
+    kind : {"distance", "angle", "area", "length"}
     landmarks : tuple of str
         Landmarks by number, counted from 1, or by name.
     """
@@ -112,7 +125,9 @@ class Measure:
 
     @classmethod
     def parse(cls, text: str) -> Measure:
-        """Parse ``distance:1-5``, ``angle:1-2-3`` or ``area:1-2-3-4``. Commas separate names that contain hyphens.
+        """Parse ``distance:1-5``, ``angle:1-2-3``, ``area:1-2-3-4`` or ``length:1-2-3-4``.
+
+        Commas separate names that contain hyphens.
 
         Raises
         ------

@@ -53,7 +53,7 @@ def measure(
     scale: str | float | Length | ScaleBar | None = None,
     slide: str | None = None,
 ) -> Columns:
-    """Measure specimens: distances, angles, areas, centroid size and Procrustes coordinates, with standard errors.
+    """Measure specimens: distances, angles, areas, lengths, centroid size and Procrustes coordinates, with errors.
 
     Standard errors are carried from the landmarks' covariances, and from the errors of the scales, by the delta method;
     errors of different landmarks, and of a landmark and the scale, are taken as independent.
@@ -63,8 +63,8 @@ def measure(
     specimens : iterable of Specimen
         Those that have other landmarks than most are left out with a warning, see :func:`alike`.
     measures : str, or iterable of str or Measure
-        Such as ``"distance:1-5"``, ``"angle:1-2-3"`` (at landmark 2) and ``"area:1-2-3-4"``, by numbers counted from
-        1 or by names.
+        Such as ``"distance:1-5"``, ``"angle:1-2-3"`` (at landmark 2), ``"area:1-2-3-4"`` and ``"length:1-2-3-4"`` (of
+        the line through the landmarks), by numbers counted from 1 or by names.
     scale : str, float, Length or ScaleBar, optional
         Length of a pixel, such as ``"0.0031 mm"``, or a scale bar such as ``"11-12=5 mm"``, whose ends are then not
         part of the shape. A unit alone, such as ``"mm"``, is that of the specimens whose scale has none. Default: each

@@ -221,14 +221,8 @@ def shape_variation(
     fit = superimpose(shapes)
     errors = _errors(used, inside, shapes, fit.mean)
     flat = fit.shapes.reshape(len(used), -1)
-    deviations = flat - flat.mean(axis=0)
-    _, singular, axes = np.linalg.svd(deviations, full_matrices=False)
-    count = max(1, min(COMPONENTS, int((singular > LEAST * singular[0]).sum())))
-    axes = axes[:count]
-    largest = np.take_along_axis(axes, np.abs(axes).argmax(axis=1)[:, None], axis=1)
-    axes = axes * np.where(largest < 0, -1.0, 1.0)  # a component's sign is arbitrary
-    squares = float(np.square(singular).sum())
-    total = squares / (len(used) - 1)
+    scores, axes, shares = principal_components(flat, COMPONENTS)
+    total = float(np.square(flat - flat.mean(axis=0)).sum()) / (len(used) - 1)
     measuring = float(_known_mean(np.trace(errors, axis1=1, axis2=2)[:, None])[0])
     own = () if groups is None else tuple(group for group, kept in zip(groups, has_shape, strict=True) if kept)
     compared = large_groups(own) if groups is not None else []
@@ -240,14 +234,29 @@ def shape_variation(
         landmarks=tuple(numbers),
         total=total,
         measuring=measuring,
-        scores=deviations @ axes.T,
+        scores=scores,
         scores_se=np.sqrt(np.maximum(np.einsum("ca,mab,cb->mc", axes, errors, axes), 0.0)),
-        shares=np.square(singular[:count]) / (squares or 1.0),
+        shares=shares,
         means=means,
         means_se=means_se,
         means_se_by_measuring=by_measuring,
         tests=_tests(flat, np.array(own), compared, permutations, seed),
     )
+
+
+def principal_components(shapes: np.ndarray, most: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Return scores (m, c), axes (c, d) and shares of the variance (c,) of the first components of shapes (m, d).
+
+    The sign of an axis is that of its largest coordinate.
+    """
+    deviations = shapes - shapes.mean(axis=0)
+    _, singular, axes = np.linalg.svd(deviations, full_matrices=False)
+    count = max(1, min(most, int((singular > LEAST * singular[0]).sum())))
+    axes = axes[:count]
+    largest = np.take_along_axis(axes, np.abs(axes).argmax(axis=1)[:, None], axis=1)
+    axes = axes * np.where(largest < 0, -1.0, 1.0)  # a component's sign is arbitrary
+    squares = float(np.square(singular).sum())
+    return deviations @ axes.T, axes, np.square(singular[:count]) / (squares or 1.0)
 
 
 def _errors(used: Sequence[Specimen], inside: Sequence[int], shapes: np.ndarray, mean: np.ndarray) -> np.ndarray:

@@ -8,6 +8,7 @@ import threading
 from collections.abc import Callable, Sequence
 from contextlib import ExitStack, suppress
 from dataclasses import asdict
+from functools import partial
 from pathlib import Path
 from typing import Any, cast
 
@@ -29,20 +30,23 @@ from liaam.io.landmarks import LANDMARK_SUFFIXES
 from liaam.model import load_model
 from liaam.photometry import CameraModel
 from liaam.relighting.lamp import AMBIENT
-from liaam.studio import contract, live
+from liaam.studio import contract, live, picture_files, shapes
+from liaam.studio.agreement import model_agreement
 from liaam.studio.background import Background
 from liaam.studio.fits import LAYER_SIZE, Fits, truth_of
-from liaam.studio.folder import checked_folder, plain_name, status_of
+from liaam.studio.folder import Folder, checked_folder, plain_name, status_of
 from liaam.studio.live import LiveVideos
 from liaam.studio.model_store import ModelStore, load_dropped_model, load_studio_model, model_json
 from liaam.studio.pictures import Pictures, PictureSource, Uploads, jpeg_bytes
 from liaam.studio.project import Project
+from liaam.studio.refusal import Refusal
 from liaam.studio.routes import Events, attachment, checked_size, light_of, maybe_json, parse_start, read_json, route
-from liaam.studio.safety import FILES, FITS, GUEST, HEADERS, UPLOADS, Guard, Refusal
+from liaam.studio.safety import FILES, FITS, GUEST, HEADERS, UPLOADS, Guard
 from liaam.studio.sets import agreement, make_set, observers, others
 from liaam.studio.settings import StudioSettings
 from liaam.studio.static_files import Page
 from liaam.studio.store import folder_locked
+from liaam.studio.tiles import Tiles
 from liaam.studio.training import Trainer
 
 IMAGE_SIZE = 2048  # default longest side of an image, pixels
@@ -82,13 +86,16 @@ class Studio:
         self.settings = settings or StudioSettings()
         with ExitStack() as lock:
             if of is None:
-                lock.enter_context(folder_locked(checked_folder(folder), self.settings.address.partition("?")[0]))
+                lock.enter_context(
+                    folder_locked(Folder(checked_folder(folder)), self.settings.address.partition("?")[0])
+                )
             self.project: Project = of[0].project.of_set(of[1]) if of else Project(folder, self.settings)
             self.project.store.prepare()
             self._others: dict[str, Studio] = {}  # of further sets of landmarks
             self._making = threading.Lock()
             self.models, self.events = ModelStore(), Events(self.settings.heartbeat_seconds)
             self.pictures = of[0].pictures if of else Pictures()
+            self.tiles = of[0].tiles if of else Tiles(self.pictures)
             self.uploads = Uploads(self.pictures, self.settings)
             self.training = Trainer(self.project, self.models, self.events.publish)
             self.background = Background(self.project, self.models, self.training, self.events.publish)
@@ -137,15 +144,22 @@ class Studio:
             route("GET", "/api/project", self._overview),
             route("GET", of_picture + "image", self._image, limiter=shown),
             route("GET", of_picture + "chroma", self._chroma, limiter=shown),
+            route("GET", of_picture + "tiles/{level:int}/{column:int}/{row:int}", self._tile, limiter=shown),
             route("GET", of_picture + "landmarks", lambda asked: project.marks(asked.path_params["name"])),
             route("PUT", of_picture + "landmarks", self._save_landmarks, read_json),
             route("GET", of_picture + "history", lambda asked: project.history(asked.path_params["name"])),
             route("POST", "/api/review", self._review, read_json),
+            route("POST", "/api/removed", partial(self._change_files, picture_files.remove), read_json),
+            route("POST", "/api/restored", partial(self._change_files, picture_files.restore), read_json),
+            route("POST", "/api/renamed", self._rename, read_json),
             route("GET", "/api/export/{kind}", lambda it: attachment(*project.export(it.path_params["kind"]))),
             route("GET", "/api/measurements", self._measurements),
+            route("GET", "/api/shapes", lambda asked: shapes.shapes(project, asked.query_params)),
+            route("PUT", "/api/groups", self._save_groups, read_json),
             route("GET", of_picture + "others", lambda asked: others(project, asked.path_params["name"])),
             route("POST", "/api/sets", lambda _, data: make_set(project, data), read_json, status=201),
             route("GET", "/api/agreement", lambda _: agreement(project)),
+            route("GET", "/api/agreement/model", lambda _: model_agreement(project)),
             route("PUT", "/api/template", self._save_template, read_json),
             route("POST", "/api/template/file", lambda it, raw: project.read_template(_name(it), raw).as_json(), data),
             route("POST", "/api/training", self._train, maybe_json, status=202),
@@ -181,6 +195,7 @@ class Studio:
             "id": project.store.id,
             "stamp": overview.stamp + suffix,
             "folder": project.root.name or str(project.root),
+            "read_only": project.folder.is_read_only,
             "set": project.set_name,
             "sets": sets,
             "observers": observers(project),
@@ -211,7 +226,8 @@ class Studio:
     def _save_landmarks(self, request: Request, data: Any) -> contract.Saved:
         name = request.path_params["name"]
         answer = self.project.save_marks(name, data)
-        self.events.publish("landmarks", {"name": name, "revision": answer["revision"]})
+        changed = {"name": name, "revision": answer["revision"], "beside": answer["beside"]}
+        self.events.publish("landmarks", changed)
         self.background.woken.set()
         return answer
 
@@ -224,9 +240,25 @@ class Studio:
         self.events.publish("project", {})
         return answer
 
+    def _change_files(self, change: Callable[[Project, Any], Any], request: Request, data: Any) -> Any:
+        try:
+            return change(self.project, data)
+        finally:
+            self.background.woken.set()
+            self.events.publish("project", {})
+
+    def _rename(self, request: Request, data: Any) -> contract.Renamed:
+        answer = self._change_files(picture_files.rename, request, data)
+        self.training.rename(answer["before"], answer["name"])
+        return answer
+
     def _measurements(self, request: Request) -> Response:
-        asked = request.query_params
-        return attachment(*self.project.measurements(asked.get("measures", ""), asked.get("scale", "")))
+        return attachment(*shapes.table(self.project, request.query_params))
+
+    def _save_groups(self, request: Request, data: Any) -> dict[str, int]:
+        answer = shapes.save_groups(self.project, data)
+        self.events.publish("project", {})
+        return answer
 
     def _save_template(self, request: Request, data: Any) -> contract.Template | None:
         try:
@@ -279,6 +311,15 @@ class Studio:
         size = checked_size(request.query_params.get("size"), IMAGE_SIZE)
         return self._cached(request, f"{size}", lambda picture: self.pictures.image(picture, size), "image/jpeg")
 
+    def _tile(self, request: Request) -> Response:
+        asked = request.path_params
+        level, column, row = asked["level"], asked["column"], asked["row"]
+
+        def make(picture: PictureSource) -> bytes:
+            return self.tiles.get(picture, level, column, row)
+
+        return self._cached(request, f"tile-{level}-{column}-{row}", make, "image/jpeg")
+
     def _chroma(self, request: Request) -> Response:
         size = checked_size(request.query_params.get("size"), CHROMA_SIZE)
         current = self.models.current
@@ -324,7 +365,8 @@ class Studio:
     def _export_fit(self, request: Request) -> Response:
         fit = self.fits.get(request.path_params["id"])
         what = request.query_params.get("what", "")
-        name, kind, data = self.fits.export(fit, what, light_of(request.query_params))
+        pixel = self.project.pixel_length(fit.of[1]) if fit.of[0] == "picture" else None
+        name, kind, data = self.fits.export(fit, what, light_of(request.query_params), pixel)
         return attachment(name, data, kind)
 
     def _fit(self, request: Request, body: Any) -> dict[str, Any]:

@@ -24,6 +24,7 @@ from liaam.model.shape import diagonal_of
 from liaam.models import FACE
 from liaam.studio import contract
 from liaam.studio.fits import WARM_UP, example
+from liaam.studio.layers import fit_file
 from liaam.studio.model_store import ModelInUse, ModelStore
 from liaam.studio.pictures import file_tag
 from liaam.studio.project import Project
@@ -226,7 +227,7 @@ def propose(fitter: Fitter, path: Path) -> dict[str, Any]:
     """Find the object in a picture; return the proposal as JSON, without points if there is no fit."""
     try:
         tag = file_tag(path)  # before reading: the proposal is not valid for a file that replaces it meanwhile
-        return {**proposal_of(fitter.fit(path)), "tag": tag}
+        return {**proposal_of(fit_file(fitter, path)), "tag": tag}
     except LiaamError as fault:
         message = str(fault).replace(f"{path.parent}{os.sep}", "")
     except MemoryError:
@@ -256,4 +257,5 @@ def proposal_of(result: FitResult) -> dict[str, Any]:
         "found": is_certain,
         "doubtful": not is_certain or not result.status.ok,
         "uncertainty": round(float(result.sd.mean()) / size, 5) if has_covariances else None,
+        "absent": np.flatnonzero(result.absent).tolist() if result.status.ok else [],
     }

@@ -82,6 +82,14 @@ class Marks(TypedDict):
     width: int
     height: int
     bar: Bar | None
+    beside: Annotated[str, "Changes with the absent points and the origins, which the file does not hold."]
+
+
+class Base(TypedDict):
+    """What a page has changed from, beside the landmark file."""
+
+    absent: NotRequired[list[int]]
+    origins: NotRequired[list[Origin | None]]
 
 
 class SaveMarks(TypedDict):
@@ -91,6 +99,7 @@ class SaveMarks(TypedDict):
     invisible: NotRequired[list[int]]
     absent: NotRequired[list[int]]
     origins: NotRequired[list[Origin | None]]
+    base: Annotated[NotRequired[Base], "With it, what others have changed meanwhile of other points stays."]
     bar: NotRequired[Bar | None]
     revision: str | None
     template: Annotated[NotRequired[str | None], "Revision of the template of the points."]
@@ -103,6 +112,8 @@ class Saved(TypedDict):
     """The answer to it."""
 
     revision: str | None
+    beside: str
+    merged: Annotated[bool, "Whether others had changed absent points or origins, which were kept."]
     picture: Picture
 
 
@@ -111,6 +122,20 @@ class Reviewed(TypedDict):
 
     changed: list[str]
     refused: Annotated[dict[str, str], "Reasons by name."]
+
+
+class Removed(TypedDict):
+    """Pictures that were removed from the folder, or restored."""
+
+    token: Annotated[str, "Restores them."]
+    pictures: list[str]
+
+
+class Renamed(TypedDict):
+    """A picture that was renamed."""
+
+    before: str
+    name: str
 
 
 class HistoryEntry(TypedDict):
@@ -199,6 +224,7 @@ class Project(TypedDict):
     id: str
     stamp: str
     folder: str
+    read_only: Annotated[bool, "Whether nothing can be written, so that pictures are only shown, fitted and relit."]
     set: Annotated[str, "The set of landmarks that the page shows."]
     sets: Annotated[list[str], "All sets of the folder; '' is the first one."]
     observers: Annotated[list[str], "The sets of the same points, if there are several."]
@@ -226,6 +252,80 @@ class Unchanged(TypedDict):
     stamp: str
 
 
+class Column(TypedDict):
+    """A measure of all pictures with landmarks."""
+
+    measure: Annotated[str | None, "Such as distance:1-5; null: the centroid size."]
+    name: str
+    unit: Annotated[str, "px, °, or a unit of length or area."]
+    values: Annotated[list[float | None], "null: a landmark is missing, or the picture has no scale."]
+
+
+class Grid(TypedDict):
+    """A grid over the mean shape, and how its points move with each principal component."""
+
+    rows: int
+    columns: int
+    points: list[list[float]]
+    bends: Annotated[list[list[list[float]]], "For a score of 1, by component."]
+
+
+class Space(TypedDict):
+    """The space of shapes, of centroid size 1, y downwards as in pictures."""
+
+    landmarks: Annotated[list[int], "Indices of the points that make the shape."]
+    of: Annotated[list[int], "Indices of the pictures that have a shape."]
+    mean: list[list[float]]
+    shapes: Annotated[list[list[list[float]]], "Those of the first of them, to be drawn over each other."]
+    scores: Annotated[list[list[float]], "By picture, of each principal component."]
+    axes: Annotated[list[list[list[float]]], "By component: the mean plus scores times axes is a shape."]
+    shares: list[float]
+    distances: Annotated[list[float], "From the mean shape, in centroid sizes."]
+    limit: Annotated[float, "Distance beyond which a shape is unusual."]
+    grid: Annotated[Grid | None, "null: the landmarks lie on one line."]
+
+
+class GroupTest(TypedDict):
+    """A permutation test of the difference in shape between groups."""
+
+    groups: str
+    specimens: int
+    distance: Annotated[float | None, "Between the mean shapes of two groups, in centroid sizes."]
+    share: Annotated[float, "Of the groups in the variance of shape."]
+    p: float
+
+
+class Shapes(TypedDict):
+    """Measures of all pictures with landmarks, and the space of their shapes."""
+
+    pictures: list[str]
+    groups: Annotated[list[str], "Group of each; empty if it has none."]
+    estimated: Annotated[list[int], "Number of points of each that were estimated."]
+    columns: list[Column]
+    space: Space | None
+    why_not: Annotated[str, "Why there is no space."]
+    tests: list[GroupTest]
+    has_table: Annotated[bool, "Whether a table of groups was given."]
+
+
+class ShapeAgreement(TypedDict):
+    """How shapes agree with labels, for statistics of shape."""
+
+    names: Annotated[list[str], "Of the two: shapes and labels."]
+    pictures: int
+    slope: Annotated[float, "Of the shapes on the labels."]
+    slope_interval: list[float]
+    attenuation: Annotated[float | None, "What a difference between groups is multiplied by; null without groups."]
+    attenuation_interval: list[float | None]
+    variance_ratio: float
+    reliability: float
+    repeatability: Annotated[float, "Intraclass correlation."]
+    mean_distance: Annotated[float, "Of the mean shapes, in standard errors."]
+    p: Annotated[float, "That the mean shapes are as far apart by chance."]
+    size_correlation: float
+    methods: Annotated[str, "Sentences for the section Methods of a paper."]
+
+
 class Agreement(TypedDict):
     """How far observers are apart."""
 
@@ -238,6 +338,7 @@ class Agreement(TypedDict):
     unconfirmed: Annotated[list[str], "Pictures that do not count, since points were accepted as they were proposed."]
     file: str
     table: str
+    shapes: Annotated[list[ShapeAgreement], "Of each other observer and the set that is shown, from 5 pictures on."]
 
 
 Json = dict[str, Any]
@@ -250,7 +351,9 @@ EVENTS: dict[str, Any] = {
 """Data of the events that the server sends, by kind."""
 
 TYPES = (
-    Contour, Picture, Template, Bar, Marks, SaveMarks, Saved, Reviewed, HistoryEntry, Model, Training, Method, Version,
-    Counted, Formats, Limits, Project, Unchanged, Agreement,
+    Contour, Picture, Template, Bar, Marks, Base, SaveMarks, Saved, Reviewed, Removed, Renamed,
+    HistoryEntry, Model, Training, Method, Version,
+    Counted, Formats, Limits, Project, Unchanged, Column, Grid, Space, GroupTest, Shapes,
+    ShapeAgreement, Agreement,
 )  # fmt: skip
 """All types, in the order in which they are written for the page."""

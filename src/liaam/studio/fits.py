@@ -31,7 +31,8 @@ from liaam.studio import layers
 from liaam.studio.folder import plain_name
 from liaam.studio.model_store import ModelInUse, ModelStore
 from liaam.studio.pictures import Kept, Pictures, PictureSource, averaged, fitted_size, png_bytes, shown
-from liaam.studio.safety import Refusal
+from liaam.studio.refusal import Refusal
+from liaam.studio.scale_bars import with_scale_bar
 from liaam.studio.settings import StudioSettings
 from liaam.studio.template import text_of
 
@@ -127,6 +128,11 @@ class Fit:
             "no_flat": self.no_flat,
             self.of[0]: self.of[1],
         }
+
+    @property
+    def at_work(self) -> FitResult:
+        """The result in the pixels at which the picture is worked on."""
+        return layers.scaled(self.result, self.source.size, self.source.work_size)
 
     @property
     def _is_finite(self) -> bool:
@@ -257,8 +263,11 @@ class Fits:
         """Fit a picture, or the small copy of a large one, from a start, or else where the search finds the object."""
         with self.pictures.at_work(source, on_copy) as image:
             began = time.perf_counter()
-            is_shared = start is None and fitter.model.sides is None  # of two sides, fits search for both
-            begin = self._detection(source, image, current) if is_shared else start
+            begin = None
+            if start is not None:
+                begin = layers.start_at(start, source.size, (image.shape[1], image.shape[0]))
+            elif fitter.model.sides is None:  # of two sides, fits search for both
+                begin = self._detection(source, image, current)
             searched = time.perf_counter()
             if isinstance(begin, Detection):
                 result = fit_where_found(fitter, image, begin, source.name)
@@ -310,12 +319,12 @@ class Fits:
             from liaam.plotting import overlay_of_fit  # heavy: imported when first needed
 
             with self.pictures.at_work(fit.source) as pixels:
-                image = shown(pixels, fit.source.size, fit.source.raw)
-            return overlay_of_fit(image, fit.result, fit.model, ellipses=True), None
+                image = shown(pixels, fit.source.work_size, fit.source.raw)
+            return overlay_of_fit(image, fit.at_work, fit.model, ellipses=True), None
         if what == "residual":
             to = fitted_size(*fit.source.size, size or max(fit.source.size))
             with self.pictures.at_work(fit.source) as image:
-                return layers.residual_layer(fit.fitter, image, fit.result, to)
+                return layers.residual_layer(fit.fitter, image, fit.at_work, to)
         relighter, to = self._relighter(fit, size)
         if what == "normals":
             layer, box = layers.normals_layer(relighter)
@@ -326,8 +335,13 @@ class Fits:
             return averaged(relighter.under(*light), to), None
         return averaged(relighter.flat(), to), None
 
-    def export(self, fit: Fit, what: str, light: Lighting) -> tuple[str, str, bytes]:
-        """Return the name, media type and content of a file, one of :data:`FILES`; the light is for ``relit``."""
+    def export(
+        self, fit: Fit, what: str, light: Lighting, pixel: tuple[float, str] | None = None
+    ) -> tuple[str, str, bytes]:
+        """Return the name, media type and content of a file, one of :data:`FILES`; the light is for ``relit``.
+
+        With the length of a ``pixel`` and its unit, the overlay has a scale bar.
+        """
         if what not in FILES:
             raise Refusal(422, f"a fit cannot be exported as '{what[:40]}': choose one of {', '.join(FILES)}")
         media_type = FILES[what]
@@ -335,6 +349,9 @@ class Fits:
         stem = name.rpartition(".")[0] or name
         if media_type == "image/png":
             image, _ = self.draw(fit, what, None, light)
+            if what == "overlay" and pixel is not None:
+                length, unit = pixel
+                image = with_scale_bar(image, length * fit.source.size[0] / image.shape[1], unit)
             ending = "fit" if what == "overlay" else what
             return f"{stem}_{ending}.png", media_type, png_bytes(image)
         points, _ = fit.result.reported()
@@ -358,7 +375,7 @@ class Fits:
             if fit.no_flat is not None:
                 raise MethodError(fit.no_flat)
             with self.pictures.at_work(fit.source) as image:
-                return layers.taken_apart(fit.fitter, image, fit.result, to, fit.source.raw)
+                return layers.taken_apart(fit.fitter, image, fit.at_work, to, fit.source.raw)
 
         if size is None and prod(whole) > self.settings.whole_pixels:
             text = f"{fit.source.name} has {whole[0]} x {whole[1]} pixels, more than the {self.settings.whole_pixels:,}"

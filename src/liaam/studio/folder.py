@@ -8,6 +8,7 @@ import errno
 import hashlib
 import os
 import re
+import shutil
 from collections import Counter, deque
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
@@ -25,12 +26,16 @@ from liaam.io.files import count_of, may_write_in, natural_key, real_path, some_
 from liaam.io.images import PICTURE_SUFFIXES, UNREAD_SUFFIXES, image_size
 from liaam.io.landmarks import LANDMARK_SUFFIXES, parse_landmark_data
 from liaam.photometry.encoding import as_colour
-from liaam.studio.safety import Refusal, refusing
+from liaam.studio.refusal import Refusal, refusing
+from liaam.studio.tokens import key_of, user_folder
 
 STATE = ".liaam-studio"  # name of the subfolder for the studio's own files
 OWN_SUFFIXES = (".pts", ".ljson")  # of the landmark files that the studio writes, in the order in which they are read
 SETS = f"{STATE}/sets"  # its subfolder for those of further sets of landmarks, each in a subfolder by its name
 SET_NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9_-]{0,29}")
+
+COPIED = ("studio.db", "model.liaam")
+"""Files of the state of a folder that can only be read, which are copied for the user."""
 
 MOST_FOLDERS = 1000  # maximum number of folders that are listed
 LONGEST_NAME = 120  # maximum number of characters of a name
@@ -45,6 +50,21 @@ class Folder:
     """A folder of pictures."""
 
     root: Path  # path with links resolved
+
+    @cached_property
+    def is_read_only(self) -> bool:
+        """Whether nothing can be written here, so that pictures are only shown, fitted and relit."""
+        return not may_write_in(self.root)
+
+    @cached_property
+    def state_root(self) -> Path:
+        """The folder that holds the studio's own subfolder: this one, or one of the user if this can only be read."""
+        return place_of_state(self.root) if self.is_read_only else self.root
+
+    def check_writable(self) -> None:
+        """Refuse a request that would write here if nothing can be written."""
+        if self.is_read_only:
+            raise Refusal(409, f"{self.root.name or 'the folder'} can only be read: copy it to place landmarks")
 
     def leads_inside(self, path: Path) -> bool:
         """Whether a path stays in the folder and outside the studio's own subfolder."""
@@ -272,6 +292,7 @@ class Listing:
 
         Return its ``name`` in the folder, its ``kind``, and whether it was ``known`` before.
         """
+        self.folder.check_writable()
         name = plain_name(name)
         suffix = Path(name).suffix.lower()
         is_picture = suffix in PICTURE_SUFFIXES
@@ -329,9 +350,22 @@ def checked_folder(folder: str | os.PathLike[str]) -> Path:
             what = "is a file, not a folder" if folder.exists() else "does not exist"
             raise ImageError(f"{folder} {what}: name the folder that holds the pictures.")
         list(folder.iterdir())
-    if not may_write_in(folder):
-        raise ImageError(f"{folder} cannot be written to: check the rights on it; landmarks are saved beside pictures.")
     return real_path(folder)
+
+
+def place_of_state(folder: Path) -> Path:
+    """Return a folder of the user for the state of a folder that can only be read, with a copy of the state there."""
+    place = user_folder() / "folders" / key_of(folder)
+    with disk_errors(f"{place} cannot be made"):
+        place.mkdir(parents=True, exist_ok=True, mode=0o700)
+        for name in COPIED:
+            source = folder / STATE / name
+            target = place / STATE / name
+            is_newer = source.is_file() and (not target.exists() or source.stat().st_mtime > target.stat().st_mtime)
+            if is_newer:
+                target.parent.mkdir(exist_ok=True)
+                shutil.copyfile(source, target)
+    return place
 
 
 @contextmanager

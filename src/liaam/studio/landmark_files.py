@@ -23,7 +23,7 @@ from liaam.io.files import read_bytes, some_names
 from liaam.io.landmarks import Landmarks, parse_landmark_data
 from liaam.studio import contract
 from liaam.studio.folder import OWN_SUFFIXES, File, Listing, Signature, disk_errors, revision_of
-from liaam.studio.safety import Refusal
+from liaam.studio.refusal import Refusal
 from liaam.studio.store import Store, StoredTable
 from liaam.studio.template import Template, landmarks_of, parse_points, text_of
 
@@ -252,6 +252,15 @@ class LandmarkFiles:
         self._remember_invisible(name, after, invisible)
         if data != after:
             write_bytes_atomically(target, after, LandmarkError)
+
+    def rename_invisible(self, moves: Mapping[str, str]) -> None:
+        """Keep the invisible points of landmark files that were renamed, by their old names."""
+        names = {}
+        for key in self._invisible:
+            file, _, revision = key.rpartition(" ")
+            if file in moves:
+                names[key] = f"{moves[file]} {revision}"
+        self._invisible.rename(names)
 
     def _bytes(self, path: Path) -> bytes:
         return read_bytes(path, LandmarkError, self._most_bytes)

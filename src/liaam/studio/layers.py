@@ -4,6 +4,7 @@ These functions work on arrays; :mod:`liaam.studio.fits` caches their results.
 """
 
 from dataclasses import replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -11,11 +12,12 @@ import numpy as np
 from liaam.fitting import FitResult, Fitter
 from liaam.fitting.detection import Detection
 from liaam.fitting.solution import residual_at
+from liaam.io import image_size
 from liaam.model.shape import Similarity
 from liaam.photometry import is_grey, linear_to_srgb
 from liaam.photometry.encoding import stored_values
 from liaam.relighting import Relighter, paint
-from liaam.studio.pictures import averaged
+from liaam.studio.pictures import averaged, read_for_work, work_size
 from liaam.tracking.motion import rescaled
 
 LAYERS = ("residual", "shading", "flat", "normals")
@@ -85,6 +87,24 @@ def scaled(result: FitResult, size: tuple[int, int], to: tuple[int, int]) -> Fit
         history=tuple(replace(step, landmarks=there(step.landmarks)) for step in result.history),
         found=None if result.found is None else moved(result.found),
     )
+
+
+def fit_file(fitter: Fitter, path: Path) -> FitResult:
+    """Fit the picture in a file, or a half or a quarter of a large one, and return the result in its pixels."""
+    size = image_size(path)
+    if work_size(*size) == size:
+        return fitter.fit(path)
+    image = read_for_work(path)
+    return scaled(fitter.fit(image, name=path.name), (image.shape[1], image.shape[0]), size)
+
+
+def start_at(start: Any, size: tuple[int, int], to: tuple[int, int]) -> Any:
+    """Convert a start of a fit, a box or a shape (n, 2), from one picture size (width, height) to another."""
+    if size == to:
+        return start
+    corners = np.reshape(start, (-1, 2))  # of a box, which is left, top, right, bottom
+    moved = rescaled(corners, (size[1], size[0]), (to[1], to[0]))
+    return tuple(moved.ravel().tolist()) if isinstance(start, tuple) else moved
 
 
 def residual_layer(

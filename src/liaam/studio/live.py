@@ -22,8 +22,9 @@ from liaam.fitting import FitResult
 from liaam.model import AAM
 from liaam.studio.model_store import ModelStore
 from liaam.studio.pictures import Kept, jpeg_bytes
+from liaam.studio.refusal import Refusal
 from liaam.studio.routes import route
-from liaam.studio.safety import RECORDINGS, Refusal
+from liaam.studio.safety import RECORDINGS
 from liaam.studio.settings import StudioSettings
 from liaam.tracking import TrackedFrame, Tracker, TrackStatus
 from liaam.tracking.files import TrackRows

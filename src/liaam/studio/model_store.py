@@ -14,7 +14,7 @@ from liaam.fitting.methods import methods_of
 from liaam.model import AAM, load_model
 from liaam.studio import contract
 from liaam.studio.project import Project
-from liaam.studio.safety import Refusal
+from liaam.studio.refusal import Refusal
 from liaam.studio.store import Store
 
 MODEL_FILE = "model.liaam"  # file of the trained model; the facts about it are in the store

@@ -15,8 +15,8 @@ from typing import Any, Literal
 import numpy as np
 
 from liaam.io.files import real_path
-from liaam.studio.folder import Folder
-from liaam.studio.safety import Refusal
+from liaam.studio.folder import STATE, Folder, sets_in
+from liaam.studio.refusal import Refusal
 from liaam.studio.store import Store, StoredTable
 
 Origin = Literal["placed", "moved", "confirmed", "accepted", "proposed"]
@@ -31,19 +31,19 @@ class Origins:
     """The origins of all points that were not placed, by picture. ``entry`` changes with them."""
 
     def __init__(self, store: Store) -> None:
-        self._table = StoredTable(store, "origin")
+        self.table = StoredTable(store, "origin")
 
     def __contains__(self, name: str) -> bool:
-        return name in self._table
+        return name in self.table
 
     def entry(self, name: str) -> Mapping[str, Any] | None:
         """Return what is stored for a picture: positions by their origin."""
-        return self._table.get(name)
+        return self.table.get(name)
 
     def of(self, name: str, points: Points) -> list[Origin | None]:
         """Return the origin of each point of a picture; None without a position."""
         known: dict[tuple[float, ...], Origin] = {}
-        stored = self._table.get(name) or {}
+        stored = self.table.get(name) or {}
         for origin in ORIGINS:
             for position in stored.get(origin, ()):
                 known[tuple(position)] = origin
@@ -55,13 +55,29 @@ class Origins:
         for point, origin in zip(points, origins, strict=True):
             if point is not None and origin not in (None, "placed"):
                 entry.setdefault(str(origin), []).append(list(point))
-        if entry or name in self._table:
-            self._table.save({name: entry or None})
+        if entry or name in self.table:
+            self.table.save({name: entry or None})
+
+
+SAME = 0.01
+"""Distance in pixels up to which a point in a file is the one that the studio stored."""
+
+
+def without_proposals(points: np.ndarray, proposals: np.ndarray | None) -> tuple[np.ndarray, int]:
+    """Return points (n, 2) without those that were proposed (k, 2), which become NaN, and how many these are."""
+    if proposals is None:
+        return points, 0
+    distances = np.linalg.norm(points[:, None] - proposals, axis=2)
+    proposed = (distances <= SAME).any(axis=1)
+    return np.where(proposed[:, None], np.nan, points), int(proposed.sum())
 
 
 def saved_proposals(folder: Path) -> dict[str, np.ndarray]:
-    """Return the points that the studio saved for a folder as proposed, or accepted together, by picture, (k, 2)."""
-    store = Store(Folder(real_path(folder)))
+    """Return the points that the studio saved for a folder as proposed, or accepted together, by picture, (k, 2).
+
+    The folder may be the subfolder of a further set of landmarks.
+    """
+    store = _store_of(real_path(folder))
     entries = store.all("origin")
     store.close()
     found = {}
@@ -70,6 +86,12 @@ def saved_proposals(folder: Path) -> dict[str, np.ndarray]:
         if positions:
             found[picture] = np.array(positions, np.float64).reshape(-1, 2)
     return found
+
+
+def _store_of(folder: Path) -> Store:
+    above = Folder(folder.parent)
+    is_set = not (folder / STATE).exists() and folder.name in sets_in(above)
+    return Store(above, folder.name) if is_set else Store(Folder(folder))
 
 
 def own_points(origins: Sequence[Origin | None]) -> np.ndarray:

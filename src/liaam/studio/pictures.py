@@ -22,11 +22,11 @@ import numpy as np
 
 from liaam.drawing import as_picture
 from liaam.errors import ImageError
-from liaam.io import decode_image, image_size, is_raw, read_image, read_preview
+from liaam.io import decode_image, image_size, is_raw, read_image, read_preview, read_strips
 from liaam.photometry import Response, linear_to_srgb
 from liaam.photometry.encoding import as_colour, encode, refuse_grey, stored_values
 from liaam.studio.folder import disk_errors, plain_name, size_in_header
-from liaam.studio.safety import Refusal, refusing
+from liaam.studio.refusal import Refusal, refusing
 from liaam.studio.settings import StudioSettings
 
 JPEG_QUALITY = 92
@@ -36,6 +36,12 @@ COPIED_FROM = 4_000_000
 """Pixels of pictures from which on a copy is fitted."""
 COPY_SIDE = 1000
 """Pixels of the shortest side of that copy; the longest has at most twice as many."""
+
+LARGE = 50_000_000
+"""Pixels of pictures from which on the studio works with a half or a quarter of them, and shows tiles."""
+
+TILE = 512
+"""Width and height of a tile of a large picture, in pixels."""
 
 DECODED_BYTES = 150_000_000  # of cached pictures, decoded
 ENCODED_BYTES = 50_000_000  # of cached pictures, encoded
@@ -148,10 +154,18 @@ class PictureSource:
     """Decodes the picture for a size, perhaps at a lower resolution (see :func:`liaam.io.read_preview`)."""
     raw: bool = False  # whether the values are linear
 
+    strips: Callable[[], Iterator[np.ndarray]] | None = None
+    """Decodes the picture in strips of rows, for tiles."""
+
     @property
     def has_copy(self) -> bool:
         """Whether there is a smaller copy to fit (:meth:`Pictures.pixels`)."""
         return self.preview is not None and prod(self.size) > COPIED_FROM
+
+    @property
+    def work_size(self) -> tuple[int, int]:
+        """Width and height at which it is worked on: its size, or a half or a quarter of that."""
+        return work_size(*self.size)
 
 
 def source_of(path: Path, max_pixels: int, name: str = "") -> PictureSource:
@@ -173,7 +187,27 @@ def source_of(path: Path, max_pixels: int, name: str = "") -> PictureSource:
     def preview(size: int) -> np.ndarray:
         return read(read_preview, size, max_pixels)
 
-    return PictureSource(name or path.name, tag, read(image_size), decode, preview, is_raw(path))
+    def strips() -> Iterator[np.ndarray]:
+        return read_strips(path, max_pixels, TILE)
+
+    return PictureSource(name or path.name, tag, read(image_size), decode, preview, is_raw(path), strips)
+
+
+def work_size(width: int, height: int) -> tuple[int, int]:
+    """Return the width and height at which a picture is worked on: halved until it is no :data:`LARGE` one."""
+    while width * height > LARGE:
+        width = max(1, width // 2)
+        height = max(1, height // 2)
+    return width, height
+
+
+def read_for_work(path: Path) -> np.ndarray:
+    """Read a picture in the size at which it is worked on (:func:`work_size`)."""
+    size = image_size(path)
+    to = work_size(*size)
+    if to == size:
+        return read_image(path)
+    return averaged(as_colour(read_preview(path, min(to)), path.name), to)
 
 
 def file_tag(path: Path) -> str:
@@ -195,10 +229,16 @@ class Pictures:
         self.work_room = Room(WORKED_ON_AT_ONCE)
 
     def pixels(self, source: PictureSource, small: bool = False) -> np.ndarray:
-        """Return the decoded picture with three channels, or a ``small`` copy of it. The array must not be modified."""
+        """Return the decoded picture with three channels, in its ``work_size``, or a ``small`` copy of it.
+
+        The array must not be modified.
+        """
 
         def read() -> np.ndarray:
             with self.room.of(prod(source.size)):
+                if source.preview is not None and not small and source.work_size != source.size:
+                    image = as_colour(source.preview(min(source.work_size)), source.name)
+                    return averaged(image, source.work_size)
                 if not small or source.preview is None:
                     return as_colour(source.read(), source.name)
                 image = as_colour(source.preview(COPY_SIDE), source.name)
@@ -216,7 +256,7 @@ class Pictures:
         """Return a JPEG for display, its longest side at most ``size``."""
 
         def make() -> bytes:
-            to = fitted_size(*source.size, size)
+            to = fitted_size(*source.work_size, size)
             # At half size or less, decoding a preview may be faster, and independent of the cache.
             if source.preview is not None and 2 * size <= max(source.size):
                 with self.room.of(prod(source.size)):
@@ -231,7 +271,7 @@ class Pictures:
 
         def make() -> bytes:
             with self.at_work(source) as image:
-                return chroma_bytes(image, size, response, source.name)
+                return chroma_bytes(image, size, response, source.name, source.size)
 
         return self._encoded.get(("chroma", source.name, source.tag, size, response), make)
 
@@ -352,16 +392,25 @@ def chroma(image: np.ndarray, size: int, response: Response = "srgb", name: str 
     return numbers
 
 
-def chroma_bytes(image: np.ndarray, size: int, response: Response = "srgb", name: str = "image") -> bytes:
+def chroma_bytes(
+    image: np.ndarray,
+    size: int,
+    response: Response = "srgb",
+    name: str = "image",
+    whole: tuple[int, int] | None = None,
+) -> bytes:
     """Encode the chroma of an image for the page, little-endian.
 
-    First width and height (uint32), and the pixels that they cover (float32), then :func:`chroma` row by row.
+    First width and height (uint32), and the pixels that they cover (float32), then :func:`chroma` row by row. If the
+    image is a copy, ``whole`` is the width and height of the picture.
     """
     numbers = chroma(image, size, response, name)
     height, width = numbers.shape[:2]
     rows, columns = image.shape[:2]
     block = block_size(columns, rows, size)
-    header = struct.pack("<IIff", width, height, min(width * block, columns), min(height * block, rows))
+    factor = 1.0 if whole is None else whole[0] / columns
+    covered = (factor * min(width * block, columns), factor * min(height * block, rows))
+    header = struct.pack("<IIff", width, height, *covered)
     return header + numbers.astype("<i2").tobytes()
 
 

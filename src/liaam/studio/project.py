@@ -13,8 +13,8 @@ import threading
 import time
 import zipfile
 from collections import deque
-from collections.abc import Container, Mapping, Sequence
-from contextlib import nullcontext, suppress
+from collections.abc import Container, Iterator, Mapping, Sequence
+from contextlib import contextmanager, nullcontext, suppress
 from dataclasses import dataclass, replace
 from itertools import zip_longest
 from pathlib import Path
@@ -25,16 +25,13 @@ import numpy as np
 from liaam.errors import ImageError, LiaamError
 from liaam.io.images import PICTURE_SUFFIXES
 from liaam.io.landmarks import Landmarks, collection_text, parse_landmark_data
-from liaam.io.table_writer import columns_text
-from liaam.morphometry import Specimen, measure
-from liaam.scale.lengths import unit_of
 from liaam.studio import contract
-from liaam.studio.folder import File, Folder, Listing, checked_folder, plain_name, revision_of, sets_in
+from liaam.studio.folder import OWN_SUFFIXES, File, Folder, Listing, checked_folder, plain_name, revision_of, sets_in
 from liaam.studio.landmark_files import LandmarkFiles, parse_bar
 from liaam.studio.origins import Origin, Origins, origins_after, own_points, parse_origins
 from liaam.studio.pictures import PictureSource, source_of
+from liaam.studio.refusal import Refusal
 from liaam.studio.review import PictureStates, ReviewLog, parse_who
-from liaam.studio.safety import Refusal
 from liaam.studio.settings import StudioSettings
 from liaam.studio.store import Store, StoredTable
 from liaam.studio.template import (
@@ -139,6 +136,31 @@ class _Wanted:
             origins=origins,
             bar=parse_bar(data["bar"]) if "bar" in data else current["bar"],
         )
+
+
+def _merged(wanted: _Wanted, base: Any, current: contract.Marks) -> _Wanted:
+    """Keep what others have changed of absent points and origins since a page read them, as ``base``.
+
+    A point that the page has changed as well is as the page has it.
+    """
+    n = len(wanted.points)
+    absent = wanted.absent
+    origins = wanted.origins
+    if not isinstance(base, dict):
+        return wanted
+    if "absent" in base:
+        before = {*parse_indices(base["absent"], n, "absent")}
+        now = {*current["absent"]}
+        mine = {*wanted.absent}
+        kept = {index for index in range(n) if index in (now if (index in mine) == (index in before) else mine)}
+        absent = sorted(index for index in kept if wanted.points[index] is None)
+    known = current["origins"]
+    if "origins" in base and known is not None and isinstance(base["origins"], list) and len(base["origins"]) == n:
+        origins = [
+            known[i] if mine == base["origins"][i] and wanted.points[i] == current["points"][i] else mine
+            for i, mine in enumerate(wanted.origins)
+        ]
+    return replace(wanted, absent=absent, origins=origins)
 
 
 class Project:
@@ -365,25 +387,6 @@ class Project:
             text = _with_column(text, "origin", [origin or "" for picture in pictures for origin in picture.origins])
         return name, text.encode()
 
-    def measurements(self, measures: str, scale: str) -> tuple[str, bytes]:
-        """Return the name and the content of a table of measurements, as ``liaam measure`` writes them."""
-        specimens = []
-        for picture in self.placed("measure"):
-            landmarks = picture.landmarks
-            specimens.append(
-                Specimen(
-                    picture.file.stem,
-                    landmarks.points,
-                    names=landmarks.names,
-                    scale=landmarks.scale,
-                    unit=unit_of(landmarks.unit),
-                )
-            )
-        units = {specimen.unit for specimen in specimens if specimen.scale is not None}
-        of_files = "mm" if len(units) > 1 else None  # scales of files without a unit are in millimetres, as the bars
-        columns = measure(specimens, measures.split(), scale or of_files)
-        return f"{plain_name(self.title)}-measurements.csv", columns_text(columns).encode()
-
     def placed(self, to: str = "export") -> list[Placed]:
         """Return the usable pictures with landmarks for the current template; ``to`` is what they are needed for."""
         pictures = []
@@ -430,6 +433,63 @@ class Project:
         with self._lock:
             return self._listing.add(name, data)
 
+    @contextmanager
+    def changing(self) -> Iterator[None]:
+        """Hold the lock while files of the folder are moved, and list the folder before and after, in all sets."""
+        with self._lock:
+            self._rescan(strict=True)
+            for name in self.sets:
+                templates = self.of_set(name).templates
+                if templates.current is not None and not templates.is_offered:
+                    templates.keep()  # the picture that it was taken from may go
+            try:
+                yield
+            finally:
+                for name in self.sets:
+                    self.of_set(name)._rescan()
+
+    def files_of(self, name: str) -> list[str]:
+        """Return a picture's file and the landmark files that the studio writes for it, in all sets, by name."""
+        with self._lock:
+            file = self._find(name)
+            found = [file.name]
+            if self._listing.winners[file.stem] == file.name:
+                for each in self.sets:
+                    listing = self.of_set(each)._listing
+                    listing.scan()
+                    own = [f"{listing.place}{file.stem}{suffix}" for suffix in OWN_SUFFIXES]
+                    found += [landmarks for landmarks in own if landmarks in listing.files]
+            return found
+
+    def has_stem(self, stem: str, but: str) -> bool:
+        """Return whether another picture than ``but`` has a name that differs by its suffix only."""
+        with self._lock:
+            return self._listing.winners.get(stem, but) != but
+
+    def take_own(self, name: str) -> None:
+        """Write the landmarks of a picture into a file of its own, in all sets, if they are in another one."""
+        with self._lock:
+            file = self._find(name)
+            for each in self.sets:
+                project = self.of_set(each)
+                marks = project._landmarks.of(file)
+                template = project.templates.current
+                is_other = marks.n_placed and project._listing.own(file) is None
+                if is_other and template is not None and marks.landmarks is not None and marks.fits(template):
+                    project._landmarks.save(file, template, marks.points, marks.landmarks.invisible)
+
+    def rekey(self, name: str, new: str, moves: Mapping[str, str]) -> None:
+        """Give what is kept of a picture its new name, in all sets; ``moves`` are its files, by their old names."""
+        with self._lock:
+            for each in self.sets:
+                project = self.of_set(each)
+                tables = (project._proposals, project._unchecked, project._absent, project._origins.table)
+                for table in (*tables, project._landmarks.bars) if each == "" else tables:
+                    table.rename({name: new})
+                project._landmarks.rename_invisible(moves)
+                project._log.rename(name, new)
+                project._states.slips.pop(name, None)
+
     def set_slips(self, slips: dict[str, tuple[str, str, list[int]]]) -> None:
         """Set the revision of the landmarks, the slip in them and its points, by picture."""
         self._states.slips = slips
@@ -459,6 +519,14 @@ class Project:
         with self._lock:
             return self._landmarks.of(self._find(name)).landmarks
 
+    def pixel_length(self, name: str) -> tuple[float, str] | None:
+        """Return the length of a pixel of a picture and its unit; None if it has no scale, or none with a unit."""
+        with self._lock:
+            file = self._find(name)
+            scale = self._landmarks.scale_of(file)
+            unit = self._landmarks.unit_of(file)
+        return (scale, unit) if scale and unit else None
+
     def marks(self, name: str) -> contract.Marks:
         """Return the landmarks of a picture as JSON for the page: from its file, from a proposal, or none."""
         with self._lock:
@@ -471,10 +539,12 @@ class Project:
         The data are those of :class:`liaam.studio.contract.SaveMarks`. ``template`` is the revision of the template of
         the points, to check; ``unchecked`` says whether a picture without points was left at the mean shape. The scale
         bar and the absent points stay as they are without ``bar`` and ``absent``. Without ``origins``, points that have
-        changed were placed. ``who`` is the name of the person, for the log. Landmarks equal to those in the file are
+        changed were placed. With ``base``, absent points and origins that others have changed since stay as they are.
+        ``who`` is the name of the person, for the log. Landmarks equal to those in the file are
         accepted with any revision, since an earlier answer may have been lost.
         """
         data = self.checked(data, "points, invisible and revision")
+        self.folder.check_writable()
         who = parse_who(data.get("who"))
         with self._lock:
             self.templates.finish()
@@ -483,7 +553,8 @@ class Project:
             if "template" in data:
                 self.templates.check(data["template"], f"the landmarks of {name}")
             current = self._states.marks_json(file)
-            wanted = _Wanted.parse(data, current, len(template))
+            asked = _Wanted.parse(data, current, len(template))
+            wanted = _merged(asked, data.get("base"), current)
             points_before = current["points"] if current["source"] == "file" else [None] * len(template)
             has_moved = wanted.points != points_before or wanted.invisible != current["invisible"]
             is_scaled = wanted.bar != current["bar"]
@@ -495,7 +566,7 @@ class Project:
                 self._landmarks.set_bar(file, wanted.bar)
             if wanted.has_points and wanted.origins != current["origins"]:
                 self._origins.save(file.name, wanted.points, wanted.origins)  # first, as it belongs to what is written
-            if wanted.absent != current["absent"]:
+            if wanted.absent != (self._absent.get(file.name) or []):  # the model may have found others
                 self._absent.save({file.name: wanted.absent or None})
             if has_moved:
                 self.templates.keep()  # the first save fixes a template that was taken from a file
@@ -507,8 +578,13 @@ class Project:
                     self._log.add_change(who, file.name, did, self._landmarks.of(file).revision)
             if "unchecked" in data and not wanted.has_points:
                 self._set_unchecked(file, bool(data["unchecked"]))
-            revision = self._landmarks.of(file).revision
-            return {"revision": revision, "picture": self._states.as_json(file, self._states.ranks())}
+            marks = self._landmarks.of(file)
+            return {
+                "revision": marks.revision,
+                "beside": self._states.beside(file, marks),
+                "merged": wanted != asked,
+                "picture": self._states.as_json(file, self._states.ranks()),
+            }
 
     def _set_unchecked(self, file: File, is_unchecked: bool) -> None:
         """Store whether a picture without points was left at the mean shape, if that has changed."""
@@ -553,6 +629,7 @@ class Project:
         one, by which landmark files are updated, and ``revision``, that of the template that is being changed.
         """
         template = parse_template(self.checked(data, "names, contours, mirror and points"), self.settings.points)
+        self.folder.check_writable()
         with self._lock:
             return template, self.templates.save(template, data)
 

@@ -19,7 +19,7 @@ from liaam.studio import contract
 from liaam.studio.folder import File, Listing, revision_of
 from liaam.studio.landmark_files import LandmarkFiles, Marks, revision_of_proposal
 from liaam.studio.origins import OWN, Origin, Origins
-from liaam.studio.safety import Refusal
+from liaam.studio.refusal import Refusal
 from liaam.studio.store import Store, StoredTable
 from liaam.studio.template import Templates, text_of
 
@@ -70,6 +70,17 @@ class ReviewLog:
         self._store.append("review", entries)
         for entry in entries:
             self._entries[entry["picture"]].append(entry)
+
+    def rename(self, name: str, new: str) -> None:
+        """Give the entries of a picture its new name."""
+
+        def changed(entry: contract.HistoryEntry) -> contract.HistoryEntry:
+            return {**entry, "picture": new} if entry["picture"] == name else entry
+
+        self._store.replace_lines("review", changed)
+        entries = [changed(entry) for entry in self._entries.pop(name, [])]
+        if entries:
+            self._entries[new] = entries
 
     def add_change(self, who: str, name: str, did: str, revision: str | None) -> None:
         """Append that the points of a picture were placed or cleared, once for all changes in a few minutes."""
@@ -222,6 +233,7 @@ class PictureStates:
             "bar": self.landmarks.scale_bar(file)["bar"],
             "absent": self.absent_of(file, marks),
             "origins": None,
+            "beside": self.beside(file, marks),
         }
         if marks.landmarks is not None and marks.n_placed:
             answer["source"] = "file"
@@ -232,7 +244,22 @@ class PictureStates:
             answer["source"] = "proposal"
             for key in ("points", "covariances", "quality", "status", "doubtful"):
                 answer[key] = proposal[key]
+            answer["absent"] = self._absent_with(file, proposal)
+            answer["points"] = [None if i in answer["absent"] else point for i, point in enumerate(answer["points"])]
         return answer
+
+    def _absent_with(self, file: File, proposal: Mapping[str, Any]) -> list[int]:
+        """Return the points that a person said to be absent in a picture, and those that the model found absent.
+
+        What the model finds counts once a person has marked a point as absent in any picture: of objects that are all
+        complete, it would be wrong wherever it says so.
+        """
+        found = proposal.get("absent", ()) if any(self.absent.values()) else ()
+        return sorted({*self.absent.get(file.name, ()), *found})
+
+    def beside(self, file: File, marks: Marks) -> str:
+        """Return a hash of the absent points and the origins of a picture, which its landmark file does not hold."""
+        return revision_of(repr((self.absent_of(file, marks), self.origins.entry(file.name))).encode())
 
     def absent_of(self, file: File, marks: Marks) -> list[int]:
         """Return the points that the object in a picture lacks; those with a position are there after all."""
@@ -347,6 +374,8 @@ class PictureStates:
         """
         if did not in ACTIONS:
             raise Refusal(422, f"the action is not known: send one of {', '.join(ACTIONS)}")
+        if did in WRITING:
+            self.store.folder.check_writable()
         revisions: dict[str, str | None] = {}
         refused: dict[str, str] = {}
         for file in files:
@@ -457,9 +486,10 @@ class PictureStates:
             return
         template = self.templates.needed
         if did == "accepted":
-            absent = self.absent.get(file.name, ())
-            proposed = (self.proposal_of(file) or {})["points"]
-            points = [None if index in absent else point for index, point in enumerate(proposed)]
+            proposal = self.proposal_of(file) or {}
+            absent = self._absent_with(file, proposal)
+            points = [None if index in absent else point for index, point in enumerate(proposal["points"])]
+            self.absent.save({file.name: absent or None})
             accepted: list[Origin | None] = ["accepted"] * len(points)
             self.origins.save(file.name, points, accepted)
             self.landmarks.save(file, template, points, ())

@@ -18,7 +18,7 @@ from starlette.routing import Route
 from liaam.errors import LiaamError
 from liaam.photometry import srgb_to_linear
 from liaam.relighting.lamp import AMBIENT, Lamp, check_ambient
-from liaam.studio.safety import Refusal
+from liaam.studio.refusal import Refusal
 
 SIZES = (16, 16384)  # smallest and largest size of the longest side that a request may ask for, in pixels
 MOST_LAMPS = 8  # maximum number of lamps of a relit picture

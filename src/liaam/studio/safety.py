@@ -10,7 +10,6 @@ import ipaddress
 import socket
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager, suppress
-from typing import Any
 
 import anyio
 import h11
@@ -19,7 +18,7 @@ from starlette.requests import ClientDisconnect, Request
 from starlette.responses import HTMLResponse, JSONResponse, RedirectResponse, Response
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
-from liaam.errors import LiaamError
+from liaam.studio.refusal import Refusal
 from liaam.studio.settings import LOOPBACK, StudioSettings
 
 FITS = "/api/fits"
@@ -41,24 +40,6 @@ HEADERS: dict[str, str] = {
     "cache-control": "no-store",
 }
 """Default headers of every response."""
-
-
-class Refusal(LiaamError):  # noqa: N818 (an answer, not a program error)
-    """A refused request: an HTTP status, an error message, and ``details``, further fields of the answer."""
-
-    def __init__(self, status: int, error: str, **details: Any) -> None:
-        super().__init__(error)
-        self.status = status
-        self.details = details
-
-
-@contextmanager
-def refusing() -> Iterator[None]:
-    """Refuse the request if what it sent raises an error in the block."""
-    try:
-        yield
-    except LiaamError as fault:
-        raise fault if isinstance(fault, Refusal) else Refusal(422, str(fault)) from fault
 
 
 class Guard:

@@ -15,9 +15,10 @@ from liaam.io.images import PICTURE_SUFFIXES
 from liaam.io.table_writer import columns_text
 from liaam.morphometry import Specimen, measure, measurement_error
 from liaam.studio import contract
+from liaam.studio.agreement import shape_agreement
 from liaam.studio.folder import ADDED, SET_NAME, disk_errors, plain_name
 from liaam.studio.project import Project
-from liaam.studio.safety import Refusal
+from liaam.studio.refusal import Refusal
 from liaam.studio.store import DATABASE, Store
 
 
@@ -27,6 +28,7 @@ def make_set(project: Project, data: Any) -> dict[str, str]:
     A subfolder of this name that holds landmark files, but no pictures, becomes the set's.
     """
     data = project.checked(data, "name and same")
+    project.folder.check_writable()
     name = data.get("name")
     template = project.templates.needed if data.get("same") else None
     if not isinstance(name, str) or not SET_NAME.fullmatch(name):
@@ -73,9 +75,11 @@ def agreement(project: Project) -> contract.Agreement:
     as they were proposed do not count for that observer; ``unconfirmed`` are their names.
     """
     placed: dict[str, dict[str, np.ndarray]] = {}
+    by_set: dict[str, dict[str, np.ndarray]] = {}
     unconfirmed: set[str] = set()
     for name in observers(project):
         own, not_own = project.of_set(name).own_complete()
+        by_set[name] = own
         unconfirmed.update(not_own)
         for picture, points in own.items():
             placed.setdefault(picture, {})[name] = points
@@ -104,4 +108,10 @@ def agreement(project: Project) -> contract.Agreement:
         "unconfirmed": sorted(unconfirmed - pictures.keys()),
         "file": f"{plain_name(project.title)}-agreement.csv",
         "table": columns_text(table),
+        "shapes": [
+            found
+            for name, own in by_set.items()
+            if name != project.set_name
+            and (found := shape_agreement(project, own, by_set[project.set_name], (name, project.set_name)))
+        ],
     }

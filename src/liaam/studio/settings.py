@@ -22,7 +22,7 @@ class StudioSettings:
     """What may be in the place of the token in the address of the page, once each."""
     json_bytes: int = 2_000_000  # maximum body of a request that is not an upload
     upload_bytes: int = 64_000_000  # maximum body of an upload
-    pixels: int = 50_000_000  # maximum width times height of a picture, checked in its header before it is decoded
+    pixels: int = 200_000_000  # maximum width times height of a picture, checked in its header before it is decoded
     whole_pixels: int = 16_000_000
     """Maximum pixels of a picture relit in full size, which takes 100 bytes per pixel and a second per megapixel."""
     uploads_kept: int = 8  # number of uploads in memory

@@ -10,7 +10,7 @@ import os
 import secrets
 import sqlite3
 import threading
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import contextmanager, suppress
 from functools import cached_property, partial
 from pathlib import Path
@@ -20,7 +20,7 @@ from liaam.errors import LiaamError
 from liaam.io.atomic import lock, sweep
 from liaam.io.files import real_path
 from liaam.studio.folder import SETS, STATE, File, Folder, disk_errors, revision_of
-from liaam.studio.safety import Refusal
+from liaam.studio.refusal import Refusal
 
 DATABASE = "studio.db"
 LOCK_FILE = "lock"
@@ -88,6 +88,15 @@ class Store:
         rows = self._read("SELECT number, json, hash FROM line WHERE kind = ? ORDER BY number", [kind])
         return [value for _, value in rows]
 
+    def replace_lines(self, kind: str, changed: Callable[[Any], Any]) -> None:
+        """Replace lines of a kind by what a function makes of them."""
+        with self.transaction() as connection:
+            for number, value in self._read("SELECT number, json, hash FROM line WHERE kind = ?", [kind]):
+                after = changed(value)
+                if after != value:
+                    text, digest = _row(after)
+                    connection.execute("UPDATE line SET json = ?, hash = ? WHERE number = ?", (text, digest, number))
+
     @contextmanager
     def transaction(self) -> Iterator[sqlite3.Connection]:
         """Write everything in the block, or nothing; blocks may be nested."""
@@ -111,7 +120,7 @@ class Store:
         """Return (key, value) of rows; none if the database cannot be read, and no damaged ones, which is noted."""
         with self._lock:
             try:
-                path = _state_of(self.folder.root, self.state) / DATABASE
+                path = _state_of(self.folder.state_root, self.state) / DATABASE
                 if not path.exists():  # a folder that is only looked at stays as it is
                     self.note(DATABASE, None)
                     return []
@@ -159,8 +168,8 @@ class Store:
 
     def path(self, name: str) -> Path:
         """Return the path of a file and create its folder."""
-        path = _state_of(self.folder.root, self.state) / name
-        if not real_path(path).is_relative_to(self.folder.root / self.state):
+        path = _state_of(self.folder.state_root, self.state) / name
+        if not real_path(path).is_relative_to(real_path(self.folder.state_root) / self.state):
             raise Refusal(409, f"{self.state}/{name} is a link that leads elsewhere, so it is not used: remove it")
         with disk_errors(f"{path.parent} cannot be made", "check the rights on the folder."):
             path.parent.mkdir(parents=True, exist_ok=True)
@@ -185,7 +194,7 @@ class Store:
         """Create the folder's id and remove partial files of a killed process. Call it before any other writes."""
         with suppress(LiaamError, OSError):
             _ = self.id
-            state = _state_of(self.folder.root, self.state)
+            state = _state_of(self.folder.state_root, self.state)
             for folder in (self.folder.root / self.set_name, state, state / "kept"):
                 sweep(folder)
 
@@ -209,6 +218,13 @@ class StoredTable(dict[str, Any]):
         self.update(values)
         for name in [name for name, value in values.items() if value is None]:
             del self[name]
+
+    def rename(self, names: Mapping[str, str]) -> None:
+        """Give values new names."""
+        moved = {name: new for name, new in names.items() if name in self}
+        if moved:
+            values = {new: self[name] for name, new in moved.items()}
+            self.save({**dict.fromkeys(moved), **values})
 
     def forget(self) -> None:
         """Remove all values."""
@@ -252,13 +268,13 @@ def _hash(text: Any) -> str:
 
 
 @contextmanager
-def folder_locked(folder: Path, address: str) -> Iterator[None]:
+def folder_locked(folder: Folder, address: str) -> Iterator[None]:
     """Hold a lock on a folder in the block: two studios would overwrite each other's landmark files.
 
     The system releases it when this process ends for any reason. A second studio names the address.
     """
     try:
-        path = _state_of(folder) / LOCK_FILE
+        path = _state_of(folder.state_root) / LOCK_FILE
     except Refusal:
         yield  # the project reports this and writes nothing there
         return
@@ -270,7 +286,9 @@ def folder_locked(folder: Path, address: str) -> Iterator[None]:
             lock(descriptor)  # not on a file system without locks
         except BlockingIOError as fault:
             holder = os.read(descriptor, 1000).decode(errors="replace")
-            raise LiaamError(f"{folder} is open in another studio{holder}: use that one, or stop it first.") from fault
+            raise LiaamError(
+                f"{folder.root} is open in another studio{holder}: use that one, or stop it first."
+            ) from fault
         with suppress(OSError):  # only used for an error message
             os.ftruncate(descriptor, 0)
             os.write(descriptor, f" ({address}, process {os.getpid()})".encode())

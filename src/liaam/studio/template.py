@@ -25,7 +25,7 @@ from liaam.morphometry.curves import semilandmarks
 from liaam.morphometry.pairs import twins_by_names, twins_by_place
 from liaam.studio import contract
 from liaam.studio.folder import Folder, Listing, revision_of, status_of
-from liaam.studio.safety import Refusal, refusing
+from liaam.studio.refusal import Refusal, refusing
 from liaam.studio.store import Store, StoredTable
 
 if TYPE_CHECKING:

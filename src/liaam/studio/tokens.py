@@ -1,8 +1,8 @@
 """The token of a folder's studio, kept in the user's state folder, so that pages go on after a restart; and tickets.
 
-Only the user can read the token. One that others could have read or written is replaced, and without a state folder
-each start has another one. The browser is started with a ticket instead, since all users of a machine can see the
-arguments of processes.
+Only the user can read the token. One that others could have read or written, or of more than 30 days, is replaced, and
+without a state folder each start has another one. The browser is started with a ticket instead, since all users of a
+machine can see the arguments of processes.
 """
 
 import hashlib
@@ -20,6 +20,9 @@ from pathlib import Path
 from liaam.io.files import real_path
 
 _TOKEN = re.compile(r"[A-Za-z0-9_-]{32,64}")
+TOKEN_SECONDS = 30 * 86400.0
+"""How long a token lasts, from when it was made: a start after that makes another one."""
+
 TICKET_SECONDS = 120.0  # how long a browser may take to start
 
 _LARGEST = 100  # bytes of a file that may hold a token
@@ -57,15 +60,25 @@ def lasting_token(folder: Path) -> str:
     if not folder.is_dir():
         return new_token()
     with suppress(OSError, RuntimeError):  # no home folder, a full disk, no rights: a token for this time
-        tokens = _state_folder() / "liaam" / "studio"
+        tokens = user_folder()
         tokens.mkdir(parents=True, exist_ok=True, mode=0o700)
-        path = tokens / f"{hashlib.sha256(os.fsencode(real_path(folder))).hexdigest()[:16]}.token"
+        path = tokens / f"{key_of(folder)}.token"
         token = _read(path)
         if token is None:
             token = new_token()
             _write(path, token)
         return token
     return new_token()
+
+
+def user_folder() -> Path:
+    """Return the folder in which the studio keeps what belongs to the user."""
+    return _state_folder() / "liaam" / "studio"
+
+
+def key_of(folder: Path) -> str:
+    """Return the name by which a folder of pictures is known there."""
+    return hashlib.sha256(os.fsencode(real_path(folder))).hexdigest()[:16]
 
 
 def _state_folder() -> Path:
@@ -88,7 +101,8 @@ def _read(path: Path) -> str | None:
     try:
         facts = os.fstat(descriptor)
         is_private = sys.platform == "win32" or (facts.st_uid == os.getuid() and not facts.st_mode & 0o077)
-        if not stat.S_ISREG(facts.st_mode) or not is_private:
+        is_old = time.time() - facts.st_mtime > TOKEN_SECONDS
+        if not stat.S_ISREG(facts.st_mode) or not is_private or is_old:
             return None
         text = os.read(descriptor, _LARGEST).decode(errors="replace").strip()
     finally:

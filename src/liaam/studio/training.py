@@ -24,22 +24,28 @@ import numpy as np
 from liaam.error_measures import point_error
 from liaam.errors import ImageError, LiaamError, TrainingError
 from liaam.fitting import Fitter
-from liaam.io import read_image
+from liaam.io import image_size
 from liaam.io.landmarks import Contour, Landmarks
 from liaam.io.sides import sides_by_place_or_name
 from liaam.model import AAM, load_model
 from liaam.model.mesh import folded_share
 from liaam.model.shape import align, diagonal_of
 from liaam.photometry.encoding import refuse_unscaled
+from liaam.studio.layers import fit_file
 from liaam.studio.model_store import MODEL_FILE, ModelStore, Versions
+from liaam.studio.pictures import read_for_work, work_size
 from liaam.studio.project import Annotated, Project
-from liaam.studio.safety import Refusal
+from liaam.studio.refusal import Refusal
+from liaam.tracking.motion import rescaled
 from liaam.workers import fresh_interpreters, obey_parent
 
 LEAST = 3  # minimum number of pictures for training
 LEAST_OWN = 0.5
 """Least fraction of a held-out picture's points that a person has placed, moved or confirmed. Only these are measured;
 if they were fewer, those would be measured that a model had placed badly, and hardly any others."""
+
+HELD_OUT = "held out"
+"""Kind of the newest fits to held-out pictures in the store."""
 
 Publish = Callable[[str, Any], None]  # sends an event of a kind to the pages
 
@@ -140,6 +146,16 @@ class Trainer:
             store.set_aside(MODEL_FILE)
             store.put("model", {MODEL_FILE: None})
 
+    def rename(self, name: str, new: str) -> None:
+        """Let the studio's model, which was trained on a picture, know it by its new name."""
+        trained = self.models.own
+        if trained is None or trained.facts["source"] != "studio":
+            return
+        for names in (trained.facts["pictures"], trained.facts.get("left_out", {})):
+            if name in names:
+                names[new] = names.pop(name)
+        self.project.store.put("model", {MODEL_FILE: trained.facts})
+
     def wait(self, timeout: float | None = None) -> Training:
         """Wait for a running training and return its final state."""
         if self._listener is not None:
@@ -184,7 +200,8 @@ class Trainer:
             self.is_measuring = True
             self._publish("project", {})
         elif kind == "measured" and self.is_measuring and self.models.own is not None:
-            self.versions.add(self.models.own.facts, data)
+            self.versions.add(self.models.own.facts, data["errors"])
+            self.project.store.put(HELD_OUT, {"": {"order": job.order, "fits": data["fits"]}})
             self._publish("project", {})
         elif kind == "failed":
             return Training("failed", error=self.project.folder.plain(data))
@@ -251,18 +268,27 @@ def _work(job: TrainingJob, pipe: Any) -> None:
                 rest, _ = _train(job, pipe.send, dict(left_out), job.held_out, "measuring", leave_out=False, lamps=None)
                 fitter = Fitter(rest)
                 errors = {}  # relative to the diagonal of the points
+                fits = {}
                 for item in job.done:
                     if item.name in job.held_out:
                         with suppress(LiaamError, MemoryError):
-                            landmarks = fitter.fit(item.path).landmarks
+                            landmarks = fit_file(fitter, item.path).landmarks
                             size = diagonal_of(item.points[item.placed])
                             error = point_error(landmarks[item.own], item.points[item.own]) / size
                             if np.isfinite(error):
                                 errors[item.name] = round(error, 5)
-                pipe.send(("measured", errors))
+                                fits[item.name] = np.round(landmarks, 3).tolist()
+                pipe.send(("measured", {"errors": errors, "fits": fits}))
             pipe.send(("done", summary))
         except (LiaamError, MemoryError) as fault:
             pipe.send(("failed", str(fault) or "the training ran out of memory: train on smaller pictures"))
+
+
+def _points_at_work(item: Annotated) -> np.ndarray:
+    """Return the points of a picture in the pixels at which it is worked on."""
+    width, height = image_size(item.path)
+    to = work_size(width, height)
+    return rescaled(item.points, (height, width), (to[1], to[0]))
 
 
 def _train(
@@ -280,7 +306,7 @@ def _train(
 
     def read(item: Annotated) -> np.ndarray:
         try:
-            image = read_image(item.path)
+            image = read_for_work(item.path)
             refuse_unscaled(image, item.name, "srgb")
             return image
         except ImageError as fault:
@@ -292,7 +318,7 @@ def _train(
 
     while True:
         used = [item for item in job.done if item.name not in {*left_out, *unused}]
-        marks = [Landmarks(item.points, job.contours, job.names) for item in used]
+        marks = [Landmarks(_points_at_work(item), job.contours, job.names) for item in used]
         sides = sides_by_place_or_name([str(PurePosixPath(item.name).with_suffix("")) for item in used])
         items = [
             SimpleNamespace(name=item.name, landmarks=landmarks, read_image=partial(read, item), side=side)

@@ -63,6 +63,12 @@ def tabs(page):
     wait_for(page, "() => window.liaamStudio.annotate.source() === 'template'")
     yield "template"
     page.get_by_role("button", name="Cancel").click()
+    page.locator("[data-testid=tab-measure]").click()
+    page.locator("[data-testid=measure-table]").wait_for()
+    yield "measure"
+    page.locator("[data-testid=measure-view-shapes]").click()
+    page.locator("[data-testid=shape-scatter] svg").wait_for()
+    yield "shapes"
     page.locator("[data-testid=tab-fit]").click()
     wait_for(page, "() => window.liaamStudio.fit.fit")
     yield "fit"

@@ -33,7 +33,7 @@ def test_a_reload_is_small(serve, page, marked):
     def reload():
         page.reload()
         opened(page, NAMES[0])
-        wait_for(page, "() => document.querySelectorAll('[role=tab]').length === 4")
+        wait_for(page, "() => document.querySelectorAll('[role=tab]').length === 5")
 
     found = fetched(page, reload)
     assert len(found) <= MOST_REQUESTS, sorted(found)

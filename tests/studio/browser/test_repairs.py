@@ -3,7 +3,7 @@
 from pathlib import Path
 
 import pytest
-from people import NAMES, annotate, client, shoot, wait_for, wait_for_state
+from people import NAMES, annotate, client, shoot, wait_for, wait_for_state, wait_until
 from test_adding import READY
 
 from liaam.io import Landmarks, write_landmarks
@@ -135,13 +135,20 @@ def test_after_the_last_picture_the_page_leads_on(small, artefacts):
         assert small.locator(f"[data-testid=then-{name}]").is_visible()
     shoot(small, artefacts, "51-all-done")
     small.locator("[data-testid=then-measure]").click()
-    small.locator("[data-testid=measures]").fill("distance:1-2 angle:1-2-3")
+    measures = small.locator("[data-testid=measure-list] li")
+    for kind, points in (("distance", [0, 1]), ("angle", [0, 1, 2])):
+        small.locator(f"[data-testid=measure-kind-{kind}]").click()
+        for point in points:
+            small.locator(f".plot-pick[data-index='{point}']").click()
+    wait_until(small, lambda: measures.count() == 2)
     small.locator("[data-testid=measure-scale]").fill("1-3=5")
+    small.locator("[data-testid=measure-scale]").press("Enter")
     with small.expect_download() as download:
-        small.locator("[data-testid=measure-save]").click()
+        small.locator("[data-testid=measure-save]").select_option("csv")
     table = Path(download.value.path()).read_text().splitlines()
     assert table[0].startswith("specimen,") and "angle_1_2_3" in table[0]
     assert len(table) == 4
+    small.locator("[data-testid=tab-annotate]").click()
     small.locator("[data-testid=then-review]").click()
     assert small.locator("[data-testid=strip-filter]").input_value() == "review"
     small.locator("[data-testid=then-live]").click()

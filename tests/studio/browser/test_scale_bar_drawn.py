@@ -75,8 +75,9 @@ def test_a_scale_bar_is_drawn_undone_changed_and_exported(marked, serve, open_pa
     assert tps.count("SCALE=0.2") == 1
     page.locator("[data-testid=export-all]").select_option("measure")
     with page.expect_download() as waited:
-        page.locator("[data-testid=measure-save]").click()
+        page.locator("[data-testid=measure-save]").select_option("csv")
     assert "scale" in waited.value.path().read_text().splitlines()[0]
+    page.locator("[data-testid=tab-annotate]").click()
 
     page.locator("[data-testid=scale-bar]").click()
     page.locator("[data-testid=scale-remove]").click()

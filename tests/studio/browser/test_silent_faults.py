@@ -168,3 +168,27 @@ def test_a_picture_is_finished_without_a_point_that_its_object_lacks(serve, page
     page.reload()
     opened(page, NAMES[1])
     assert page.locator(".point[data-state=absent]").count() == 1
+
+
+def test_two_tabs_do_not_take_back_each_others_absent_points(serve, open_page, marked):
+    """They are not in the landmark file, so that the later tab overwrote those of the earlier without a word."""
+    points = read_landmarks((marked / NAMES[0]).with_suffix(".ljson")).points.copy()
+    points[[3, 4]] = np.nan
+    write_landmarks((marked / NAMES[0]).with_suffix(".ljson"), Landmarks(points))
+    server = serve(marked)
+    tabs = [open_page(), open_page()]
+    for tab in tabs:
+        tab.goto(server.address)
+        opened(tab, NAMES[0])
+    tabs[1].context.set_offline(True)
+    for tab, point in zip(tabs, (3, 4), strict=True):
+        tab.locator(f"[data-testid=point-list] [data-index='{point}']").click()
+        tab.keyboard.press("u")
+    saved(tabs[0])
+    tabs[1].context.set_offline(False)
+    for tab in tabs:
+        wait_for(tab, "() => document.querySelectorAll('.point[data-state=absent]').length === 2")
+        saved(tab)
+    tabs[0].reload()
+    opened(tabs[0], NAMES[0])
+    assert tabs[0].locator(".point[data-state=absent]").count() == 2

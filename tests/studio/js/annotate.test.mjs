@@ -242,7 +242,7 @@ function bench(storage = new Storage(), now = null) {
       log.sent.push({ name, body });
       return new Promise((resolve, reject) =>
         pending.push({
-          ok: () => resolve({ revision: `r${(revision += 1)}` }),
+          ok: (more = {}) => resolve({ revision: `r${(revision += 1)}`, ...more }),
           fail: (error) => reject(error),
         }),
       );
@@ -361,6 +361,24 @@ test("a conflict is the person's to decide: mine goes with the new revision", as
   assert.deepEqual(log.sent[1].body, { ...content(2), revision: "r9" });
   await answer("ok");
   assert.equal(state(), "saved");
+});
+
+test("a save says what it has changed from, and what others have changed meanwhile is shown", async () => {
+  const { saver, log, run, answer } = bench();
+  const mine = (x) => ({ ...content(x), absent: [1], origins: ["placed", null] });
+  saver.known("a", "r0", mine(0), null, "b0");
+  saver.change("a", mine(2));
+  run();
+  assert.deepEqual(log.sent[0].body.base, { absent: [1], origins: ["placed", null] });
+  saver.heard("a", "r1", "b1");
+  await answer("ok", { beside: "b1" });
+  assert.deepEqual(log.foreign, []); // the event was of this save
+  saver.heard("a", "r1", "b2"); // another tab has marked a point as absent: the file stays as it is
+  assert.deepEqual(log.foreign, ["a"]);
+  saver.change("a", mine(3));
+  run();
+  await answer("ok", { beside: "b3", merged: true });
+  assert.deepEqual(log.foreign, ["a", "a"]);
 });
 
 test("a conflict: theirs forgets mine", async () => {

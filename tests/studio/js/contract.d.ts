@@ -78,6 +78,14 @@ interface Marks {
   width: number;
   height: number;
   bar: Bar | null;
+  /** Changes with the absent points and the origins, which the file does not hold. */
+  beside: string;
+}
+
+/** What a page has changed from, beside the landmark file. */
+interface Base {
+  absent?: number[];
+  origins?: ("placed" | "moved" | "confirmed" | "accepted" | "proposed" | null)[];
 }
 
 /** A request to save the landmarks of a picture. */
@@ -86,6 +94,8 @@ interface SaveMarks {
   invisible?: number[];
   absent?: number[];
   origins?: ("placed" | "moved" | "confirmed" | "accepted" | "proposed" | null)[];
+  /** With it, what others have changed meanwhile of other points stays. */
+  base?: Base;
   bar?: Bar | null;
   revision: string | null;
   /** Revision of the template of the points. */
@@ -98,6 +108,9 @@ interface SaveMarks {
 /** The answer to it. */
 interface Saved {
   revision: string | null;
+  beside: string;
+  /** Whether others had changed absent points or origins, which were kept. */
+  merged: boolean;
   picture: Picture;
 }
 
@@ -106,6 +119,19 @@ interface Reviewed {
   changed: string[];
   /** Reasons by name. */
   refused: Record<string, string>;
+}
+
+/** Pictures that were removed from the folder, or restored. */
+interface Removed {
+  /** Restores them. */
+  token: string;
+  pictures: string[];
+}
+
+/** A picture that was renamed. */
+interface Renamed {
+  before: string;
+  name: string;
 }
 
 /** An entry in the log of a picture. */
@@ -191,6 +217,8 @@ interface Project {
   id: string;
   stamp: string;
   folder: string;
+  /** Whether nothing can be written, so that pictures are only shown, fitted and relit. */
+  read_only: boolean;
   /** The set of landmarks that the page shows. */
   set: string;
   /** All sets of the folder; '' is the first one. */
@@ -224,6 +252,99 @@ interface Unchanged {
   stamp: string;
 }
 
+/** A measure of all pictures with landmarks. */
+interface Column {
+  /** Such as distance:1-5; null: the centroid size. */
+  measure: string | null;
+  name: string;
+  /** px, °, or a unit of length or area. */
+  unit: string;
+  /** null: a landmark is missing, or the picture has no scale. */
+  values: (number | null)[];
+}
+
+/** A grid over the mean shape, and how its points move with each principal component. */
+interface Grid {
+  rows: number;
+  columns: number;
+  points: number[][];
+  /** For a score of 1, by component. */
+  bends: number[][][];
+}
+
+/** The space of shapes, of centroid size 1, y downwards as in pictures. */
+interface Space {
+  /** Indices of the points that make the shape. */
+  landmarks: number[];
+  /** Indices of the pictures that have a shape. */
+  of: number[];
+  mean: number[][];
+  /** Those of the first of them, to be drawn over each other. */
+  shapes: number[][][];
+  /** By picture, of each principal component. */
+  scores: number[][];
+  /** By component: the mean plus scores times axes is a shape. */
+  axes: number[][][];
+  shares: number[];
+  /** From the mean shape, in centroid sizes. */
+  distances: number[];
+  /** Distance beyond which a shape is unusual. */
+  limit: number;
+  /** null: the landmarks lie on one line. */
+  grid: Grid | null;
+}
+
+/** A permutation test of the difference in shape between groups. */
+interface GroupTest {
+  groups: string;
+  specimens: number;
+  /** Between the mean shapes of two groups, in centroid sizes. */
+  distance: number | null;
+  /** Of the groups in the variance of shape. */
+  share: number;
+  p: number;
+}
+
+/** Measures of all pictures with landmarks, and the space of their shapes. */
+interface Shapes {
+  pictures: string[];
+  /** Group of each; empty if it has none. */
+  groups: string[];
+  /** Number of points of each that were estimated. */
+  estimated: number[];
+  columns: Column[];
+  space: Space | null;
+  /** Why there is no space. */
+  why_not: string;
+  tests: GroupTest[];
+  /** Whether a table of groups was given. */
+  has_table: boolean;
+}
+
+/** How shapes agree with labels, for statistics of shape. */
+interface ShapeAgreement {
+  /** Of the two: shapes and labels. */
+  names: string[];
+  pictures: number;
+  /** Of the shapes on the labels. */
+  slope: number;
+  slope_interval: number[];
+  /** What a difference between groups is multiplied by; null without groups. */
+  attenuation: number | null;
+  attenuation_interval: (number | null)[];
+  variance_ratio: number;
+  reliability: number;
+  /** Intraclass correlation. */
+  repeatability: number;
+  /** Of the mean shapes, in standard errors. */
+  mean_distance: number;
+  /** That the mean shapes are as far apart by chance. */
+  p: number;
+  size_correlation: number;
+  /** Sentences for the section Methods of a paper. */
+  methods: string;
+}
+
 /** How far observers are apart. */
 interface Agreement {
   observers: string[];
@@ -238,4 +359,6 @@ interface Agreement {
   unconfirmed: string[];
   file: string;
   table: string;
+  /** Of each other observer and the set that is shown, from 5 pictures on. */
+  shapes: ShapeAgreement[];
 }

@@ -17,6 +17,7 @@ import { boxAfterKey, boxBetween, boxMoved, BoxTool, isDrawn, MeanTool } from ".
 import * as inv from "./modules/fit-theta.js";
 import { directionAfterKey, directionAt, directionInWords, lightQuery, PRESETS } from "./modules/relight.js";
 import { State } from "./modules/state.js";
+import { levelFor, Tiles, tilesIn } from "./modules/tiles.js";
 
 const close = (a, b, tolerance = 1e-6) => assert.ok(Math.abs(a - b) <= tolerance, `${a} is not ${b}`);
 const closePoints = (a, b, tolerance = 1e-6) => a.forEach((p, i) => p.forEach((v, k) => close(v, b[i][k], tolerance)));
@@ -556,4 +557,38 @@ test("chroma says how much of the picture it covers", () => {
 test("a file is called what the server says", () => {
   assert.equal(fileNameIn("attachment; filename=\"a.png\"; filename*=UTF-8''%C3%A4%3B.png"), "ä;.png");
   assert.equal(fileNameIn(null), "file");
+});
+
+test("a view needs the tiles that it shows, of the level that its zoom needs", () => {
+  assert.deepEqual([levelFor(1), levelFor(2), levelFor(0.25), levelFor(0.25, 2), levelFor(0.01)], [0, 0, 2, 1, 7]);
+  assert.deepEqual(tilesIn([0, 0, 1000, 500], 0, 1300, 700), [[0, 0], [1, 0]]);
+  assert.deepEqual(tilesIn([-50, 600, 3000, 900], 1, 1300, 700), [[0, 0], [1, 0]]);
+  assert.deepEqual(tilesIn([1300, 0, 1500, 100], 0, 1300, 700), []);
+});
+
+test("tiles are asked for from the middle of the view, and drawn once they are there", async () => {
+  const asked = [];
+  const drawn = [];
+  const waiting = [];
+  const tiles = new Tiles(4096, 4096, 256, (...tile) => {
+    asked.push(tile.join("/"));
+    return new Promise((done) => waiting.push(() => done({ width: 512, height: 512, close() {} })));
+  });
+  const ctx = {
+    getTransform: () => ({ a: 1, d: 1, e: 0, f: 0 }), canvas: { width: 1536, height: 512 },
+    drawImage: (_, ...place) => drawn.push(place.join(" ")),
+  };
+  const view = { scale: 1, left: 0, top: 0 };
+  tiles.draw(ctx, view);
+  assert.equal(asked[0], "0/1/0");
+  assert.deepEqual([drawn, tiles.cover(ctx, view)], [[], false]);
+  while (waiting.length) {
+    waiting.shift()();
+    await new Promise((done) => setTimeout(done));
+  }
+  assert.ok(tiles.cover(ctx, view));
+  tiles.draw(ctx, view);
+  assert.ok(drawn.includes("512 0 512 512"));
+  tiles.close();
+  assert.equal(tiles.cover(ctx, view), false);
 });

@@ -75,7 +75,7 @@ async function openTab(server, storage, first) {
   const canvas = { listeners: {}, addEventListener(kind, f) { this.listeners[kind] = f; } };
   const viewer = {
     canvas, scale: 1, width: SIZE, height: SIZE, container: { clientWidth: SIZE, clientHeight: SIZE },
-    redraw() {}, setPicture() {}, fit() {}, panBy() {},
+    redraw() {}, setPicture() {}, mirror() {}, fit() {}, panBy() {},
     toScreen: (point) => point, toImage: (point) => point, place: ({ at }) => at,
   };
   const pictures = PICTURES.map((name) => ({ name, state: "new", tag: "t", rank: null }));
@@ -93,7 +93,7 @@ async function openTab(server, storage, first) {
   const app = { state, api, toast, ui: { dialog: async () => "theirs" }, pictures: { fetch: async () => ({ bitmap: {} }) } };
   const tab = {
     app, state, viewer, name: null, visible: true, editing: false, template: TEMPLATE, cover: { hidden: true },
-    boxing: false, status: { show() {} }, assist: { left() {} }, templates: {}, toasts,
+    boxing: false, mirroredViews: new Set(), status: { show() {} }, assist: { left() {} }, templates: {}, toasts,
     say() {}, sayPlace() {}, refresh() {}, focus() {}, act: (_, work) => work(),
     leavePicture(name) { tab.saver.flush(name); },
     get drawing() { return tab.tracing.on ? tab.tracing : undefined; },

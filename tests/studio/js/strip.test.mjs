@@ -6,7 +6,9 @@ import { test } from "node:test";
 import { namesFor, summary } from "./modules/adding.js";
 import { outcome, whoAmI } from "./modules/bulk.js";
 import { percent } from "./modules/annotate-words.js";
-import { accuracyText, measuresWith, measureText, sentence } from "./modules/review.js";
+import { faultIn, meant } from "./modules/hotkeys.js";
+import { bins, joined, kindFor, measureOf, measureText, numberText, parsed, summary as summaryOf, valueOf } from "./modules/measures.js";
+import { accuracyText, sentence } from "./modules/review.js";
 import { between, describe, FILTERS, foldersOf, matching, openIn } from "./modules/strip-filters.js";
 import { acceptable } from "./modules/wall.js";
 
@@ -98,13 +100,44 @@ test("the wall accepts sure proposals, and opens slips and what is not done", ()
   assert.deepEqual(openIn(all).map(({ name }) => name), ["slip", "doubtful", "low", "sure"]);
 });
 
-test("the measure of the selected points is added, and told with their names", () => {
-  assert.equal(measuresWith("", []), "distance:1-2");
-  assert.equal(measuresWith("distance:1-2", [2, 3, 4]), "distance:1-2 angle:3-4-5");
-  assert.equal(measuresWith(" area:1-2-3-4  distance:1-2 ", [0, 1]), "area:1-2-3-4 distance:1-2");
+test("measures are told with the names of their points", () => {
+  assert.equal(measureOf(kindFor(3), [2, 3, 4]), "angle:3-4-5");
+  assert.equal(joined(["area:1-2-3-4", "distance:1-2", "distance:1-2"]), "area:1-2-3-4 distance:1-2");
   const names = ["fork of L2", "tip", "base"];
   assert.equal(measureText("angle:1-2-3", names), "angle: fork of L2 – tip – base");
   for (const other of ["distance:tip-base", "distance:1-9", "nonsense"]) assert.equal(measureText(other, names), other);
+});
+
+test("measures have the values of liaam measure, in the unit of the scale", () => {
+  const points = [[0, 0], [3, 4], [3, 10], [0, 10], null];
+  const value = (measure, pixel = null) => valueOf(parsed(measure, ["a", "b", "c", "d", "e"]), points, pixel);
+  assert.deepEqual(value("distance:1-2"), { value: 5, unit: "px" });
+  assert.deepEqual(value("length:1-2-3", { length: 0.5, unit: "mm" }), { value: 5.5, unit: "mm" });
+  assert.deepEqual(value("area:2-3-4", { length: 0.5, unit: "mm" }), { value: 2.25, unit: "mm²" });
+  assert.equal(Math.round(value("angle:2-3-4", { length: 0.5, unit: "mm" }).value), 90);
+  assert.equal(value("distance:1-5"), null);
+  assert.equal(numberText(1234.56, "px"), "1235\u00a0px");
+  assert.equal(numberText(0.00001234), "1.234e-5");
+  assert.equal(numberText(null, "px"), "–");
+});
+
+test("a histogram holds each known value once", () => {
+  const values = [1, 2, 2, 3, null, 10, 2.5, 2.2];
+  const { edges, of } = bins(values);
+  assert.deepEqual(of.flat().sort(), [0, 1, 2, 3, 5, 6, 7]);
+  assert.equal(edges.length, of.length + 1);
+  assert.deepEqual(bins([4, 4, 4]).of, [[0, 1, 2]]);
+  assert.deepEqual(bins([null]).of, []);
+  const { n, mean, sd } = summaryOf([1, null, 3]);
+  assert.deepEqual([n, mean, sd], [2, 2, Math.SQRT2]);
+});
+
+test("a letter of one's own means its command, and the old letter nothing", () => {
+  const chosen = { q: "c", c: "v" };
+  assert.deepEqual(["q", "Q", "c", "v", "x"].map((key) => meant(key, chosen)), ["c", "c", "v", "", "x"]);
+  assert.equal(faultIn({ n: "n", p: "q" }), "");
+  assert.match(faultIn({ n: "x", p: "x" }), /have the same key, X/);
+  assert.match(faultIn({ n: "" }), /give one letter/);
 });
 
 test("an observer's set logs under its name, other sets under that of the browser", (t) => {

@@ -84,6 +84,14 @@ export function createCommands(tab) {
       viewer.redraw();
     },
 
+    /** Show the open picture mirrored, or as it is; the page remembers which ones. */
+    mirrorView() {
+      const { mirroredViews, name } = tab;
+      if (!mirroredViews.delete(name)) mirroredViews.add(name);
+      viewer.mirror(mirroredViews.has(name));
+      say(viewer.mirrored ? "Shown mirrored" : "Shown as it is");
+    },
+
     hideMarks(on) {
       if (marking.hidden === on) return;
       marking.hidden = on;
@@ -115,6 +123,17 @@ export function createCommands(tab) {
     },
 
     ruler: () => tab.ruler.start(),
+
+    /** Measure the selected points in all pictures; with none selected, show or hide the measures. */
+    measure() {
+      if (tab.drawing) return;
+      const inOrder = [...marking.selection].filter((i) => marking.points[i]); // as they were selected
+      if (inOrder.length > 1) return void app.toast(`${tab.measured.add(inOrder)}, in all pictures.`, "good", { label: "Show all", onclick: () => app.openTab("measure") });
+      tab.drawn.measures = !tab.drawn.measures;
+      tab.toolbar.press("measures", tab.drawn.measures);
+      say(tab.drawn.measures ? "Measures shown" : "Measures hidden");
+      viewer.redraw();
+    },
 
     /** Trace the contour of the selected or next point; again: end it, or stop if it has too few places. */
     trace() {
@@ -201,7 +220,7 @@ export function createCommands(tab) {
     },
 
     accept() {
-      if (!commands.marks) return commands.skip(); // there is nothing to accept
+      if (!commands.marks || marking.locked) return commands.skip(); // there is nothing to accept
       if (tab.tracing.on) return tab.tracing.finish();
       if (marking.state.source === "layout") // left as it is
         return void (warned === tab.name ? goOnAfter(tab.saving.markUnchecked) : warn(UNTOUCHED));

@@ -21,10 +21,12 @@ export const SHORTCUTS = [
   { keys: "U", what: "Mark the point as absent: this object does not have it" },
   { keys: "X M", what: "Move mirrored points together; flip left and right" },
   { keys: "B S", what: "Select with a box; draw a scale bar" },
+  { keys: "T", what: "Measure the selected points in all pictures; with none selected, show or hide the measures" },
   { keys: "C", what: "Trace a contour by a few clicks; Enter ends it, Backspace removes the last place" },
   { keys: "Shift+C", what: "Space the points of the contour evenly" },
   { keys: "L K E", what: "Show names, contours, ellipses" },
   { keys: "R", what: "Loupe where a click places a point: on, off" },
+  { keys: "F", what: "Show this picture mirrored, as a right wing beside left ones; or as it is. Points and files stay as they are" },
   { keys: "H", what: "Hide all points while held" },
   { keys: "Ctrl+Z Ctrl+Y", what: "Undo, redo" },
   { keys: "N C X P", what: "In the template: draw or end a curve, close it, mirror, add a point in the middle" },
@@ -40,12 +42,13 @@ export function createKeys(tab) {
   const always = {
     l: () => commands.flick("names"), k: () => commands.flick("contours"), e: () => commands.flick("ellipses"),
     b: commands.toggleBox, h: () => commands.hideMarks(true), escape: commands.escape, n: commands.skip,
+    f: commands.mirrorView,
     r: () => { tab.tool.magnifies = !tab.tool.magnifies; },
   };
   const marks = {
     v: commands.toggleInvisible, u: commands.toggleAbsent, y: commands.confirm, x: commands.toggleMirrored, m: commands.flip,
     p: ({ shiftKey }) => (shiftKey ? commands.copyPrevious() : commands.placeChosen()),
-    s: commands.ruler, delete: commands.removeChosen, backspace: commands.removeChosen,
+    s: commands.ruler, t: commands.measure, delete: commands.removeChosen, backspace: commands.removeChosen,
     c: ({ shiftKey }) => (shiftKey ? commands.space() : commands.trace()),
   };
   const tracing = { c: commands.trace, delete: () => tab.tracing.drop(), backspace: () => tab.tracing.drop() };
@@ -62,7 +65,7 @@ export function createKeys(tab) {
     const chosen = [...doc.selection].filter((i) => doc.points[i]);
     const before = doc.points;
     if (editing && !chosen.length && tab.templates.doc.shiftAxis(event)) return true;
-    const edit = keyEdit(event, before, chosen.length ? chosen : placed(before), chosen);
+    const edit = keyEdit(event, before, chosen.length ? chosen : placed(before), chosen, viewer.mirrored);
     if (!edit) return false;
     doc.commit(doc.follow(before, edit.points, chosen), edit.what, edit.key);
     if (chosen.length === 1) tab.tool.nudged(doc.points[chosen[0]]);

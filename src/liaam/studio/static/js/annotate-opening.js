@@ -42,7 +42,8 @@ export function createOpening(tab, begins) {
       const [picture, marks] = await Promise.all(requests);
       if (own !== turn) return;
       const { width, height } = marks ?? picture;
-      viewer.setPicture(picture.bitmap, width, height);
+      viewer.setPicture(picture.bitmap, width, height, picture.tiles);
+      viewer.mirror(tab.mirroredViews.has(name));
       if (before !== name || width !== wasWide || height !== wasHigh) viewer.fit();
       if (!tab.template) tab.templates.begin();
       else await take(name, marks, own);
@@ -183,7 +184,7 @@ export class FirstMarks {
     const without = (all) => (lacks.length ? remove(all, lacks) : all);
     if (fits && (source === "file" || source === "proposal"))
       return { points: without(points), invisible: invisible ?? [], absent: lacks, origins, source, bar };
-    const layout = this.begins() === "click" ? null : await this.layout(name, width, height);
+    const layout = this.begins() === "click" || this.state.readOnly ? null : await this.layout(name, width, height);
     const own = layout ? { points: without(layout), source: "layout" } : { points: names.map(() => null), source: "none" };
     return { ...own, invisible: [], absent: lacks, origins: null, bar };
   }

@@ -88,7 +88,7 @@ export function createSaving(tab) {
     const ours = kept === null || (await page.inherits(kept.page));
     if (saver.isDirty(name)) return null;
     if (ours) return saver.restore(name, marks);
-    saver.known(name, marks.revision, contentOf(marks), marks); // another tab is saving them
+    saver.known(name, marks.revision, contentOf(marks), marks, marks.beside); // another tab is saving them
     return null;
   }
 

@@ -19,6 +19,11 @@ export function createToolbar(tab) {
   const contours = show("Contours", "Show the contours", { icon: "path" }, "K", true);
   const around = "Show ellipses that contain each point with 95 % probability";
   const ellipses = show("Ellipses", around, { icon: "target" }, "E", true);
+  const measures = button("mm", {
+    "aria-label": "Measures", kind: "ghost", shortcut: "T", pressed: true, testid: "measures",
+    title: "Measure the selected points in all pictures; with none selected, show or hide the measures",
+    onclick: (event) => tab.act(event, commands.measure),
+  });
   const box = tool("Select with a box", "box", "B", commands.toggleBox, { pressed: false });
   const mirror = tool("Move mirrored points together", "mirror", "X", commands.toggleMirrored, { pressed: false });
   const flip = tool("Flip left and right", "swap", "M", commands.flip);
@@ -28,12 +33,12 @@ export function createToolbar(tab) {
   const trace = tool("Trace a contour", "curve", "C", commands.trace, {
     pressed: false, testid: "trace", title: "Trace a contour: click a few places along it, and its points are placed evenly",
   });
-  const switches = { names, contours, ellipses, box, mirror };
+  const switches = { names, contours, ellipses, box, mirror, measures };
   const element = h("div.toolbar.annotate-toolbar", { role: "group", "aria-label": "Annotate" },
     tool("Previous picture", "left", "[", () => state.step(-1)),
     tool("Next picture", "right", "]", () => state.step(1)),
     rule(), undo, redo, rule(), box, mirror, flip, trace, ruler, rule(),
-    h("div.row.tight", { role: "group", "aria-label": "Show" }, names, contours, ellipses),
+    h("div.row.tight", { role: "group", "aria-label": "Show" }, names, contours, ellipses, measures),
     h("span.grow"), status.button, status.element);
 
   return {

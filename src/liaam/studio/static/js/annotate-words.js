@@ -5,11 +5,12 @@ export const several = (number, what) => `${number} ${what}${number === 1 ? "" :
 export const percent = (fraction) => `${(100 * fraction).toFixed(fraction < 0.01 ? 2 : 1)}\u00a0%`;
 
 /** What to do next with the open picture; "" if nothing. */
-export function promptOf({ state, book, placing, names, active, missing, proposed = 0 }) {
+export function promptOf({ state, book, placing, names, active, missing, absent = [], proposed = 0 }) {
   if (state.source === "proposal") {
+    const lacks = absent.length ? ` (${several(absent.length, "point")} absent: U if not)` : "";
     return book.doubtful
-      ? "Placed by the model with low confidence: check every point, drag wrong ones, then press Enter"
-      : "Placed by the model: drag wrong points, then press Enter";
+      ? `Placed by the model with low confidence${lacks}: check every point, drag wrong ones, then press Enter`
+      : `Placed by the model${lacks}: drag wrong points, then press Enter`;
   }
   if (state.source === "layout") return "Mean shape: move it into place by its frame, then drag single points";
   if (placing) return `Click ${names[active]}`;

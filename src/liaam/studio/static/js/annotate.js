@@ -11,7 +11,9 @@ import { descriptionOf, placeOf, promptOf, several, tallyOf } from "./annotate-w
 import { createAssist } from "./assist.js";
 import { drawGesture, drawHint, drawMarking, loupeOver } from "./drawing.js";
 import { PointTool } from "./gestures.js";
+import { chosenKeys, meant } from "./hotkeys.js";
 import { Marking } from "./marking.js";
+import { createMeasured } from "./measured.js";
 import { createPointsPanel } from "./points-panel.js";
 import { createReview } from "./review.js";
 import { ScaleBar } from "./scale-bar.js";
@@ -29,7 +31,8 @@ export class Tab {
   shortcuts = SHORTCUTS;
   name = null; // name of the open picture
   visible = false;
-  drawn = { names: false, contours: true, ellipses: true }; // what is drawn beside the points
+  drawn = { names: false, contours: true, ellipses: true, measures: true }; // what is drawn beside the points
+  mirroredViews = new Set(); // names of the pictures that are shown mirrored
   boxing = false; // whether dragging selects with a box
   waiting = null; // timer of an announcement
   container = h("div", { testid: "annotate-viewer" });
@@ -59,6 +62,7 @@ export class Tab {
       onpreview: () => viewer.redraw(),
       onplaced: (index) => this.placed(index),
     });
+    this.marking.locked = state.readOnly;
     this.ruler = new ScaleBar(this.marking, {
       onchange: () => this.refresh(),
       onpreview: () => viewer.redraw(),
@@ -66,6 +70,7 @@ export class Tab {
       onshare: (bar, anyway) => this.shareBar(bar, anyway),
     });
     this.tracing = new Tracing(this.marking, { onchange: () => this.refresh() });
+    this.measured = createMeasured(this);
     // In this order: the later ones use the earlier ones.
     this.commands = createCommands(this);
     this.status = createStatus(this);
@@ -107,13 +112,14 @@ export class Tab {
     const { state, saver, opening, commands } = this;
     state.addEventListener("select", (/** @type {any} */ { detail }) => this.selected(detail));
     state.addEventListener("project", () => this.templates.noticed() || opening.refresh());
-    state.addEventListener("landmarks", (/** @type {any} */ { detail }) => saver.heard(detail.name, detail.revision));
+    state.addEventListener("landmarks", (/** @type {any} */ { detail }) => saver.heard(detail.name, detail.revision, detail.beside));
     state.addEventListener("online", (/** @type {any} */ { detail }) => detail && this.online());
     this.viewer.addEventListener("view", () => opening.sharpen());
+    this.viewer.addEventListener("unmirror", () => commands.mirrorView());
     // A gesture in progress is not saved when the page is closed.
     document.addEventListener("visibilitychange", () => document.visibilityState === "hidden" && saver.flush());
     addEventListener("pagehide", () => saver.flush());
-    document.addEventListener("keyup", (event) => event.key.toLowerCase() === "h" && commands.hideMarks(false));
+    document.addEventListener("keyup", (event) => meant(event.key, chosenKeys()) === "h" && commands.hideMarks(false));
     addEventListener("blur", () => commands.hideMarks(false));
     setTimeout(() => this.saving.sendKept(), SEND_KEPT_AFTER);
   }
@@ -197,7 +203,7 @@ export class Tab {
     }
     const isMarking = !editing && marking.book !== null;
     this.toolbar.refresh({ history: this.doc.history, editing, marking: isMarking });
-    panel.edit.disabled = !isMarking || this.tracing.on;
+    panel.edit.disabled = !isMarking || this.tracing.on || marking.locked;
     if (!editing) panel.render(marking);
     // It accepts points at the mean shape as they are. Its place stays, so that nothing moves between pictures.
     assist.sure.style.visibility = marking.state?.source === "layout" ? "" : "hidden";
@@ -227,6 +233,7 @@ export class Tab {
     if (!cover.hidden) return "";
     if (editing) return templates.prompt;
     if (!marking.book) return "";
+    if (marking.locked) return "This folder can only be read: copy it to place landmarks";
     return drawing?.prompt ?? promptOf(marking);
   }
 
@@ -264,6 +271,7 @@ export class Tab {
     else if (marking.book) {
       if (this.tracing.on) this.tracing.draw(ctx, viewer);
       drawMarking(ctx, viewer, this.doc === marking ? tool : BUSY, marking, this.drawn, this.wrong);
+      this.measured.draw(ctx);
       this.ruler.draw(ctx, viewer);
     }
     drawGesture(ctx, viewer, tool, marking.suggested);

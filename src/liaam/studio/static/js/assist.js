@@ -1,7 +1,6 @@
 // The model's help: training in the background, and the choice of the next picture.
 
 import { percent, several } from "./annotate-words.js";
-import { measureAll } from "./review.js";
 import { openIn } from "./strip-filters.js";
 import { button, dialog, h, icon, listOf } from "./ui.js";
 
@@ -129,7 +128,7 @@ export function createAssist(app, commands) {
     onchange: () => localStorage.setItem(AUTO_KEY, auto.checked ? "on" : "off"),
   });
   const often = `when ${AUTO_FIRST} pictures are done, and again after every ${AUTO_AGAIN} more`;
-  const next = button("Accept and continue", {
+  const next = button(state.readOnly ? "Next picture" : "Accept and continue", {
     icon: "check", kind: "primary", shortcut: "Enter", testid: "accept-next", onclick: commands.accept,
     title: "Accept these points and open the picture that helps the model most",
   });
@@ -148,7 +147,7 @@ export function createAssist(app, commands) {
   const end = h("div.column.assist-end", { hidden: true },
     h("p", icon("check"), " All pictures are done. What next?"),
     h("div.row", go("Review", "review", () => state.dispatchEvent(new Event("to-review"))),
-      go("Measure", "measure", () => measureAll(app)), go("Export", "export", () => openList("[data-testid=export-all]")),
+      go("Measure", "measure", () => app.openTab("measure")), go("Export", "export", () => openList("[data-testid=export-all]")),
       go("Fit", "fit", () => app.openTab("fit")), go("Try live", "live", () => app.openTab("live"))));
   const decline = () => api.delete(api.url("model", "face")).then(() => state.refresh());
   const other = button("Use other points…", { small: true, kind: "ghost", testid: "decline-face", onclick: decline });

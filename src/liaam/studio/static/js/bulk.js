@@ -1,6 +1,7 @@
 // Actions on several pictures of the list, and their undo; and who does them: the name of the person who works here.
 
 import { several } from "./annotate-words.js";
+import { removePictures, renamePicture } from "./picture-files.js";
 import { button, dialog, h, iconButton, labelsOf, menu } from "./ui.js";
 
 const KEY = "liaam-studio:who";
@@ -60,13 +61,19 @@ export async function act({ state, api, toast, saved }, did, names, { more = {},
 
 /** The bar of actions; chosen() -> names; onall(): choose all; onend(): choose none; ondone(): after an action. */
 export function createBulk({ app, chosen, onall, onend, ondone }) {
-  let last = null; // {did, names} to undo
+  let last = null; // {undo()}: takes the last action back
   const count = h("span.small.grow", { "aria-live": "polite" });
-  const choice = menu("Action…", labelsOf(ACTIONS), async (did) => {
-    if (did !== "deleted" || (await mayDelete(chosen()))) run(did, chosen());
+  const ofFiles = {
+    rename: () => renamePicture(app, chosen()[0]), remove: () => removePictures(app, chosen()),
+  };
+  const labels = { ...labelsOf(ACTIONS), rename: "Rename…", remove: "Remove from the folder" };
+  const choice = menu("Action…", labels, async (did) => {
+    if (did in ofFiles) return changeFiles(ofFiles[did]);
+    if (did !== "deleted" || (await mayDelete(chosen()))) await run(did, chosen());
+    return undefined;
   }, { "aria-label": "Action on the selected pictures", testid: "bulk-action" });
   const takeBack = (did) => ACTIONS[did].undo && ((names) => run(ACTIONS[did].undo, names));
-  const undo = iconButton("Undo", "undo", () => takeBack(last.did)(last.names), {
+  const undo = iconButton("Undo", "undo", () => last.undo(), {
     kind: "", small: true, disabled: true, testid: "bulk-undo",
   });
   const small = (label, onclick, testid) => button(label, { small: true, kind: "ghost", onclick, testid });
@@ -84,9 +91,14 @@ export function createBulk({ app, chosen, onall, onend, ondone }) {
     const changed = await act(app, did, names, { more, undo: takeBack(did) });
     ondone();
     if (!changed.length) return;
-    last = { did, names: changed };
+    last = { undo: () => takeBack(did)(changed) };
     undo.disabled = !ACTIONS[did].undo;
     undo.title = `Undo: ${ACTIONS[did].done(pictures(changed))}`;
+  }
+
+  /** Remove or rename pictures by work(), which resolves to whether that was done. */
+  async function changeFiles(work) {
+    if (await work()) onend(); // the selected names are gone; the message offers to undo it
   }
 
   const show = (on) => {
@@ -94,5 +106,5 @@ export function createBulk({ app, chosen, onall, onend, ondone }) {
     count.textContent = `${chosen().length} selected`;
     choice.disabled = !chosen().length;
   };
-  return { element, run, show };
+  return { element, run, show, changeFiles };
 }

@@ -41,7 +41,7 @@ class Side {
   }
 
   get method() { return this.select.value; }
-  show(source) { this.viewer.setPicture(source?.image ?? null, source?.width ?? 0, source?.height ?? 0); }
+  show(source) { this.viewer.setPicture(source?.image ?? null, source?.width ?? 0, source?.height ?? 0, source?.tiles ?? null); }
 
   take(fit) {
     this.fit = fit;

@@ -41,7 +41,7 @@ export function drawPaths(ctx, viewer, points, contours, suggested) {
 }
 
 export function drawText(ctx, text, x, y, { colour = "#fff", align = "left" } = {}) {
-  ctx.font = "600 12px system-ui, sans-serif";
+  ctx.font = "600 12px Inter, system-ui, sans-serif";
   ctx.textAlign = align;
   ctx.textBaseline = "middle";
   ctx.lineJoin = "round";
@@ -126,7 +126,7 @@ export function drawLoupe(ctx, viewer, xy, pointer, colour = COLOURS.placed) {
   circle();
   filled(ctx, "#1b2030");
   ctx.clip();
-  viewer.drawAs(ctx, { scale, left: cx - scale * (xy[0] + 0.5), top: cy - scale * (xy[1] + 0.5) });
+  viewer.drawAs(ctx, { scale, ...viewer.cornerFor(xy, [cx, cy], scale) });
   const arm = (/** @type {number[]} */ [dx, dy]) => [6, 22].map((away) => [cx + away * dx, cy + away * dy]);
   lines(ctx, Object.values(ARROWS).map(arm));
   stroked(ctx, colour, 1.4);

@@ -2,6 +2,7 @@
 // pasted or opened.
 
 import { api } from "./api.js";
+import { TILED_FROM, Tiles } from "./tiles.js";
 
 const SHOWN_SIZE = 2048; // longest side at first
 const SHARP_SIZE = 8192; // longest side after zooming in
@@ -12,6 +13,12 @@ async function bitmapOf(address) {
   return createImageBitmap(blob).catch(() => {
     throw new Error("The browser cannot show this picture: reload the page.");
   });
+}
+
+/** The tiles of a picture that is large; null for others. addressOf(what) -> address of a part of the picture. */
+function tilesOf(addressOf, bitmap, width, height) {
+  if (width * height < TILED_FROM) return null;
+  return new Tiles(width, height, bitmap.width, (level, column, row) => bitmapOf(addressOf(`tiles/${level}/${column}/${row}`)));
 }
 
 /** The last few pictures, which are fetched at a higher resolution for zooming in. */
@@ -30,7 +37,7 @@ export class PictureStore {
   /** Fetch a sharper bitmap if `scale` (screen pixels per picture pixel) needs one; null otherwise. */
   async sharper(name, scale) {
     const picture = this.pictures.get(name);
-    if (!picture || picture.sharp) return null;
+    if (!picture || picture.sharp || picture.tiles) return null;
     const shown = picture.bitmap.width / picture.width; // bitmap pixels per picture pixel
     if (shown >= 1 || scale < 1.3 * shown) return null;
     picture.sharp = true; // request it once
@@ -46,10 +53,16 @@ export class PictureStore {
     const { tag } = this.state.picture(name);
     const bitmap = await bitmapOf(api.url("pictures", name, "image", { size, tag }));
     const { width, height } = await this.sizeOf(name, bitmap);
-    const picture = { bitmap, sharp: size > SHOWN_SIZE, width, height, tag };
+    const tiles = tilesOf((what) => api.url("pictures", name, what, { tag }), bitmap, width, height);
+    const isSharp = size > SHOWN_SIZE || tiles !== null;
+    const picture = { bitmap, sharp: isSharp, width, height, tag, tiles };
+    this.pictures.get(name)?.tiles?.close();
     this.pictures.set(name, picture);
-    for (const [other, { sharp }] of this.pictures) // keep only one sharp picture, which may take a hundred megabytes
-      if (other !== name && (this.pictures.size > KEPT || (sharp && picture.sharp))) this.pictures.delete(other);
+    for (const [other, { sharp, tiles: its }] of this.pictures) { // keep only one sharp picture, which may take a hundred megabytes
+      if (other === name || !(this.pictures.size > KEPT || (sharp && picture.sharp))) continue;
+      its?.close();
+      this.pictures.delete(other);
+    }
     return picture;
   }
 
@@ -71,6 +84,7 @@ export class Source {
     this.id = null;
     this.file = null; // that was dropped or chosen, if the picture is not in the folder
     this.image = null;
+    this.tiles = null; // of a large picture
     this.width = this.height = 0;
     this.method = this.fit = null; // how it is to be fitted with its upload, and that fit until it is shown
     this.quality = null; // of that fit
@@ -139,8 +153,8 @@ export class Sources extends EventTarget {
     try {
       const known = this.state.picture(name);
       if (known.error) throw new Error(known.error);
-      const { bitmap: image, width, height } = await this._pictures.fetch(name);
-      Object.assign(source, { image, width, height });
+      const { bitmap: image, width, height, tiles } = await this._pictures.fetch(name);
+      Object.assign(source, { image, width, height, tiles });
       if (this._wanted === source) this._show(source);
     } catch (error) {
       if (this._wanted !== source) return;

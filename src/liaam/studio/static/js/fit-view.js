@@ -71,7 +71,7 @@ export class FitView {
   setSource(source) {
     const another = source?.key !== this.source?.key;
     this.source = source;
-    this.viewer.setPicture(source?.image ?? null, source?.width ?? 0, source?.height ?? 0);
+    this.viewer.setPicture(source?.image ?? null, source?.width ?? 0, source?.height ?? 0, source?.tiles ?? null);
     if (!another) return;
     if (source) this.viewer.fit();
     this.invariant.clear();

@@ -73,8 +73,9 @@ export class Editable {
 export function frameOf(viewer, points, indices) {
   const box = indices.length > 1 ? bounds(points, indices) : null;
   if (box === null) return null;
-  const [x0, y0] = viewer.toScreen([box[0], box[1]]).map((v) => v - FRAME);
-  const [x1, y1] = viewer.toScreen([box[2], box[3]]).map((v) => v + FRAME);
+  const [one, other] = [viewer.toScreen([box[0], box[1]]), viewer.toScreen([box[2], box[3]])];
+  const [x0, y0] = [Math.min(one[0], other[0]) - FRAME, one[1] - FRAME]; // the view may be mirrored
+  const [x1, y1] = [Math.max(one[0], other[0]) + FRAME, other[1] + FRAME];
   const middle = (x0 + x1) / 2;
   const corners = cornersOf([x0, y0, x1, y1]);
   return {
@@ -316,8 +317,9 @@ const TURN = Math.PI / 180;
 const GROW = 1.01;
 
 /** Edit points with a key: {points, what, key} or null. `indices`: the selected points, or all. */
-export function keyEdit(event, points, indices, chosen) {
-  const arrow = ARROWS[event.key];
+export function keyEdit(event, points, indices, chosen, mirrored = false) {
+  const [across, down] = ARROWS[event.key] ?? [];
+  const arrow = across === undefined ? null : [mirrored ? -across : across, down];
   const more = event.shiftKey ? 5 : 1;
   if (arrow && (event.ctrlKey || event.metaKey)) {
     const centre = centroid(points, indices);

@@ -70,7 +70,7 @@ export class LiveGraphs {
     const style = getComputedStyle(this.element);
     const colour = (name) => () => style.getPropertyValue(`--${name}`);
     const axis = {
-      stroke: colour("muted"), font: "11px system-ui, sans-serif", gap: 2, ticks: { show: false },
+      stroke: colour("muted"), font: "11px Inter, system-ui, sans-serif", gap: 2, ticks: { show: false },
       grid: { stroke: colour("line"), width: 1 },
     };
     const secondsOf = (tick) => (this._now === null ? Math.round(tick - this._range[1]) : tick);

@@ -2,6 +2,7 @@
 
 import { api, ApiError, busy } from "./api.js";
 import { acceptFiles, createAdding } from "./adding.js";
+import { chosenKeys, chooseKeys, translate } from "./hotkeys.js";
 import { FitStore } from "./fit-run.js";
 import { PictureStore, Sources } from "./fit-source.js";
 import { unsavedWork } from "./unsaved.js";
@@ -14,13 +15,14 @@ import { button, consume, h, iconButton, isPlain, isTyping, press, runKey, toast
 
 const TABS = [
   { name: "annotate", label: "Annotate", what: "Place landmarks with the help of the model" },
+  { name: "measure", label: "Measure", what: "Measures of all pictures, and their shapes" },
   { name: "fit", label: "Fit", what: "Fit the model to a picture and change its light" },
   { name: "compare", label: "Compare", what: "Compare two methods side by side" },
   { name: "live", label: "Live", what: "Follow the object in the picture of a camera, or in a video" },
 ];
 
 const COMMON_KEYS = [
-  { keys: "1 2 3 4", what: "Annotate, Fit, Compare, Live" },
+  { keys: "1 2 3 4 5", what: "Annotate, Measure, Fit, Compare, Live" },
   { keys: "[ ] PageUp PageDown", what: "Previous, next picture" },
   { keys: "+ - 0", what: "Zoom in, out, whole picture" },
   { keys: "Space drag", what: "Pan (or drag an empty area, use the middle button or two fingers)" },
@@ -28,9 +30,11 @@ const COMMON_KEYS = [
   { keys: "I D Z", what: "Slide away or show the list of pictures, the panel, both" },
   { keys: "A", what: "Change brightness, contrast and gamma for looking" },
   { keys: "G W", what: "Wall of all pictures (PageUp, PageDown: scroll it; Shift+Enter: accept what is in view); open the worst of them" },
+  { keys: "F2 Delete", what: "In the list: rename the picture; remove it from the folder, with undo" },
   { keys: "?", what: "Show these keys" },
 ];
 
+const READ_ONLY = "Nothing can be written in this folder: pictures are shown, fitted, relit and measured. Copy the folder to place landmarks.";
 const PANELS = { i: ["strip"], d: ["side"], z: ["strip", "side"] }; // by key
 const state = new State();
 const tabs = new Map(); // name -> {root, tab, button}
@@ -41,7 +45,7 @@ const pictures = new PictureStore(state);
 const app = {
   state, api, ui, toast, confirm: ui.confirm, openTab, pictures,
   /** Whether the open tab shows a picture that is not in the folder. */
-  showsPictures: () => ["fit", "compare"].includes(open) || state.guest, sources: new Sources(state, pictures),
+  showsPictures: () => ["fit", "compare"].includes(open) || state.guest || state.readOnly, sources: new Sources(state, pictures),
   fits: new FitStore(state), adding: null, bulk: null, selection: () => [],
   saved: async () => {},
 };
@@ -64,6 +68,7 @@ async function start() {
   document.getElementById("folder").textContent = state.project.folder;
   document.getElementById("folder").title = state.project.folder;
   document.getElementById("folder").after(createSetList(app));
+  if (state.readOnly) document.getElementById("folder").after(h("span.badge.warn", { title: READ_ONLY, testid: "read-only" }, "Read only"));
   document.title = `${[state.project.folder, state.project.set].filter(Boolean).join(" – ")} – liaam studio`;
   look.open(state.project.id);
   mountStrip(document.getElementById("strip"), app);
@@ -112,11 +117,14 @@ async function mountTabs() {
   });
 }
 
-/** A guest only fits, so the tab Annotate is hidden. */
+/** Whether no picture can be annotated: a guest only fits, and a folder that can only be read gets no first template. */
+const onlyFits = () => state.guest || (state.readOnly && !state.project.template);
+
+/** Then the tab Annotate is hidden. */
 function followGuest() {
-  const guest = state.guest;
-  tabs.get("annotate").button.hidden = guest;
-  if (guest && open === "annotate") openTab("fit");
+  const isHidden = onlyFits();
+  tabs.get("annotate").button.hidden = isHidden;
+  if (isHidden && open === "annotate") openTab("fit");
 }
 
 function openTab(name, options = {}) {
@@ -124,7 +132,7 @@ function openTab(name, options = {}) {
   wanted = name;
   if (!tabs.size) return;
   if (!tabs.has(name)) name = "annotate";
-  if (name === "annotate" && state.guest) name = "fit";
+  if (name === "annotate" && onlyFits()) name = "fit";
   if (open === name) return tabs.get(name).tab.show?.(options);
   tabs.get(open)?.tab.hide?.();
   open = name;
@@ -140,6 +148,7 @@ function openTab(name, options = {}) {
 
 function keys(event) {
   if (event.defaultPrevented || isTyping(event) || document.querySelector("dialog[open]")) return;
+  if (open === "annotate" && !tabs.get(open).tab.editing) translate(event);
   if (tabs.get(open)?.tab.key?.(event) || (isPlain(event) && commonKey(event))) event.preventDefault();
 }
 
@@ -157,7 +166,12 @@ async function showKeys() {
   const table = (title, rows) => h("section", h("h2", title), h("dl", rows.map(({ keys: names, what }) => [
     h("dt", names.split(" ").map((key) => [h("kbd", key), " "])), h("dd", what)])));
   const sections = TABS.map(({ name, label }) => table(label, tabs.get(name).tab.shortcuts ?? []));
-  await ui.dialog("Keys", h("div.keys", table("Everywhere", COMMON_KEYS), sections), undefined, { wide: true });
+  const own = Object.entries(chosenKeys()).map(([letter, command]) => `${letter.toUpperCase()} for ${command.toUpperCase()}`);
+  const note = own.length > 0 && h("p.small", `Your own keys in Annotate: ${own.join(", ")}.`);
+  const change = { label: "Change keys…", value: "change", testid: "change-keys" };
+  const actions = [change, { label: "Close", kind: "primary", value: null }];
+  const asked = await ui.dialog("Keys", h("div.column", note, h("div.keys", table("Everywhere", COMMON_KEYS), sections)), actions, { wide: true });
+  if (asked === "change") await chooseKeys(toast);
 }
 
 function actions() {

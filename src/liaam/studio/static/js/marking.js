@@ -15,6 +15,7 @@ import {
 
 export class Marking extends Editable {
   book = null;
+  locked = false; // whether the folder can only be read
   hidden = false; // whether all marks are hidden for a moment
   mirrored = false; // whether mirrored points (twins) move together
 
@@ -31,7 +32,7 @@ export class Marking extends Editable {
   get history() { return this.book?.history ?? null; }
   get state() { return this.history?.state ?? null; }
   get points() { return this.shown ?? this.state?.points ?? []; }
-  get editable() { return this.book !== null && !this.hidden; }
+  get editable() { return this.book !== null && !this.hidden && !this.locked; }
   /** Whether the points are from the model or from other pictures, and not accepted yet. */
   get suggested() {
     return this.state !== null && (this.state.source === "proposal" || this.state.source === "layout");
@@ -77,6 +78,7 @@ export class Marking extends Editable {
   /** One undo step. It accepts a proposal, unless it changes the scale bar, and the mean shape if a point moves.
    *  @param {any} change; @param {string} what; @param {string | null} key; @param {Options} options */
   change(change, what, key = null, { context = this.contextBefore, ...options } = {}) {
+    if (this.locked) return;
     const before = this.state;
     const { points, invisible, absent = [], bar = null } = { ...before, ...change };
     this.shown = null;

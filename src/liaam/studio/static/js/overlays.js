@@ -77,7 +77,7 @@ export function drawEllipses(ctx, viewer, points, covariances, { colour = "#5ad1
     if (!point || !covariance) return;
     const [[a, b], [, c]] = covariance;
     const spread = Math.hypot((a - c) / 2, b);
-    const turn = 0.5 * Math.atan2(2 * b, a - c);
+    const turn = (viewer.mirrored ? -0.5 : 0.5) * Math.atan2(2 * b, a - c);
     const [x, y] = viewer.toScreen(point);
     const [major, minor] = [(a + c) / 2 + spread, (a + c) / 2 - spread].map((variance) =>
       Math.min(CHI * Math.sqrt(Math.max(variance, 0)) * viewer.scale, 1e4));

@@ -13,7 +13,9 @@ const RETRY = [1000, 2000, 4000, 8000];
 function body({ sent, saved, revision, template }) {
   const { bar, ...points } = sent;
   const content = saved && sameBar(bar, saved.bar) ? points : sent;
-  return { ...content, revision, ...(template?.revision === undefined ? {} : { template: template.revision }) };
+  const { absent, origins } = saved ?? {};
+  const base = { ...(absent && { absent }), ...(origins && { origins }) };
+  return { ...content, ...(absent || origins ? { base } : {}), revision, ...(template?.revision === undefined ? {} : { template: template.revision }) };
 }
 
 const sizeOf = ({ width = null, height = null }) => ({ width, height });
@@ -55,16 +57,17 @@ export class Saver {
 
   entry(name) {
     const fresh = {
-      revision: null, template: null, size: null, deleted: false, saved: null, wanted: null, sent: null, timer: null,
+      revision: null, beside: null, template: null, size: null, deleted: false, saved: null, wanted: null, sent: null, timer: null,
       retries: 0, state: "saved", message: "", heard: null, request: null,
     };
     if (!this.entries.has(name)) this.entries.set(name, fresh);
     return this.entries.get(name);
   }
 
-  known(name, revision, content, size = null) {
+  /** beside: what else changes with the landmarks, if it is known. */
+  known(name, revision, content, size = null, beside = null) {
     const entry = this.entry(name);
-    Object.assign(entry, { revision, saved: content, size: size ?? entry.size });
+    Object.assign(entry, { revision, saved: content, size: size ?? entry.size, beside });
   }
 
   /** The content that is not on the server yet, or null. */
@@ -153,8 +156,10 @@ export class Saver {
   }
 
   landed(name, entry, answer) {
-    Object.assign(entry, { revision: answer.revision, saved: entry.sent, sent: null, retries: 0 });
+    const { revision, beside = null, merged = false } = answer;
+    Object.assign(entry, { revision, beside, saved: entry.sent, sent: null, retries: 0 });
     this.options.onSaved(name, answer);
+    if (merged) entry.heard = { revision, beside: "" }; // others have changed what this page does not show yet
     if (entry.wanted) {
       this.keep(name, entry);
       return this.sendNow(name, entry);
@@ -211,16 +216,17 @@ export class Saver {
     return this.settle(name, entry);
   }
 
-  heard(name, revision) {
+  heard(name, revision, beside = null) {
     const entry = this.entry(name);
-    entry.heard = revision;
+    entry.heard = { revision, beside };
     if (!this.isDirty(name)) this.handleHeard(name, entry);
   }
 
   handleHeard(name, entry) {
     const { heard } = entry;
     entry.heard = null;
-    if (heard !== null && heard !== entry.revision) this.options.onForeign(name);
+    const isOther = (mine, other) => mine !== null && other !== null && mine !== other;
+    if (heard && (heard.revision !== entry.revision || isOther(entry.beside, heard.beside))) this.options.onForeign(name);
   }
 
   /** Convert the unsaved marks of a picture to the current template.
@@ -231,7 +237,7 @@ export class Saver {
     if (!content || entry.sent) return; // a running request calls this again through its answer
     const origins = this.isStale(name) ? mapping : null; // it may have been converted already
     const moved = this.carry(name, { wanted: content, saved: entry.saved, template: entry.template }, current, origins);
-    this.known(name, current.revision, contentOf(current), sizeOf(current));
+    this.known(name, current.revision, contentOf(current), sizeOf(current), current.beside ?? null);
     this.options.clearTimer(entry.timer);
     Object.assign(entry, { template: this.template(), state: "saving", retries: 0, timer: null });
     this.resume(name, entry, moved, current);
@@ -271,7 +277,7 @@ export class Saver {
   restore(name, current) {
     const kept = this.unsaved.get(name);
     const content = contentOf(current);
-    this.known(name, current.revision, content, sizeOf(current));
+    this.known(name, current.revision, content, sizeOf(current), current.beside ?? null);
     const drop = (why) => {
       if (why) this.options.onLost(name, why);
       this.unsaved.delete(name);

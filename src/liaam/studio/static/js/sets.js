@@ -3,6 +3,7 @@
 import { percent, several } from "./annotate-words.js";
 import { COLOURS } from "./drawing.js";
 import { discs, stroked } from "./overlays.js";
+import { shapeFacts, shapeNote } from "./shape-agreement.js";
 import { button, dialog, h, press, relist, saveFile, toast } from "./ui.js";
 
 const NEW = "+"; // no name of a set
@@ -107,7 +108,7 @@ export function createAgreement(tab) {
 /** Show how far observers are apart, and the pictures and points where most. @param {App} app */
 export async function showAgreement({ api, state }) {
   /** @type {Agreement} */
-  const { observers, sd, percent: share, repeatability, points, pictures, unconfirmed, file, table: text } =
+  const { observers, sd, percent: share, repeatability, points, pictures, unconfirmed, file, table: text, shapes } =
     await api.get(api.url("agreement"));
   const ignored = unconfirmed.length > 0 && h("p.small.warn-text", { testid: "agreement-unconfirmed" },
     `${several(unconfirmed.length, "picture")} ${unconfirmed.length === 1 ? "does" : "do"} not count, since points were ` +
@@ -126,6 +127,7 @@ export async function showAgreement({ api, state }) {
     h("dl.agreement-facts",
       fact("Standard deviation of a point", pixels(sd), "agreement-sd"), fact("of the centroid size", percent(share / 100)),
       fact("Repeatability of the shape", repeatability === null ? "needs 2 pictures" : repeatability.toFixed(3))),
+    shapes.map((each) => shapeFacts(each, calledSet)), shapes.length > 0 && shapeNote(),
     h("div.agreement-tables",
       table("Points, worst first", ["Point", "Deviation", "of size"], points.map(pointRow)),
       table("Pictures, worst first", ["Picture", "Deviation"], pictures.map(pictureRow))),

@@ -61,6 +61,9 @@ export class State extends EventTarget {
   /** Whether a model was dropped on the page, which then only fits. */
   get guest() { return this.project?.model?.source === "guest"; }
 
+  /** Whether nothing can be written in the folder, so that its pictures are only shown, fitted and relit. */
+  get readOnly() { return this.project?.read_only ?? false; }
+
   picture(name = this.current) {
     if (this._indexed !== this.project) {
       this._indexed = this.project;

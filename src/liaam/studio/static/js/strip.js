@@ -2,6 +2,7 @@
 // pictures can be selected, for actions on all of them.
 
 import { createBulk } from "./bulk.js";
+import { removePictures, renamePicture } from "./picture-files.js";
 import * as filters from "./strip-filters.js";
 import { consume, h, icon, iconButton, labelsOf, optionsOf, perFrame, press, relist } from "./ui.js";
 import { createWall } from "./wall.js";
@@ -116,6 +117,15 @@ export function mountStrip(root, app) {
   }
 
   function key(event) {
+    if (event.key === "F2" && state.current) {
+      consume(event);
+      return void bulk.changeFiles(() => renamePicture(app, state.current));
+    }
+    if (event.key === "Delete" && state.current) {
+      consume(event);
+      const names = selecting && chosen.size ? [...chosen] : [state.current];
+      return void bulk.changeFiles(() => removePictures(app, names));
+    }
     if (wall.on && event.key === "Enter" && state.current) {
       consume(event);
       if (event.shiftKey) wall.acceptPage();

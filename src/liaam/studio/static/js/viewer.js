@@ -16,11 +16,13 @@ const SHARP_FROM = 3; // zoom from which pixels are shown as squares
 export class Viewer extends EventTarget {
   tool = null;
   source = null;
+  tiles = null;
   width = 0;
   height = 0;
   scale = 1;
   left = 0; // position of the picture's corner, css pixels
   top = 0;
+  mirrored = false; // whether left and right of the picture are exchanged on the screen
   isLoupe = false; // whether the loupe is being drawn
   look = look.control();
   _layers = [];
@@ -48,7 +50,11 @@ export class Viewer extends EventTarget {
     container.classList.add("viewer");
     const tool = (label, icon, shortcut, onclick) =>
       button(label, { icon, shortcut, onclick, iconOnly: true, kind: "ghost", small: true });
-    container.append(this._glow, this.canvas, h("div.viewer-zoom", { role: "group", "aria-label": "View" },
+    this._turnBack = button("Mirrored", {
+      small: true, pressed: true, hidden: true, shortcut: "F", testid: "mirrored-view", title: "The picture is shown mirrored: show it as it is",
+      onclick: () => this.dispatchEvent(new Event("unmirror")),
+    });
+    container.append(this._glow, this.canvas, h("div.viewer-zoom", { role: "group", "aria-label": "View" }, this._turnBack,
       tool("Zoom out", "minus", "-", () => this.zoomBy(1 / 1.3)), this._zoomText,
       tool("Zoom in", "plus", "+", () => this.zoomBy(1.3)), tool("Whole picture", "fit", "0", () => this.fit()),
       this.look));
@@ -58,11 +64,15 @@ export class Viewer extends EventTarget {
     this._resize();
   }
 
-  /** Show a picture; width and height are those of landmark coordinates, the source may have any resolution. */
-  setPicture(source, width = 0, height = 0) {
+  /** Show a picture; width and height are those of landmark coordinates, the source may have any resolution. Tiles are
+   *  drawn over it. @param {any} source; @param {import("./tiles.js").Tiles | null} tiles */
+  setPicture(source, width = 0, height = 0, tiles = null) {
     const same = width === this.width && height === this.height;
-    if (same && source === this.source) return;
+    if (same && source === this.source && tiles === this.tiles) return;
     this.source = source;
+    this.tiles?.removeEventListener("ready", this.redraw);
+    this.tiles = tiles;
+    tiles?.addEventListener("ready", this.redraw);
     this.width = width;
     this.height = height;
     if (!same) this.fit();
@@ -73,7 +83,8 @@ export class Viewer extends EventTarget {
   fitTo(/** @type {number[]} */ [left, top, right, bottom], margin, fitted = false) {
     const { w, h } = this._size();
     this.scale = Math.min((w - 2 * margin) / (right - left), (h - 2 * margin) / (bottom - top), LARGEST);
-    this.left = w / 2 - (this.scale * (left + right)) / 2;
+    const middle = (left + right) / 2;
+    this.left = w / 2 - this.scale * (this.mirrored ? this.width - middle : middle);
     this.top = h / 2 - (this.scale * (top + bottom)) / 2;
     this._fitted = fitted;
     this._changed();
@@ -120,12 +131,27 @@ export class Viewer extends EventTarget {
     return { scale, left, top, _fitted };
   }
 
-  toScreen([x, y]) { return [this.left + this.scale * (x + 0.5), this.top + this.scale * (y + 0.5)]; }
+  /** Show the picture mirrored, or as it is. Only what is seen changes, not the coordinates of points. */
+  mirror(on) {
+    if (on === this.mirrored) return;
+    this.mirrored = on;
+    this._turnBack.hidden = !on;
+    this._changed();
+  }
+
+  /** How far a point is from the picture's left border on the screen, in pixels of the picture. */
+  _across(x) { return this.mirrored ? this.width - x - 0.5 : x + 0.5; }
+
+  toScreen([x, y]) { return [this.left + this.scale * this._across(x), this.top + this.scale * (y + 0.5)]; }
+
+  /** The corner of the picture with which a point is at a place of the screen, at a scale. */
+  cornerFor([x, y], [cx, cy], scale) { return { left: cx - scale * this._across(x), top: cy - scale * (y + 0.5) }; }
 
   /** Picture coordinates of an event or of [cx, cy] on the screen. */
   toImage(place) {
     const [cx, cy] = Array.isArray(place) ? place : this.place(place);
-    return [(cx - this.left) / this.scale - 0.5, (cy - this.top) / this.scale - 0.5];
+    const across = (cx - this.left) / this.scale;
+    return [(this.mirrored ? this.width - across : across) - 0.5, (cy - this.top) / this.scale - 0.5];
   }
 
   /** Position of an event on the screen, css pixels. */
@@ -220,11 +246,18 @@ export class Viewer extends EventTarget {
   }
 
   _drawPicture(ctx) {
+    ctx.save();
+    if (this.mirrored) {
+      ctx.translate(2 * this.left + this.scale * this.width, 0);
+      ctx.scale(-1, 1);
+    }
     ctx.filter = look.filter;
     ctx.imageSmoothingEnabled = this.scale < SHARP_FROM;
-    ctx.imageSmoothingQuality = "high";
-    ctx.drawImage(this.source, this.left, this.top, this.scale * this.width, this.scale * this.height);
-    ctx.filter = "none";
+    ctx.imageSmoothingQuality = this.tiles && this.scale * this.width > this.source.width ? "low" : "high"; // tiles follow
+    if (!this.tiles?.cover(ctx, this))
+      ctx.drawImage(this.source, this.left, this.top, this.scale * this.width, this.scale * this.height);
+    this.tiles?.draw(ctx, this);
+    ctx.restore();
   }
 
   /** Draw the picture and its layers with another view, as in a loupe. */
@@ -239,7 +272,7 @@ export class Viewer extends EventTarget {
   /** The scaled picture on a canvas of the same size. It is cached, because scaling takes longer than other drawing. */
   _scaledTo({ width, height }, ratio, x, y) {
     const { source } = this;
-    const what = [source, this.scale, this.width, this.height, ratio, width, height, look.values];
+    const what = [source, this.mirrored, this.tiles?.version, this.scale, this.width, this.height, ratio, width, height, look.values];
     const at = [this.left + x, this.top + y].map((v) => v * ratio);
     const before = this._scaled;
     const moved = what.every((value, i) => value === before?.what[i]) && at.map((v, i) => v - before.at[i]);

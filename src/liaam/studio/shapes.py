@@ -1,0 +1,255 @@
+"""Measures of all pictures, and the space of their shapes, for the page and as a table."""
+
+import re
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import PurePosixPath
+from typing import Any
+
+import numpy as np
+
+from liaam.errors import LiaamError
+from liaam.formatting import finite_list, finite_or_none
+from liaam.io.table_writer import columns_text
+from liaam.morphometry import (
+    Measure,
+    ShapeSpace,
+    Specimen,
+    groups_in,
+    groups_of,
+    measure,
+    shape_space,
+    shape_variation,
+    with_estimated_landmarks,
+)
+from liaam.morphometry.table import comparable, in_unit, size_column, unit_of_table
+from liaam.scale.lengths import unit_of
+from liaam.studio import contract
+from liaam.studio.folder import plain_name
+from liaam.studio.project import Placed, Project
+from liaam.studio.refusal import Refusal
+from liaam.tables import Columns
+
+GROUPS = "groups"
+"""Kind of the table of groups in the store."""
+
+GROUPED_BY = ("", "folder", "name", "table")
+"""What pictures are grouped by: nothing, their subfolder, the letters that names begin with, or a table."""
+
+SHOWN = 500
+"""Shapes that are sent at most, to be drawn over each other."""
+
+DIGITS = 5
+"""Decimals of shapes of size 1: finer than a pixel of any screen."""
+
+PERMUTATIONS = 999
+FEWER_PERMUTATIONS = 199
+MANY = 200
+"""Specimens from which on there are fewer permutations, since a table that follows the points cannot wait for more."""
+
+TESTED = 1000
+"""Specimens up to which groups are tested."""
+
+
+@dataclass(frozen=True, eq=False)
+class Sample:
+    """The pictures with landmarks, measured."""
+
+    pictures: tuple[str, ...]
+    specimens: tuple[Specimen, ...]
+    measures: tuple[Measure, ...]
+    columns: Columns
+    groups: tuple[str, ...]
+    estimated: tuple[int, ...]  # number of points of each that were estimated
+
+    @property
+    def landmarks(self) -> list[int]:
+        """Indices of the points that make the shape, which are not those at the ends of a scale bar."""
+        return [int(name[1:]) - 1 for name in self.columns if re.fullmatch(r"X\d+", name)]
+
+
+def sample_of(project: Project, asked: Mapping[str, str]) -> Sample:
+    """Measure all pictures of a project, as a request asks: ``measures``, ``scale``, ``by`` and ``estimate``."""
+    placed = project.placed("measure")
+    specimens = tuple(_specimen(picture) for picture in placed)
+    scale = asked.get("scale") or _unit_of_files(specimens)
+    if asked.get("estimate"):
+        specimens, _ = with_estimated_landmarks(specimens, "tps", scale)
+    measures = tuple(dict.fromkeys(Measure.parse(text) for text in asked.get("measures", "").split()))
+    columns = measure(specimens, measures, scale)
+    return Sample(
+        pictures=tuple(picture.file.name for picture in placed),
+        specimens=specimens,
+        measures=measures,
+        columns=columns,
+        groups=_groups(project, [picture.file.stem for picture in placed], asked.get("by", "")),
+        estimated=tuple(len(specimen.estimated) for specimen in specimens),
+    )
+
+
+def shapes(project: Project, asked: Mapping[str, str]) -> contract.Shapes:
+    """Return the measures of all pictures of a project, and the space of their shapes, for the page."""
+    sample = sample_of(project, asked)
+    space: contract.Space | None = None
+    why_not = ""
+    try:
+        space = _space_json(sample)
+    except LiaamError as fault:
+        why_not = str(fault)
+    return {
+        "pictures": [*sample.pictures],
+        "groups": [*sample.groups],
+        "estimated": [*sample.estimated],
+        "columns": _columns_json(sample),
+        "space": space,
+        "why_not": why_not,
+        "tests": _tests(sample),
+        "has_table": project.store.get(GROUPS) is not None,
+    }
+
+
+def table(project: Project, asked: Mapping[str, str]) -> tuple[str, bytes]:
+    """Return the name and the content of a table of measurements, with groups and scores of shapes."""
+    sample = sample_of(project, asked)
+    columns: Columns = {"specimen": sample.columns["specimen"]}
+    if any(sample.groups):
+        columns["group"] = [*sample.groups]
+    columns |= sample.columns
+    try:
+        space = _space(sample)
+    except LiaamError:
+        space = None  # too few specimens
+    if space is not None:
+        columns["distance_from_mean"] = _spread(space, space.distances, len(sample.pictures))
+        for number, scores in enumerate(space.scores.T, 1):
+            columns[f"PC{number}"] = _spread(space, scores, len(sample.pictures))
+    return f"{plain_name(project.title)}-measurements.csv", columns_text(columns).encode()
+
+
+def save_groups(project: Project, data: Any) -> dict[str, int]:
+    """Keep a table of groups, the ``text`` of a .csv file of a ``name``; return how many specimens it has."""
+    data = project.checked(data, "text and name, of a table of groups")
+    text = data.get("text")
+    name = data.get("name")
+    if not isinstance(text, str) or not isinstance(name, str):
+        raise Refusal(422, "the table of groups is not valid: send its text and its name")
+    groups = groups_in(text, plain_name(name))
+    groups_of([picture.file.stem for picture in project.placed("group")], groups)  # refuses a table of other specimens
+    project.store.put(GROUPS, {"": groups})
+    return {"specimens": len(groups)}
+
+
+def _specimen(picture: Placed) -> Specimen:
+    landmarks = picture.landmarks
+    return Specimen(
+        picture.file.stem, landmarks.points, names=landmarks.names, scale=landmarks.scale, unit=unit_of(landmarks.unit)
+    )
+
+
+def _unit_of_files(specimens: Sequence[Specimen]) -> str | None:
+    """Return the unit of scales that state none: millimetres, as the bars, if there are others."""
+    units = {specimen.unit for specimen in specimens if specimen.scale is not None}
+    return "mm" if len(units) > 1 else None
+
+
+def _groups(project: Project, pictures: Sequence[str], by: str) -> tuple[str, ...]:
+    """Return the group of each picture; empty if it has none."""
+    if by not in GROUPED_BY:
+        raise Refusal(422, f"pictures cannot be grouped by '{by[:20]}': choose one of {', '.join(GROUPED_BY[1:])}")
+    if by == "folder":
+        return tuple(str(PurePosixPath(picture).parent) for picture in pictures)
+    if by == "name":
+        return tuple(re.match(r"[^\W\d_]*", PurePosixPath(picture).name)[0] for picture in pictures)  # type: ignore[index]
+    kept = project.store.get(GROUPS) if by == "table" else None
+    return ("",) * len(pictures) if kept is None else groups_of(pictures, kept)
+
+
+def _columns_json(sample: Sample) -> list[contract.Column]:
+    unit = unit_of_table(sample.columns)
+    columns = []
+    for wanted in sample.measures:
+        columns.append(_column_json(sample, in_unit(wanted.column, unit, wanted.power), wanted, wanted.power))
+    columns.append(_column_json(sample, size_column(sample.columns), None, 1))
+    return columns
+
+
+def _column_json(sample: Sample, name: str, wanted: Measure | None, power: int) -> contract.Column:
+    unit = unit_of_table(sample.columns) or "px"
+    units = {0: "°", 1: unit, 2: f"{unit}²"}
+    return {
+        "measure": None if wanted is None else f"{wanted.kind}:{'-'.join(wanted.landmarks)}",
+        "name": name,
+        "unit": units[power],
+        "values": finite_list(comparable(sample.columns, name)),
+    }
+
+
+def _space(sample: Sample) -> ShapeSpace:
+    inside = sample.landmarks
+    if not inside:  # no specimen has all landmarks
+        return shape_space([])
+    return shape_space([replace(each, points=each.points[inside], **_BARE) for each in sample.specimens])
+
+
+_BARE: dict[str, Any] = {"covariances": None, "names": (), "estimated": ()}
+
+
+def _space_json(sample: Sample) -> contract.Space:
+    space = _space(sample)
+    downwards = np.array([1.0, -1.0])
+    try:
+        bent = space.grid()
+        grid: contract.Grid | None = {
+            "rows": bent.rows,
+            "columns": bent.columns,
+            "points": _rounded(bent.points * downwards),
+            "bends": _rounded(bent.bends * downwards),
+        }
+    except LiaamError:  # all landmarks on one line
+        grid = None
+    return {
+        "landmarks": sample.landmarks,
+        "of": space.specimens.tolist(),
+        "mean": _rounded(space.mean * downwards),
+        "shapes": _rounded(space.shapes[:SHOWN] * downwards),
+        "scores": _rounded(space.scores),
+        "axes": _rounded(space.axes * downwards),
+        "shares": _rounded(space.shares),
+        "distances": _rounded(space.distances),
+        "limit": round(space.limit, DIGITS),
+        "grid": grid,
+    }
+
+
+def _rounded(values: np.ndarray) -> list:
+    return np.round(values, DIGITS).tolist()
+
+
+def _tests(sample: Sample) -> list[contract.GroupTest]:
+    """Test the differences between groups; nothing if there are not two of two specimens with a shape."""
+    if len({group for group in sample.groups if group}) < 2 or len(sample.pictures) > TESTED:
+        return []
+    try:
+        permutations = PERMUTATIONS if len(sample.pictures) < MANY else FEWER_PERMUTATIONS
+        found = shape_variation(sample.specimens, sample.columns, sample.groups, permutations)
+    except LiaamError:
+        return []
+    tests: list[contract.GroupTest] = []
+    for test in found.tests:
+        tests.append(
+            {
+                "groups": str(test["groups"]),
+                "specimens": int(test["specimens"]),
+                "distance": finite_or_none(float(test["distance"])),
+                "share": float(test["R2"]),
+                "p": float(test["P"]),
+            }
+        )
+    return tests
+
+
+def _spread(space: ShapeSpace, values: np.ndarray, n: int) -> list[float]:
+    """Return values of the specimens with a shape as a column of all n; NaN for the others."""
+    column = np.full(n, np.nan)
+    column[space.specimens] = values
+    return column.tolist()

@@ -1,0 +1,149 @@
+"""The Measure tab: measures by clicking, the live table and histogram, and the space of shapes."""
+
+import csv
+from pathlib import Path
+
+import numpy as np
+import pytest
+from people import client, drag, opened, saved, shoot, wait_for, wait_until
+
+from liaam.io import Landmarks, read_landmarks, write_image, write_landmarks
+
+pytestmark = pytest.mark.slow
+
+WING = np.array(
+    [[40, 120], [90, 70], [150, 60], [220, 80], [280, 110], [230, 150], [170, 170], [110, 160], [130, 110], [190, 115]],
+    float,
+)
+NAMES = ("base", "sc", "r1", "r2", "tip", "m1", "m2", "cu", "fork", "cross")
+CURVE = {"indices": [0, 1, 2, 3, 4], "closed": False}
+UNUSUAL = "male_03.png"
+
+
+@pytest.fixture
+def wings(tmp_path) -> Path:
+    """Give a folder of 24 wings of two sexes, which differ in the place of the tip; two points of one are exchanged."""
+    rng = np.random.default_rng(7)
+    folder = tmp_path / "wings"
+    folder.mkdir()
+    for i in range(24):
+        sex = "female" if i % 2 else "male"
+        points = WING + rng.normal(0, 1.5, WING.shape) + (0, 10)
+        points[4] += (8 if sex == "male" else -8, 0)
+        name = f"{sex}_{i // 2 + 1:02d}"
+        if f"{name}.png" == UNUSUAL:
+            points[[6, 8]] = points[[8, 6]]
+        write_image(folder / f"{name}.png", rng.integers(90, 160, (240, 320, 3), dtype=np.uint8))
+        write_landmarks(folder / f"{name}.ljson", Landmarks(points, (), NAMES))
+    return folder
+
+
+@pytest.fixture
+def measuring(serve, page, wings):
+    """Give the page with the Measure tab open."""
+    page.goto(serve(wings).address)
+    wait_for(page, "() => window.liaamStudio?.annotate?.source()")
+    page.locator("[data-testid=tab-measure]").click()
+    page.locator("[data-testid=measure-table]").wait_for()
+    return page
+
+
+def add(page, kind: str, *points: int) -> None:
+    """Make a measure by clicking its points."""
+    page.locator(f"[data-testid=measure-kind-{kind}]").click()
+    for point in points:
+        page.locator(f".plot-pick[data-index='{point}']").click()
+    if kind in ("area", "length"):
+        page.locator("[data-testid=measure-add]").click()
+
+
+def column(page, measure: str) -> list:
+    """What the page knows of a measure, once it has been measured."""
+    find = "measure => window.liaamStudio.measure.data()?.columns.find((each) => each.measure === measure)"
+    wait_for(page, find, measure)
+    return page.evaluate(find, measure)["values"]
+
+
+def test_measures_are_made_by_clicking_and_follow_the_points(measuring, wings, artefacts):
+    page = measuring
+    add(page, "distance", 0, 4)
+    add(page, "angle", 0, 8, 4)
+    add(page, "area", 0, 1, 2, 3)
+    add(page, "length", 0, 1, 2, 3, 4)
+    points = read_landmarks(wings / "female_01.ljson").points
+    names = page.evaluate("() => window.liaamStudio.measure.data().pictures")
+    at = names.index("female_01.png")
+    lengths = np.linalg.norm(np.diff(points[:5], axis=0), axis=1)
+    assert column(page, "length:1-2-3-4-5")[at] == pytest.approx(lengths.sum(), abs=1e-3)
+    assert column(page, "distance:1-5")[at] == pytest.approx(np.linalg.norm(points[4] - points[0]), abs=1e-3)
+    shoot(page, artefacts, "measure-1280")
+    page.locator("[data-testid^=sort-distance]").click()
+    wait_until(page, lambda: "base – tip" in page.locator("[aria-label=Histogram] h2").inner_text())
+    assert page.locator(".plot-bar").count() >= 5
+    page.locator("tr[data-index]").first.locator("button").click()
+    shortest = names[int(np.argmin(column(page, "distance:1-5")))]
+    wait_for(page, "name => window.liaamStudio.state.current === name", shortest)
+    page.locator("[data-testid=measure-open]").click()
+    opened(page, shortest)
+    before = column(page, "distance:1-5")[names.index(shortest)]
+    x, y = client(page, 4)
+    drag(page, [x, y], [x + 40, y])
+    saved(page)
+    shoot(page, artefacts, "measure-over-the-picture")
+    page.locator("[data-testid=tab-measure]").click()
+    find = "([i, before]) => window.liaamStudio.measure.data().columns[0].values[i] > before + 5"
+    wait_for(page, find, [names.index(shortest), before])
+
+
+def test_an_unusual_shape_is_one_click_away(measuring, artefacts):
+    page = measuring
+    page.locator("[data-testid=measure-view-shapes]").click()
+    outlier = page.locator("[data-testid=shape-outlier]").first
+    assert outlier.inner_text() == UNUSUAL
+    outlier.click()
+    wait_for(page, "name => window.liaamStudio.state.current === name", UNUSUAL)
+    assert page.locator("[data-testid=shape-scatter] .plot-mark.chosen.unusual").count() == 1
+    assert page.locator("[data-testid=shape-scatter] .plot-mark").count() == 24
+    page.locator("[data-testid=shape-change]").select_option("selected")
+    page.locator(f"[data-testid=shape-grid] svg[aria-label*='to {UNUSUAL}']").wait_for()
+    shoot(page, artefacts, "shapes-1280")
+    page.keyboard.press("Enter")
+    opened(page, UNUSUAL)
+
+
+def test_groups_have_colours_a_test_and_a_grid_between_their_means(measuring, artefacts, tmp_path):
+    page = measuring
+    page.locator("[data-testid=measure-by]").select_option("name")
+    page.locator("[data-testid=measure-legend]", has_text="female").wait_for()
+    page.locator("[data-testid=measure-view-shapes]").click()
+    assert "female – male" in page.locator("[data-testid=shape-tests]").inner_text()
+    page.locator("[data-testid=shape-change]").select_option("0>1")
+    grid = page.locator("[data-testid=shape-grid] svg[aria-label*='from female to male']")
+    grid.wait_for()
+    # The longest arrow is that of the tip, which is what the sexes differ in.
+    arrows = grid.locator(".plot-arrow").get_attribute("d").split("M")[1:]
+    ends = [np.array([[float(v) for v in place.split()] for place in arrow.split("L")]) for arrow in arrows]
+    assert np.argmax([np.linalg.norm(end[1] - end[0]) for end in ends]) == NAMES.index("tip")
+    shoot(page, artefacts, "shapes-groups-1280")
+    table = tmp_path / "groups.csv"
+    rows = [f"{sex}_{i:02d},{'a' if i < 6 else 'b'}" for sex in ("male", "female") for i in range(1, 13)]
+    table.write_text("\n".join(["specimen,group", *rows]))
+    page.locator("[data-testid=measure-table-file]").set_input_files(table)
+    page.locator("[data-testid=shape-tests]", has_text="a – b").wait_for()
+    with page.expect_download() as download:
+        page.locator("[data-testid=measure-save]").select_option("csv")
+    saved_rows = list(csv.DictReader(Path(download.value.path()).read_text().splitlines()))
+    assert {row["specimen"]: row["group"] for row in saved_rows}["male_03"] == "a"
+    assert abs(float(saved_rows[0]["PC1"])) < 1 and float(saved_rows[0]["distance_from_mean"]) > 0
+    with page.expect_download() as download:
+        page.locator("[data-testid=measure-save]").select_option("svg")
+    drawn = Path(download.value.path()).read_text()
+    assert drawn.startswith("<svg") and "var(--" not in drawn
+
+
+def test_without_landmarks_the_tab_says_what_to_do(serve, page, folder):
+    page.goto(serve(folder).address)
+    wait_for(page, "() => window.liaamStudio?.annotate?.source()")
+    page.locator("[data-testid=tab-measure]").click()
+    page.get_by_role("button", name="Place landmarks").click()
+    page.locator("[data-testid=tab-annotate][aria-selected=true]").wait_for()
