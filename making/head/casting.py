@@ -17,6 +17,9 @@ from making.head.surface import dressed, random_look
 TURNS = (0.12, 0.10, 0.03)
 """Standard deviations of yaw, pitch and roll of heads, radians."""
 
+EYES_CLOSED = (0.1, 0.5)
+"""Range of how far eyes are closed: those of the mean head are wide open."""
+
 SKIN_LEVEL = (0.35, 0.75)
 """Range of the brightness of faces in a picture, linear."""
 
@@ -54,7 +57,9 @@ class Sitter:
 def sitter(heads: ScannedHeads, rng: np.random.Generator, size: int) -> Sitter:
     """Draw a person and a camera whose pictures have a width and height."""
     look = random_look(rng)
-    vertices = heads.shaped(random_identity(rng)) @ rotation(*rng.normal(size=3) * TURNS).T
+    closed = rng.uniform(*EYES_CLOSED)
+    expression = {"eyeBlink_L": closed, "eyeBlink_R": closed}
+    vertices = heads.shaped(random_identity(rng), expression) @ rotation(*rng.normal(size=3) * TURNS).T
     surface = dressed(heads, vertices, look, rng)
     view = View(surface, Camera(size=size, distance=rng.uniform(90.0, 250.0)), rng)
     points = view.camera.seen_at(surface.vertices[heads.landmarks])

@@ -6,12 +6,6 @@ import numpy as np
 
 from liaam.errors import LiaamError
 
-try:
-    from embreex.mesh_construction import TriangleMesh  # pyright: ignore[reportMissingImports]
-    from embreex.rtcore_scene import EmbreeScene  # pyright: ignore[reportMissingImports]
-except ImportError as error:
-    raise LiaamError("rendering scanned heads needs Embree: run 'pip install embreex'") from error
-
 LIFT = 0.02
 """Distance by which rays start above the surface, centimetres, so that it does not shadow itself by rounding."""
 
@@ -44,6 +38,11 @@ class Rays:
     """A surface with vertices (v, 3) and triangles (m, 3) that rays can meet."""
 
     def __init__(self, vertices: np.ndarray, triangles: np.ndarray) -> None:
+        try:
+            from embreex.mesh_construction import TriangleMesh  # pyright: ignore[reportMissingImports]
+            from embreex.rtcore_scene import EmbreeScene  # pyright: ignore[reportMissingImports]
+        except ImportError as error:
+            raise LiaamError("rendering heads needs Embree: run 'pip install embreex'") from error
         self._scene = EmbreeScene()
         self._mesh = TriangleMesh(self._scene, vertices.astype(np.float32), triangles.astype(np.int32))
 

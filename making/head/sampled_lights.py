@@ -20,7 +20,7 @@ TEMPERATURES = (2800.0, 8000.0)
 ROOM_TEMPERATURES = (4000.0, 9000.0)
 """Ranges of colour temperatures, kelvin."""
 
-ROOMS = (0.1, 0.8)
+ROOMS = (0.07, 0.7)
 """Range of the strength of the room's light, that of the lamp being 1."""
 
 ROOM_AXES = (0.0, 0.8)

@@ -1,5 +1,6 @@
 """What a head is made of: skin, lips, brows, eyes, hair and clothes, painted on the vertices, and a wall behind it."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 
@@ -36,8 +37,13 @@ PUPIL = 0.22
 TEETH_WHITE = (0.55, 0.50, 0.42)
 GUMS = (0.30, 0.12, 0.11)
 
+BROWS = (slice(17, 22), slice(22, 27))
+LASHES = (slice(36, 40), slice(42, 46))
+"""Landmarks along brows and upper lids."""
+
 BROW_HALF_WIDTH = 0.45
-"""Distance from the line of a brow's landmarks to its edge, cm."""
+LASH_HALF_WIDTH = 0.15
+"""Distances from these lines to the edges of hair, cm."""
 
 COLLAR = -13.5
 """Height below which the mean head wears clothes, cm."""
@@ -151,7 +157,13 @@ def dressed(heads: ScannedHeads, vertices: np.ndarray, look: Look, rng: np.rando
     lips = _lips(heads)
     albedo[lips] *= np.array(LIPS, np.float32)
     roughness[lips] = 0.3
-    covered = np.maximum.reduce([look.brows * _brows(heads), look.beard * _beard(heads), np.minimum(1.0, 3.0 * hair)])
+    hairs = (
+        look.brows * _near_lines(heads, BROWS, BROW_HALF_WIDTH),
+        _near_lines(heads, LASHES, LASH_HALF_WIDTH),
+        look.beard * _beard(heads),
+        np.minimum(1.0, 3.0 * hair),
+    )
+    covered = np.maximum.reduce(hairs)
     albedo += covered[:, None] * (np.array(look.hair, np.float32) - albedo)
     gloss *= 1.0 - 0.5 * covered
     scatters *= 1.0 - covered
@@ -231,17 +243,17 @@ def _lips(heads: ScannedHeads) -> np.ndarray:
     return inside & (heads.vertices[:, 2] > points[48:60, 2].min() - 0.5) & _in(len(heads.vertices), FACE)
 
 
-def _brows(heads: ScannedHeads) -> np.ndarray:
-    """Return how near vertices are to the brows' lines, 1 within a brow to 0 outside, (n,) float."""
+def _near_lines(heads: ScannedHeads, lines: Sequence[slice], half_width: float) -> np.ndarray:
+    """Return how near vertices are to lines of landmarks, 1 within a distance in cm to 0 outside, (n,) float."""
     points = heads.vertices[heads.landmarks].astype(np.float64)
     nearest = np.full(len(heads.vertices), np.inf)
-    for line in (points[17:22], points[22:27]):
-        for start, end in pairwise(line):
+    for line in lines:
+        for start, end in pairwise(points[line]):
             step = end - start
             along = np.clip((heads.vertices - start) @ step / np.sum(step**2), 0.0, 1.0)
             foot = start + along[:, None] * step
             nearest = np.minimum(nearest, np.linalg.norm(heads.vertices - foot, axis=1))
-    near = np.clip(1.5 - nearest / BROW_HALF_WIDTH, 0.0, 1.0)
+    near = np.clip(1.5 - nearest / half_width, 0.0, 1.0)
     near[FACE.stop :] = 0.0
     return near
 

@@ -4,10 +4,14 @@ import numpy as np
 import pytest
 from safetensors.numpy import save_file
 
+from making.head.compare import best_match, candidates, left_out
 from making.head.geometry import load_heads, normals_of, random_identity
 from making.head.light import FACE_CENTRE, WHITE_K, Lamp, Light, Room, colour_of
 from making.head.photographs import Development, brightness, face_in
+from making.head.rays import Rays
+from making.head.render import Camera, View
 from making.head.sampled_lights import AZIMUTHS, ELEVATIONS, spread_lights, training_light
+from making.head.surface import Surface
 
 RADIUS = 8.0
 
@@ -107,13 +111,23 @@ def test_brightness_is_that_of_the_face():
     assert brightness(linear, face_in(linear.shape, points)) == 0.25
 
 
+def test_the_most_similar_field_is_found_and_people_are_compared_with_each_other(rng):
+    inside = np.zeros((16, 16), bool)
+    inside[3:12, 3:12] = True
+    fields = rng.normal(size=(len(candidates()), 16, 16))
+    persons = fields[40] + 0.1 * rng.normal(size=(5, 16, 16))
+    persons[:, ~inside] = rng.normal(size=(5, (~inside).sum()))  # what is beside the face does not count
+    match = best_match("03", persons, candidates(), fields, inside)
+    assert match.candidate == candidates()[40].name
+    assert match.correlation > 0.98
+    assert match.left_out == left_out(persons, inside) > 0.98
+    assert left_out(rng.normal(size=(5, 16, 16)), inside) < 0.5
+
+
 @pytest.fixture(scope="module")
 def seen():
     """A white ball without gloss, 8 cm in radius, 60 cm before a black wall."""
     pytest.importorskip("embreex", reason="the ray tracer is a tool for making lamps: pip install embreex")
-    from making.head.render import Camera, View
-    from making.head.surface import Surface
-
     vertices, triangles = ball()
     n = len(vertices)
     wall = np.array([(-400.0, -400, -60), (400, -400, -60), (400, 400, -60), (-400, 400, -60)])
@@ -158,8 +172,6 @@ def test_an_open_room_shines_alike_on_all_sides(seen):
 
 def test_the_ball_casts_a_shadow_on_the_wall():
     pytest.importorskip("embreex", reason="the ray tracer is a tool for making lamps: pip install embreex")
-    from making.head.rays import Rays
-
     rays = Rays(*ball())
     behind = np.array([[0.0, 0.0, -60.0], [30.0, 0.0, -60.0]])
     towards_lamp = np.array([[0.0, 0.0, 200.0], [0.0, 0.0, 200.0]])
