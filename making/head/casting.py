@@ -1,7 +1,8 @@
 """Heads under lamps: random persons before random walls, photographed under a training light and other lamps."""
 
-from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Any
 
 import cv2
 import numpy as np
@@ -54,9 +55,12 @@ class Sitter:
         return self.development.stored(gain * linear, rng)
 
 
-def sitter(heads: ScannedHeads, rng: np.random.Generator, size: int) -> Sitter:
-    """Draw a person and a camera whose pictures have a width and height."""
-    look = random_look(rng)
+def sitter(heads: ScannedHeads, rng: np.random.Generator, size: int, looks: Mapping[str, Any] | None = None) -> Sitter:
+    """Draw a person and a camera whose pictures have a width and height.
+
+    ``looks`` are fields of :class:`Look` that are not drawn.
+    """
+    look = replace(random_look(rng), **(looks or {}))
     closed = rng.uniform(*EYES_CLOSED)
     expression = {"eyeBlink_L": closed, "eyeBlink_R": closed}
     vertices = heads.shaped(random_identity(rng), expression) @ rotation(*rng.normal(size=3) * TURNS).T

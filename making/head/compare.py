@@ -29,8 +29,12 @@ from making.head.photographs import face_in
 N_HEADS = 6
 SIZE = 160
 
+LOOKS = {"skin": (0.45, 0.30, 0.23), "beard": 0.0}
+"""Of the heads: those of the persons of ``flashes``, who have fair skin and are shaved. Darker skin is exposed for
+longer, so that its gloss counts for more, and a beard hides the shading."""
+
 AZIMUTHS = (-75, -60, -45, -30, -15, 0, 15, 30, 45, 60, 75)
-ELEVATIONS = (-15, 0, 15, 25, 35, 45)
+ELEVATIONS = (-15, 0, 15, 25, 35, 40)
 """Directions of flashes that are tried, degrees."""
 
 DISTANCE = 170.0
@@ -39,7 +43,7 @@ DISTANCE = 170.0
 FILL = Room(0.4, (0.0, 0.7, 0.0))
 """Light of the room when a flash of strength 1 goes off."""
 
-ROOMS = ((0.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.7, -0.7), (0.0, 1.0, -0.4), (0.0, 1.5, 0.0), (0.0, 0.7, 0.7))
+ROOMS = ((0.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.7, -0.7), (0.0, 1.0, -0.4), (0.0, 1.0, 0.2), (0.0, 0.7, 0.7))
 """Directions from which light may come without a flash."""
 
 WITHOUT_FLASH = np.log(0.08)
@@ -143,7 +147,7 @@ def photographs(heads: ScannedHeads, choices: Sequence[Candidate]) -> Iterator[S
     front = Light((flash(0.0, 0.0),), FILL)
     for i in range(N_HEADS):
         rng = np.random.default_rng([3, i])
-        person = sitter(heads, rng, SIZE)
+        person = sitter(heads, rng, SIZE, LOOKS)
         landmarks = Landmarks(person.points)
         yield Sample(f"{i}-front", person.photographed(front, 0.0, rng), landmarks)
         for k, choice in enumerate(choices):
