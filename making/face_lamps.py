@@ -1,75 +1,67 @@
-"""Make the lamps for faces: ``python -m making.face_lamps``, from the checkout's root. Takes a minute.
+"""Make the lamps for faces: ``python -m making.face_lamps HEADS``, from the checkout's root. Takes a minute.
 
-Lamps from the front to the far side, of daylight to tungsten, are learnt from generated heads. A small model of other
-generated heads under these lamps finds where a face lies among the landmarks of training images.
+HEADS is ``ict-face.safetensors``, heads from light-stage scans. Random ones of them, with skin, hair and clothes, are
+rendered under lamps that span light: from all directions in front, low and high, near and far, small and large, warm
+and cold, alone and in pairs, in dark and bright rooms. The lamps are stored on the landmarks of the face model, whose
+mean shape is all that they need of it. On one machine, the file is always the same, byte for byte. Embree follows the
+rays (``pip install embreex``); liaam itself does not need it.
 """
 
-from dataclasses import replace
+import argparse
+from collections.abc import Iterator
+from pathlib import Path
 
-import cv2
 import numpy as np
 from safetensors.numpy import save
 
 from liaam.datasets import Sample
-from liaam.io import Landmarks, write_bytes_atomically
-from liaam.model import MESH, SURROUNDINGS
-from liaam.training import learn_lamps, train
-from liaam.training.faces import FOLDER, LAMPS, MODEL, N_LAMPS
-from scenes import DIFFUSE, Head, Lights, lateral, random_expression, random_pose, render
+from liaam.io import write_bytes_atomically
+from liaam.model import load_model
+from liaam.models import FACE, model_file
+from liaam.morphometry.schemes import in_scheme
+from liaam.training import learn_lamps
+from liaam.training.faces import LAMPS, N_LAMPS, bank_tensors
+from liaam.training.lamps.bank import carried
+from liaam.training.lamps.learning import unit_shape
+from making.head.casting import under_lamps
+from making.head.geometry import ScannedHeads, load_heads
+from making.head.sampled_lights import spread_lights, training_light
 
-N_HEADS, N_FITTED = 6, 30
-"""Heads under lamps, and other heads for the model."""
+N_HEADS = 30
+"""Heads, each under N_LAMPS lamps."""
 
-SIDE = 48
-"""Resolution at which the fields are stored; they are smooth."""
+SIZE = 160
+"""Width and height of pictures, pixels."""
 
-AZIMUTHS = (0.35, 0.7, 1.0, 1.25, 1.5)
-"""Angles of the lamps from the camera's axis, radians, on either side."""
+NOTICE = {"licence": "MIT, Copyright (c) 2020 USC Institute for Creative Technologies; see LICENSE-DATA"}
 
 
 def main() -> None:
-    """Write both files."""
-    FOLDER.mkdir(exist_ok=True)
-    rng = np.random.default_rng(0)
-    lamps = learn_lamps([sample for i in range(1, N_HEADS + 1) for sample in under_lamps(i, rng)], "00")
-    fields = [
-        cv2.resize(field.astype(np.float32), (SIDE, SIDE), interpolation=cv2.INTER_AREA) for field in lamps.fields
-    ]
-    write_bytes_atomically(LAMPS, save({"mean": lamps.mean, "fields": np.array(fields, np.float16)}))
-    model = train(
-        [head(100 + i) for i in range(N_FITTED)],
-        lamps=lamps,
-        diagonal=60,
-        blurs={MESH: (2.0,), SURROUNDINGS: (2.0, 0.8)},
-        appearance_variance={MESH: 1, SURROUNDINGS: 15},
-        name="generated heads",
-    )
-    replace(model, light=None).save(MODEL)
+    """Write the file."""
+    parser = argparse.ArgumentParser(description=str(__doc__).partition("\n")[0])
+    parser.add_argument("heads", type=Path, help="ict-face.safetensors")
+    parser.add_argument("-o", "--output", type=Path, default=LAMPS, help="file to write")
+    given = parser.parse_args()
+    lamps = learn_lamps(pictures(load_heads(given.heads)), "00")
+    mean, places = on_face_model()
+    fields = carried(lamps.mean, lamps.fields, places)
+    write_bytes_atomically(given.output, save(bank_tensors(mean, fields.astype(np.float32)), NOTICE))
 
 
-def under_lamps(i: int, rng: np.random.Generator) -> list[Sample]:
-    """Render a head under soft light, and under one lamp after the other."""
-    lights = [DIFFUSE, *(lamp(AZIMUTHS[k % len(AZIMUTHS)], k % 2 == 0, rng) for k in range(N_LAMPS))]
-    return [head(i, light, f"{i:03d}-{k:02d}", 320) for k, light in enumerate(lights)]
+def pictures(heads: ScannedHeads) -> Iterator[Sample]:
+    """Yield random heads, each under the light of training images and under lamps of its own."""
+    lights = spread_lights(N_HEADS * N_LAMPS)
+    for i in range(N_HEADS):
+        rng = np.random.default_rng([1, i])
+        own = lights[i * N_LAMPS :][:N_LAMPS]
+        yield from under_lamps(heads, f"{i:03d}", training_light(rng), own, rng, SIZE)
 
 
-def lamp(azimuth: float, left: bool, rng: np.random.Generator) -> Lights:
-    """Return a hard lamp of a random height and colour, and weak light from everywhere."""
-    return lateral(
-        "left" if left else "right",
-        temperature_K=rng.uniform(2800, 7000),
-        azimuth=azimuth,
-        elevation=rng.uniform(-0.1, 0.8),
-        ambient_temperature_K=rng.uniform(5000, 9000),
-        ambient_strength=rng.uniform(0.05, 0.25),
-    )
-
-
-def head(i: int, lights: Lights = DIFFUSE, name: str | None = None, size: int = 200) -> Sample:
-    """Render head i, in its own pose and expression."""
-    rng = np.random.default_rng(i)
-    scene = render(Head(i), random_pose(rng, (size, size)), random_expression(rng), lights, size=(size, size))
-    return Sample(name or f"head {i}", scene.image, Landmarks(scene.landmarks))
+def on_face_model() -> tuple[np.ndarray, np.ndarray]:
+    """Return the mean shape (90, 2) of the face model, and where iBUG's 68 landmarks lie on it, (68, 2)."""
+    front = load_model(model_file(FACE)).parts[0]
+    own = unit_shape(front.shape_model.mean)
+    return own, in_scheme(own, front.landmark_names, "ibug-68")
 
 
 if __name__ == "__main__":

@@ -21,9 +21,11 @@ from liaam.model import load_model
 from liaam.models import FACE
 from liaam.relighting import Relighter
 from liaam.relighting.extrapolation import averaged
-from liaam.training.faces import MODEL
 from scenes import Ambient, Expression, Head, PointLight, Pose, render
 from scenes.render import landmarks_of
+
+HEADS_MODEL = Path(__file__).parents[1] / "tests/training/heads-of-schema-4.liaam"
+"""A model of generated heads, whose landmarks a photograph gets."""
 
 FOLDER = Path(liaam.studio.__file__).parent / "static" / "first"
 
@@ -95,7 +97,7 @@ def without_shading(path: Path) -> tuple[np.ndarray, np.ndarray]:
     fitter = Fitter(load_model(FACE))
     fit = fitter.fit(image)
     box = (*fit.landmarks.min(axis=0), *fit.landmarks.max(axis=0))
-    head = Fitter(load_model(MODEL), restarts=False).fit(image, box)
+    head = Fitter(load_model(HEADS_MODEL), restarts=False).fit(image, box)
     return Relighter.of(fitter, image, fit).flat(), head.landmarks
 
 

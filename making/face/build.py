@@ -22,11 +22,8 @@ from liaam.io import Contour, Landmarks
 from liaam.model import AAM, SURROUNDINGS, Level, ModelCard
 from liaam.model.mirror import mirrored_model
 from liaam.model.shape import procrustes_mean
-from liaam.photometry import CameraModel
 from liaam.training import LearntLamps, TrainingOptions
-from liaam.training.entries import read_entries
-from liaam.training.faces import face_lamps
-from liaam.training.lamps.bank import carried
+from liaam.training.faces import carried_lamps
 from liaam.training.lamps.copies import close_up, mirrored
 from liaam.training.lamps.learning import unit_shape
 from making.face.turning import Portrait
@@ -56,7 +53,9 @@ CARD = ModelCard(
         "doi 10.6084/m9.figshare.5047666.v5; "
         "DeBruine, L. & Jones, B. (2017), Young Adult White Faces with Manipulated Versions (Version 1), "
         "doi 10.6084/m9.figshare.4220517.v1; "
-        "DeBruine, L. (2016), Young adult composite faces, doi 10.6084/m9.figshare.4055130.v1"
+        "DeBruine, L. (2016), Young adult composite faces, doi 10.6084/m9.figshare.4055130.v1; "
+        "for the heads behind its lamps: Li, R. et al. (2020), Learning Formation of Physically-Based Face Attributes, "
+        "CVPR (ICT-FaceKit, MIT licence)"
     ),
 )
 """What users of the model should know. The accuracy is that of experiments/notes/face-model.md."""
@@ -93,9 +92,9 @@ def main() -> None:
     given = parser.parse_args()
     data = [*neutral(given.folder), *smiling(given.folder / "smiling")]
     _, names, _ = scheme()
-    front = liaam.train(data, OPTIONS, appearance_variance=KEPT, name="face")
+    front = liaam.train(data, OPTIONS, lamps=lamps_on(data), appearance_variance=KEPT, name="face")
     heads = [*turned(data)]
-    lamps = lamps_of(data, heads)
+    lamps = lamps_on(heads)
     right = liaam.train(heads, OPTIONS, lamps=lamps, appearance_variance=KEPT_TURNED, shapes=1, name="face")
     # Each picture was used twice. Relighting uses the light of the first part.
     right = replace(with_modes(right, MODES_TURNED), n_images=len(data), light=None)
@@ -149,14 +148,10 @@ def turned(data: Sequence[Sample]) -> Iterator[Sample]:
             yield Sample(f"{sample.name}{side}", seen, Landmarks(points, contours, tuple(names)))
 
 
-def lamps_of(data: Sequence[Sample], heads: Sequence[Sample]) -> LearntLamps:
-    """Return the lamps of frontal faces, carried to turned ones."""
-    entries = read_entries(data).entries
-    means = [procrustes_mean(np.array([sample.landmarks.points for sample in each])) for each in (data, heads)]
-    known, mean = face_lamps(entries, means[0], CameraModel()), unit_shape(means[1])
-    if known is None:
-        raise SystemExit("no faces were found on the pictures")
-    return LearntLamps(mean, carried(known.mean, known.fields, mean), known.names)
+def lamps_on(data: Sequence[Sample]) -> LearntLamps:
+    """Return the lamps for faces on the mean shape of pictures, whose landmarks are those of the lamps."""
+    mean = unit_shape(procrustes_mean(np.array([sample.landmarks.points for sample in data])))
+    return carried_lamps(mean, mean)
 
 
 def with_modes(model: AAM, counts: Sequence[int]) -> AAM:

@@ -61,6 +61,27 @@ def test_a_lamp_and_another_picture(relight, files, tmp_path):
     assert like > flat + 0.2
 
 
+def test_a_lamp_by_its_name_with_colour_ambient_light_and_strength(relight, tmp_path):
+    def shown(*options):
+        path = tmp_path / "shown.png"
+        code, _, err = relight(*options, "-o", path)
+        assert (code, err) == (0, "")
+        return read_image(path).astype(int)
+
+    left = shown("--light", "left")
+    np.testing.assert_array_equal(left, shown("--light=-1,0,0.5"))
+    taken = moving_scene(0.3, SIDE).image.astype(int)
+    np.testing.assert_array_equal(shown("--light", "left", "--strength", 0), taken)
+    half = shown("--light", "left", "--strength", 0.5)
+    assert 0.3 < np.abs(half - taken).mean() / np.abs(left - taken).mean() < 0.7
+    changed = np.abs(left - taken).sum(axis=2) > 10
+    even = shown("--light", "left", "--ambient", 1)
+    assert left[changed].std() > even[changed].std()
+    warm = shown("--light", "left", "--colour", "1,0.6,0.2")
+    ratios = (warm[changed] / np.maximum(left[changed], 1)).mean(axis=0)
+    assert ratios[0] > 1.1 * ratios[2]
+
+
 def test_a_start_for_each_picture(relight, tmp_path):
     for name, time in (("lit", 0.3), ("other", 0.6)):
         write_landmarks(tmp_path / f"{name}.pts", moving_scene(time).landmarks)
@@ -81,6 +102,11 @@ def test_a_start_for_each_picture(relight, tmp_path):
         (("-o", "nowhere/a.png"), "nowhere does not exist"),
         (("-m", "grey"), "method grey does not fit a log-RGB appearance"),
         (("--light", "gone.png"), "gone.png"),
+        (("--light", "north"), r"or its name \(left, right, above, below, front\)"),
+        (("--light", "left", "--colour", "red"), "--colour red: give red, green and blue from 0 to 1"),
+        (("--light", "left", "--colour", "1,2,0"), "give red, green and blue from 0 to 1"),
+        (("--strength", "1.5"), "strength 1.5: give a share of the change"),
+        (("--light", "left", "--ambient", "-1"), "ambient light -1: give a fraction"),
     ],
 )
 def test_what_makes_no_sense_is_refused(relight, files, options, message):

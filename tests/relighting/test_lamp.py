@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from liaam.errors import LiaamError
-from liaam.relighting.lamp import DARKEST, Lamp, light_of, lit
+from liaam.relighting.lamp import DARKEST, DIRECTIONS, Lamp, check_strength, direction_named, light_of, lit
 
 FACING = np.linspace(-1.0, 1.0, 401, dtype=np.float32)
 NORMALS = np.stack([np.sqrt(1.0 - FACING**2), 0.0 * FACING, FACING], axis=1)
@@ -51,3 +51,18 @@ def test_without_lamps_there_is_ambient_light_only():
 def test_impossible_lamps_are_refused(changes, fault):
     with pytest.raises(LiaamError, match=fault):
         Lamp(**{"direction": FRONT, **changes})
+
+
+def test_lamps_have_names():
+    for name, direction in DIRECTIONS.items():
+        assert direction_named(name) == direction
+    assert DIRECTIONS["left"][0] < 0 < DIRECTIONS["right"][0]
+    assert DIRECTIONS["above"][1] < 0 < DIRECTIONS["below"][1]
+    with pytest.raises(LiaamError, match=r"light 'north': give a direction .* or one of left, right"):
+        direction_named("north")
+
+
+@pytest.mark.parametrize("strength", [-0.1, 1.1, np.nan])
+def test_a_strength_out_of_range_is_refused(strength):
+    with pytest.raises(LiaamError, match="give a share of the change"):
+        check_strength(strength)

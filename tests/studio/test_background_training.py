@@ -84,7 +84,7 @@ def test_training_places_the_points_of_the_other_pictures(setting, portraits):
     assert (ended.state, ended.error) == ("done", None)
     assert seen == [1]
     assert models.current.model.n_images == 4
-    assert models.current.model.n_lamps > 0  # the model knows the lamps of generated heads
+    assert models.current.model.n_lamps > 0  # the model knows the lamps of rendered heads
     (version,) = trainer.versions.as_json(project.templates.order)
     assert (version["pictures"], version["held_out"]) == (4, 1) and 0 < version["error"] < 0.05
     background.fit_new()

@@ -1,6 +1,7 @@
 """What a model keeps of its appearances, and how small its file is."""
 
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -13,8 +14,9 @@ from liaam.model import AAM, MESH, SURROUNDINGS, load_model
 from liaam.model.rounding import encoded
 from liaam.relighting import shadow_free
 from liaam.training import train
-from liaam.training.faces import MODEL
 from setups import disturb, model_pixels, train_on
+
+MODEL = Path(__file__).with_name("heads-of-schema-4.liaam")
 
 ON_LOG = ("soft-li", "li", "li-pc", "li-pcs", "chroma")
 """Methods that need no appearances besides those of soft-li and ``log``."""

@@ -1,14 +1,19 @@
 """Lamps for faces: whether objects are faces, where a face lies among the landmarks, and what training makes of it."""
 
+from pathlib import Path
+
+import cv2
 import numpy as np
+from safetensors import safe_open
 
 from liaam.datasets import Sample
 from liaam.io import Landmarks, write_image, write_landmarks
+from liaam.model.light_basis import SIDE
 from liaam.model.shape import scaled_mean
 from liaam.photometry import CameraModel
 from liaam.training import LearntLamps, train
 from liaam.training.entries import read_entries
-from liaam.training.faces import face_lamps
+from liaam.training.faces import LAMPS, N_LAMPS, bank_tensors, carried_lamps, face_lamps, stored_fields
 from scenes import Head, make_set
 
 
@@ -51,7 +56,7 @@ def test_other_objects_have_none(rng):
 def test_training_relights_faces_unless_told_otherwise():
     data, options = heads(4), {"diagonal": 40.0, "leave_out": False, "methods": "all"}
     lit, plain = train(data, **options), train(data, lamps=None, **options)
-    assert (lit.n_lamps, lit.n_textures, plain.n_lamps) == (60, 16, 0)
+    assert (lit.n_lamps, lit.n_textures, plain.n_lamps) == (300, 16, 0)
     assert lit.light is not None and plain.light is None
     assert "varied" in lit.levels[0].appearances and "varied" not in plain.levels[0].appearances
     assert train(data, copies=0, **options).n_lamps == 0
@@ -63,7 +68,30 @@ def test_the_command_says_that_the_objects_are_faces(run, tmp_path):
         write_landmarks(tmp_path / f"{sample.name}.pts", sample.landmarks)
     options = ("train", tmp_path, "-o", tmp_path / "m.liaam", "--diagonal", 40, "--no-leave-out", "--copies", 1)
     code, out, _ = run(*options)
-    assert code == 0 and "4 images and 4 copies under 60 lamps" in out
-    assert "the objects are faces, so the lamps are those of generated heads (--lamps none for none)" in out
+    assert code == 0 and "4 images and 4 copies under 300 lamps" in out
+    assert "the objects are faces, so the lamps are those of rendered heads (--lamps none for none)" in out
     code, out, _ = run(*options, "--lamps", "none")
     assert code == 0 and "faces" not in out.replace(str(tmp_path), "")
+
+
+def test_the_bank_of_lamps_is_stored_with_small_errors_and_names_its_licence(rng):
+    smooth = [cv2.GaussianBlur(rng.normal(size=(SIDE, SIDE, 3)), (0, 0), 6.0) for _ in range(2 * N_LAMPS)]
+    fields = np.array(smooth, np.float32) * 10.0 - 0.4
+    bank = bank_tensors(np.zeros((4, 2)), fields)
+    assert len(bank["fields"]) < fields.astype(np.uint8).size / 5
+    assert np.sqrt(np.square(stored_fields(bank) - fields).mean()) < 0.01 * np.ptp(fields)
+    with safe_open(LAMPS, "np") as file:
+        assert "MIT, Copyright (c) 2020 USC" in file.metadata()["licence"]
+        n_lamps = len(stored_fields({"fields": file.get_tensor("fields"), "ends": file.get_tensor("ends")}))
+    notice = (Path(__file__).parents[2] / "LICENSE-DATA").read_text("utf-8")
+    assert "Permission is hereby granted" in notice
+    assert n_lamps % N_LAMPS == 0
+
+
+def test_lamps_on_the_landmarks_of_the_face_model_are_those_of_the_file():
+    with safe_open(LAMPS, "np") as file:
+        mean = file.get_tensor("mean")
+        fields = stored_fields({"fields": file.get_tensor("fields"), "ends": file.get_tensor("ends")})
+    lamps = carried_lamps(mean, mean)
+    assert len(set(lamps.names)) == len(lamps)
+    np.testing.assert_allclose(lamps.fields.astype(np.float32), fields, atol=0.01)

@@ -86,6 +86,15 @@ def test_the_weaker_prior_is_taken_unless_it_is_less_reliable_or_loses_fits(shap
     assert reliability(usual) > reliability(noisy) > 0.0
 
 
+def test_a_difference_that_is_chance_between_few_images_is_none_between_many(shapes):
+    usual = fits_of(shapes, np.random.default_rng(1), noise=0.3)
+    other = fits_of(shapes, np.random.default_rng(1), noise=0.32, final_prior=0.3)
+    assert 0.991 < reliability(other) / reliability(usual) < 0.997
+    assert most_reliable([usual, other]).final_prior == 0.3
+    usual_of_many, other_of_many = (replace(each, fits=16 * each.fits, n_near=16 * 20) for each in (usual, other))
+    assert most_reliable([usual_of_many, other_of_many]).final_prior == 1.0
+
+
 @pytest.mark.parametrize("count", [0, 1])
 def test_without_right_fits_nothing_is_learnt(shapes, rng, count):
     fits = fits_of(shapes, rng, count=count, error=2.0 * RIGHT)

@@ -29,12 +29,22 @@ def relight(
     light: Annotated[
         str,
         typer.Option(
-            metavar="flat|X,Y,Z|IMAGE",
-            help="Light to show the objects under: flat, that of the training images, without shading; a lamp in "
-            "direction x,y,z (right, down, towards the viewer), such as -1,0,1 for one from the left; or that of "
-            "another image of such an object.",
+            metavar="flat|left|right|above|below|front|X,Y,Z|IMAGE",
+            help="Light to show the objects under: flat, that of the training images, without shading; a lamp from the "
+            "left, right, above, below or front, or in direction x,y,z (right, down, towards the viewer), such as "
+            "-1,-0.5,0.5; or that of another image of such an object.",
         ),
     ] = FLAT,
+    strength: Annotated[
+        float, typer.Option(help="Share of the change of light, from 0 for the image as it is to 1.")
+    ] = 1.0,
+    ambient: Annotated[
+        float | None,
+        typer.Option(help="Light from all around with a lamp, as a fraction of all light, 0 to 1. By default 0.25."),
+    ] = None,
+    colour: Annotated[
+        str, typer.Option(metavar="R,G,B", help="Colour of the lamp: linear red, green and blue, 0 to 1.")
+    ] = "1,1,1",
     output: Annotated[
         Path | None,
         typer.Option(
@@ -66,7 +76,7 @@ def relight(
 ) -> None:
     """Show the objects in images under the training light, a lamp, or the light of another image."""
     model_file, images = inputs.model_and_inputs(files, "relight")
-    direction, like = light_of(light)
+    lamps, like = light_of(light, colour)
     outputs = output_paths(images, output, FLAT if light == FLAT else "relit")
     maps = [map_of(path) for path in outputs] if certainty else []
     images_read = images if like is None else [*images, like]
@@ -74,11 +84,13 @@ def relight(
 
     from liaam.fitting import Fitter
     from liaam.model import load_model
-    from liaam.relighting import Lamp
     from liaam.relighting.appearance import check_colour
+    from liaam.relighting.lamp import AMBIENT, check_ambient, check_strength
     from liaam.relighting.relighter import separated
 
-    lamps = None if direction is None else [Lamp(direction)]  # raises before any work
+    ambient = AMBIENT if ambient is None else ambient
+    check_ambient(ambient)
+    check_strength(strength)
     model = load_model(model_file)
     check_colour(model, str(model_file))
     fitter = Fitter(model, method, camera=inputs.camera_for(images_read, given_camera, model.camera))
@@ -91,7 +103,7 @@ def relight(
         if like is not None:  # it is read first
             other, result = separated(fitter, read_image(like), None, str(like))
             report.add_fit(like, result, "its light was used although the fit may be wrong")
-        change = Change(lamps=lamps, other=other, init=init, certainty=certainty)
+        change = Change(lamps, other, ambient, strength, init, certainty)
         n_before = n_images - len(images)
         for i, (image, path) in enumerate(zip(images, outputs, strict=True), n_before):
             progress(i, n_images, image.name)
@@ -114,6 +126,10 @@ class Change:
     lamps : list of Lamp, optional
     other : Relighter, optional
         The image whose light is used. Without lamps or such an image, the light is that of training.
+    ambient : float
+        Fraction of ambient light beside lamps.
+    strength : float
+        Share of the change of light.
     init : str, optional
         Start of the fits, as in the command.
     certainty : bool
@@ -122,6 +138,8 @@ class Change:
 
     lamps: "list[Lamp] | None"
     other: "Relighter | None"
+    ambient: float
+    strength: float
     init: str | None
     certainty: bool
 
@@ -174,7 +192,7 @@ def relight_file(fitter: "Fitter", image: Path, path: Path, change: Change, repo
         action = "nothing was written"
     else:
         action = "the image was relit all the same: check it"
-        write_image(path, shown(relighter, change.lamps, change.other))
+        write_image(path, shown(relighter, change.lamps, change.other, change.ambient, change.strength))
         report.written.append(path)
         if change.certainty:
             write_image(map_of(path), picture_of_certainty(relighter))
@@ -191,18 +209,32 @@ def picture_of_certainty(relighter: "Relighter") -> np.ndarray:
     return grey[..., None].repeat(3, axis=2)
 
 
-def light_of(text: str) -> tuple[tuple[float, ...] | None, Path | None]:
-    """Return the direction of the lamp, or the image whose light is meant; neither for the training light."""
+def light_of(text: str, colour: str) -> "tuple[list[Lamp] | None, Path | None]":
+    """Return the lamp of a colour, or the image whose light is meant; neither for the training light."""
+    from liaam.relighting.lamp import DIRECTIONS, Lamp
+
     if text == FLAT:
         return None, None
+    if text in DIRECTIONS:
+        return [Lamp(DIRECTIONS[text], _colour_of(colour))], None
     if inputs.names_file(text, (*PICTURE_SUFFIXES, *UNREAD_SUFFIXES)):
         return None, existing_file(text, ImageError, "image")
     try:
-        return tuple(inputs.numbers_in(text, 3, "--light")), None
+        direction = tuple(inputs.numbers_in(text, 3, "--light"))
     except CameraError:
         raise LiaamError(
-            f"--light {text}: give flat, the direction of a lamp as x,y,z, such as -1,0,1, or an image under that light"
+            f"--light {text}: give flat, the direction of a lamp as x,y,z, such as -1,0,1, or its name "
+            f"({', '.join(DIRECTIONS)}), or an image under that light"
         ) from None
+    return [Lamp(direction, _colour_of(colour))], None
+
+
+def _colour_of(text: str) -> tuple[float, ...]:
+    """Return the red, green and blue of a lamp."""
+    try:
+        return tuple(inputs.numbers_in(text, 3, "--colour"))
+    except CameraError:
+        raise LiaamError(f"--colour {text}: give red, green and blue from 0 to 1, such as 1,0.7,0.4") from None
 
 
 def output_paths(images: list[Path], output: Path | None, ending: str) -> list[Path]:

@@ -55,7 +55,7 @@ def train(
         typer.Option(
             help="Also train on copies of the images under other lamps. Give a file of 'liaam lamps', or a folder of "
             "a few objects under several lamps, named by object and lamp, such as 037-00. 'auto' uses lamps of "
-            "generated heads if the objects are faces; 'none' uses none."
+            "rendered heads if the objects are faces; 'none' uses none."
         ),
     ] = Path(inputs.AUTO),
     training_lamp: TrainingLampOption = None,
@@ -232,7 +232,7 @@ def report(model: "AAM", output: Path, light: "LearntLamps | Literal['auto'] | N
     if not len(model.shape_model.modes):
         say("the shape is rigid, without shape modes: fits find position, size and rotation only")
     if light == inputs.AUTO and model.n_lamps:
-        say("the objects are faces, so the lamps are those of generated heads (--lamps none for none)")
+        say("the objects are faces, so the lamps are those of rendered heads (--lamps none for none)")
     view = model.views[METHODS[DEFAULT_METHOD].view]
     bound = view.shape_model.left_out_bound
     say(

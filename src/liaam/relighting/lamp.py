@@ -10,6 +10,13 @@ from liaam.errors import LiaamError
 from liaam.model.mesh import ReferenceFrame
 
 AMBIENT = 0.25  # Default fraction of ambient light
+DIRECTIONS = {
+    "left": (-1.0, 0.0, 0.5),
+    "right": (1.0, 0.0, 0.5),
+    "above": (0.0, -1.0, 0.5),
+    "below": (0.0, 1.0, 0.5),
+    "front": (0.0, 0.0, 1.0),
+}  # Directions to lamps by name, as seen in the image
 STRONGEST = 10.0  # Largest strength of a lamp
 DARKEST = 0.02  # Least light at a pixel, because black has no logarithm
 STEEPEST = np.tan(np.deg2rad(65.0))  # Limit of the surface's slope, at the mesh's border
@@ -96,6 +103,19 @@ def check_ambient(ambient: float) -> None:
     """Raise an error for ambient light out of range."""
     if not 0.0 <= ambient <= 1.0:
         raise LiaamError(f"ambient light {ambient:g}: give a fraction from 0 (only the lamp) to 1 (no lamp)")
+
+
+def check_strength(strength: float) -> None:
+    """Raise an error for a strength of a change of light out of range."""
+    if not 0.0 <= strength <= 1.0:
+        raise LiaamError(f"strength {strength:g}: give a share of the change, from 0 (the image as it is) to 1")
+
+
+def direction_named(name: str) -> tuple[float, float, float]:
+    """Return the direction to a lamp by its name."""
+    if name not in DIRECTIONS:
+        raise LiaamError(f"light {name!r}: give a direction (x, y, z), or one of {', '.join(DIRECTIONS)}")
+    return DIRECTIONS[name]
 
 
 @lru_cache(maxsize=4)

@@ -21,7 +21,15 @@ from liaam.photometry.picture import load_picture
 from liaam.relighting.appearance import ShadowFree, check_colour, check_method
 from liaam.relighting.extrapolation import FARTHEST, Surroundings
 from liaam.relighting.highlights import below_white, spared
-from liaam.relighting.lamp import AMBIENT, Lamp, check_ambient, light_of, normals_of
+from liaam.relighting.lamp import (
+    AMBIENT,
+    Lamp,
+    check_ambient,
+    check_strength,
+    direction_named,
+    light_of,
+    normals_of,
+)
 from liaam.relighting.painting import REACH, Region, averages, box_of, eight_bits, log_light, paint, seen_triangles
 from liaam.relighting.shading import SQUARE, Shading, find_shading, light_on_frame, light_on_image, noise_of_log
 
@@ -30,7 +38,7 @@ LONGEST = 1.5  # Largest exposure relative to frontal light; a lamp from behind 
 MOST_NOISE = 3.0  # Largest amplification of the noise of stored values
 GRAIN = 1.0  # Standard deviation of the Gaussian that separates the noise, pixels
 
-LampsLike = Sequence[float] | Lamp | Sequence[Lamp]
+LampsLike = str | Sequence[float] | Lamp | Sequence[Lamp]
 Steadied = Callable[[Shading], Shading]
 
 
@@ -156,9 +164,12 @@ class Relighter:
             surroundings=flat.surroundings,
         )
 
-    def flat(self) -> np.ndarray:
-        """Return the image with the object under the training light, (h, w, 3) uint8."""
-        return self._changed()
+    def flat(self, strength: float = 1.0) -> np.ndarray:
+        """Return the image with the object under the training light, (h, w, 3) uint8.
+
+        ``strength`` is the share of the change of light, from 0 for the image as it is to 1.
+        """
+        return self._changed(strength=strength)
 
     def shading(self) -> np.ndarray:
         """Return the removed shading, (h, w, 3) float32: log(image / flat image), 0 outside the mesh."""
@@ -187,7 +198,7 @@ class Relighter:
         """Mean certainty inside the mesh; 0 if the object is outside the image."""
         return float(np.nanmean(self.certainty())) if self.inside.any() else 0.0
 
-    def under(self, light: LampsLike, ambient: float = AMBIENT) -> np.ndarray:
+    def under(self, light: LampsLike, ambient: float = AMBIENT, strength: float = 1.0) -> np.ndarray:
         """Return the image with the object under distant lamps, (h, w, 3) uint8.
 
         Uses Lambert's law on the inflated surface, relative to a frontal lamp: under one white lamp from (0, 0, 1) the
@@ -197,16 +208,19 @@ class Relighter:
 
         Parameters
         ----------
-        light : (3,) float, Lamp, or sequence of Lamp
-            Direction to a lamp (x to the right, y down, z to the viewer; its length does not matter), or lamps. Without
-            lamps there is ambient light only.
+        light : str, (3,) float, Lamp, or sequence of Lamp
+            Direction to a lamp (x to the right, y down, z to the viewer; its length does not matter), its name
+            (``left``, ``right``, ``above``, ``below`` or ``front``), or lamps. Without lamps there is ambient light
+            only.
         ambient : float
             Fraction of white ambient light, 0 to 1.
+        strength : float
+            Share of the change of light, from 0 for the image as it is to 1.
 
         Raises
         ------
         LiaamError
-            For a zero or non-finite direction, and for ambient light out of range.
+            For a zero or non-finite direction or an unknown name, and for numbers out of range.
         """
         lamps = lamps_of(light)
         check_ambient(ambient)
@@ -216,10 +230,12 @@ class Relighter:
         frontal = light_of([Lamp((0.0, 0.0, 1.0))], self.normals, ambient)
         loss = float(frontal[self.inside].mean() / under_lamps[self.inside].mean())
         exposure = min(loss**0.5, LONGEST)
-        return self._changed(self.surroundings.share * np.log(exposure * under_lamps / frontal))
+        return self._changed(self.surroundings.share * np.log(exposure * under_lamps / frontal), strength)
 
-    def like(self, other: "Relighter") -> np.ndarray:
+    def like(self, other: "Relighter", strength: float = 1.0) -> np.ndarray:
         """Return the image with the object under the light of another fitted image, (h, w, 3) uint8.
+
+        ``strength`` is the share of the change of light, from 0 for the image as it is to 1.
 
         Raises
         ------
@@ -233,7 +249,7 @@ class Relighter:
         shading = other.frame_shading
         on_mesh, _ = paint(self.inside, self.region.shape, self.model, shading.log)
         around = light_on_image(self.model, shading.coordinates, self.region)
-        return self._changed(self.surroundings.spread(on_mesh, around))
+        return self._changed(self.surroundings.spread(on_mesh, around), strength)
 
     @property
     def nbytes(self) -> int:
@@ -277,14 +293,20 @@ class Relighter:
         share = np.exp(-0.5 * np.square(relative)).astype(np.float32)
         return fine * share
 
-    def _changed(self, change: np.ndarray | None = None) -> np.ndarray:
-        """Return the flat image, with a change of log light (lh, lw, 1 or 3); noise stays low."""
+    def _changed(self, change: np.ndarray | None = None, strength: float = 1.0) -> np.ndarray:
+        """Return the flat image, with a change of log light (lh, lw, 1 or 3); noise stays low.
+
+        ``strength`` is the share of the way from the logarithm of the image's own light to that.
+        """
+        check_strength(strength)
         picture = self.picture.copy()
         if not self.inside.any():
             return picture
         log_rgb = self.log_flat
         if change is not None:
             log_rgb = log_rgb + self.region.enlarged(change).reshape(*log_rgb.shape[:2], -1)
+        if strength < 1.0:
+            log_rgb = self.log_own + np.float32(strength) * (log_rgb - self.log_own)
         stored = eight_bits(log_rgb, self.response)
         excess = self._excess(stored)
         if (excess > 0.0).any():
@@ -349,6 +371,7 @@ def relight(
     *,
     like=None,
     ambient: float = AMBIENT,
+    strength: float = 1.0,
     init=None,
     like_init=None,
     method: str | Method = DEFAULT_METHOD,
@@ -363,13 +386,15 @@ def relight(
     model : AAM or "face"
         Trained on colour images, or the name of a model that comes with liaam.
     image : (h, w, 3) uint8, uint16 or float array, or path
-    light : (3,) float, Lamp, or sequence of Lamp, optional
-        Direction to a distant lamp (x to the right, y down, z to the viewer), or lamps. By default the light of the
-        training images, which removes the shading.
+    light : str, (3,) float, Lamp, or sequence of Lamp, optional
+        Direction to a distant lamp (x to the right, y down, z to the viewer), its name (``left``, ``right``, ``above``,
+        ``below`` or ``front``), or lamps. By default the light of the training images, which removes the shading.
     like : image, optional
         Another image of such an object, whose light is used; not together with ``light``.
     ambient : float
         Fraction of ambient light with ``light``, 0 to 1.
+    strength : float
+        Share of the change of light, from 0 for the image as it is to 1.
     init, like_init : start, optional
         Starts of the fits to the two images, as for :func:`liaam.fit`. By default the objects are searched for.
     method : str or Method
@@ -394,12 +419,13 @@ def relight(
     Examples
     --------
     >>> flat = liaam.relight(model, "new.png")                                              # doctest: +SKIP
-    >>> lit = liaam.relight(model, "new.png", (1, 0, 1))                                    # doctest: +SKIP
+    >>> lit = liaam.relight(model, "new.png", "left", strength=0.7)                         # doctest: +SKIP
     """
     if light is not None and like is not None:
         raise LiaamError("light and like cannot be combined; give one of them")
     lamps = None if light is None else lamps_of(light)
     check_ambient(ambient)
+    check_strength(strength)
     fitter = Fitter.of(model, method, caller=relight, **settings)
     check_colour(fitter.model)
     other = None
@@ -410,11 +436,13 @@ def relight(
     _warn(result, "image")
     if relighter.certain < UNCERTAIN:
         warnings.warn(f"image: {uncertainty_of(relighter)}", stacklevel=2)
-    return shown(relighter, lamps, other, ambient)
+    return shown(relighter, lamps, other, ambient, strength)
 
 
 def lamps_of(light: LampsLike) -> list[Lamp]:
-    """Return the lamps of a direction, a lamp or several lamps."""
+    """Return the lamps of a direction or its name, a lamp or several lamps."""
+    if isinstance(light, str):
+        return [Lamp(direction_named(light))]
     if isinstance(light, FitResult):
         raise LiaamError(
             "the light is the result of a fit; give its landmarks as the start, init=result.landmarks, or relight that "
@@ -425,14 +453,18 @@ def lamps_of(light: LampsLike) -> list[Lamp]:
 
 
 def shown(
-    relighter: Relighter, lamps: Sequence[Lamp] | None = None, other: Relighter | None = None, ambient: float = AMBIENT
+    relighter: Relighter,
+    lamps: Sequence[Lamp] | None = None,
+    other: Relighter | None = None,
+    ambient: float = AMBIENT,
+    strength: float = 1.0,
 ) -> np.ndarray:
     """Show an object under lamps, or the light of another image, or that of training."""
     if other is not None:
-        return relighter.like(other)
+        return relighter.like(other, strength)
     if lamps is not None:
-        return relighter.under(lamps, ambient)
-    return relighter.flat()
+        return relighter.under(lamps, ambient, strength)
+    return relighter.flat(strength)
 
 
 def separated(fitter: Fitter, image, init=None, name: str = "image") -> tuple[Relighter, FitResult]:

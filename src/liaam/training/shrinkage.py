@@ -21,9 +21,9 @@ from liaam.training.left_out_fits import LeftOutFit, LeftOutFits
 # shells, the reliability of fits to other images (:func:`reliability`) is 0.67, 0.64 and 0.80 with 1; 0.68, 0.67 and
 # 0.80 with 0.3; 0.66, 0.67 and 0.80 with 0.1, at larger errors. Faces under flashes need all of it.
 FINAL_PRIORS = (1.0, 0.3)
-# Reliability, as a fraction of the best, from which a weaker prior is taken: between 20 left-out images, smaller
-# differences are chance.
-NEARLY = 0.99
+# Difference of reliabilities, as a fraction of the best, that is chance between MANY left-out images, so that the
+# weaker prior is taken. Between more images, less of a difference is chance.
+CHANCE = 0.01
 # Share of the factor's way from 1 to that of equal variances. The whole way costs the left-out fits of wings 5 % in
 # error for a tenth of the variance, part of which is noise of their labels.
 SHARE = 0.85
@@ -46,7 +46,8 @@ def most_reliable(candidates: Sequence[LeftOutFits]) -> LeftOutFits:
     most_right = max(each.n_near_right for each in candidates)
     compared = [each for each in candidates if each.n_near_right == most_right]
     best = max(reliability(each) for each in compared)
-    return [each for each in compared if reliability(each) >= NEARLY * best][-1]
+    nearly = 1.0 - CHANCE * np.sqrt(MANY / max(candidates[0].n_near, MANY))
+    return [each for each in compared if reliability(each) >= nearly * best][-1]
 
 
 def reliability(fits: LeftOutFits) -> float:

@@ -80,7 +80,7 @@ def train(
         The training camera. Default: an angle of 122 degrees and sRGB.
     lamps : "auto", LearntLamps, Dataset or iterable of Sample, optional
         Lamps under which copies of the images are relit, or images of a few objects under several lamps to learn these
-        from (:func:`liaam.training.learn_lamps`); None for none. ``"auto"``: lamps of generated heads if the objects
+        from (:func:`liaam.training.learn_lamps`); None for none. ``"auto"``: lamps of rendered heads if the objects
         are faces (:func:`liaam.training.faces.face_lamps`), else none.
     training_lamp : str, optional
         Name of the light of ``data`` in the names of the images of ``lamps``.

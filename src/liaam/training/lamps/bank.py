@@ -146,10 +146,12 @@ class LearntLamps:
         if mirrored:
             fields = np.concatenate([fields, fields[:, :, ::-1]])
             groups = groups * 2
-        rest = _left_out(fields, np.array(groups), inside=distances <= 0)
+        flat = fields.reshape(len(fields), -1)
+        gram = flat @ flat.T
+        rest = _left_out(fields, gram, np.array(groups), inside=distances <= 0)
         remainder = np.sqrt(np.square(rest.mean(axis=3)).mean(axis=0))
         tints = TINT * CHROMATICITY[:, None, None] * fade
-        modes = np.concatenate([_modes(fields), tints])
+        modes = np.concatenate([_modes(fields, gram, np.ones(len(fields), bool)), tints])
         return LightBasis(self.mean, rounded(modes), remainder.astype(np.float16))
 
     def save(self, path: str | os.PathLike) -> None:
@@ -195,19 +197,21 @@ def _softened(fields: np.ndarray, distances: np.ndarray) -> np.ndarray:
     return np.stack(softened)
 
 
-def _modes(fields: np.ndarray) -> np.ndarray:
-    """Return the strongest modes (k, side, side, 3) of fields (n, side, side, 3), one standard deviation each.
+def _modes(fields: np.ndarray, gram: np.ndarray, which: np.ndarray) -> np.ndarray:
+    """Return the strongest modes (k, side, side, 3) of some of the fields (n, side, side, 3).
 
-    No mean is subtracted: the training light is the origin.
+    Each is one standard deviation. ``gram`` (n, n) are the inner products of the fields, and ``which`` (n,) bool
+    chooses among them. No mean is subtracted: the training light is the origin.
     """
-    flat = fields.reshape(len(fields), -1)
-    n_modes = min(MODES, (len(flat) + 1) // 2)
-    _, vectors = np.linalg.eigh(flat @ flat.T)
-    strongest = vectors[:, ::-1][:, :n_modes]
-    return (strongest.T @ flat / np.sqrt(len(flat))).reshape(-1, *fields.shape[1:])
+    n_chosen = int(which.sum())
+    n_modes = min(MODES, (n_chosen + 1) // 2)
+    _, vectors = np.linalg.eigh(gram[np.ix_(which, which)])
+    weights = np.zeros((n_modes, len(fields)), np.float32)
+    weights[:, which] = vectors[:, ::-1][:, :n_modes].T / np.sqrt(n_chosen)
+    return (weights @ fields.reshape(len(fields), -1)).reshape(-1, *fields.shape[1:])
 
 
-def _left_out(fields: np.ndarray, groups: np.ndarray, inside: np.ndarray) -> np.ndarray:
+def _left_out(fields: np.ndarray, gram: np.ndarray, groups: np.ndarray, inside: np.ndarray) -> np.ndarray:
     """Return what the modes of the other groups do not explain of each field.
 
     The coordinates are those that fit best ``inside`` (side, side), because relighting estimates them there.
@@ -217,7 +221,7 @@ def _left_out(fields: np.ndarray, groups: np.ndarray, inside: np.ndarray) -> np.
         in_group = groups == group
         if in_group.all():
             break
-        modes = _modes(fields[~in_group])
+        modes = _modes(fields, gram, ~in_group)
         modes_inside = modes[:, inside].reshape(len(modes), -1)
         fields_inside = fields[in_group][:, inside].reshape(in_group.sum(), -1)
         coordinates = np.linalg.lstsq(modes_inside.T, fields_inside.T, rcond=None)[0]
