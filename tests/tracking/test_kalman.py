@@ -129,7 +129,8 @@ def test_noise_and_drive_are_told_from_second_differences(rng, noise, drive):
         moments = kalman.observed(moments, row)
     share, found = kalman.noise_and_drive(moments, variances)
     assert share == pytest.approx(noise, rel=0.3, abs=0.1 * drive)
-    assert np.median(found) == pytest.approx(drive, rel=0.5, abs=0.25 * noise)
+    # On average: chance makes some of the estimates too large, and none is negative.
+    assert found.mean() == pytest.approx(drive, rel=0.5, abs=0.25 * noise)
 
 
 def test_a_gap_takes_no_difference_over_itself():

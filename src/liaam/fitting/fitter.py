@@ -63,7 +63,6 @@ def _is_like(detection: Detection, best: Detection) -> bool:
 
 
 @dataclass(frozen=True, eq=False)
-@dataclass(frozen=True, eq=False)
 class _FirstFit:
     """A fit from the first start, before other places and starts are tried.
 
@@ -315,7 +314,7 @@ class Fitter(OneShapeFitter):
         kept = without_other_sides(choose(sorted(fits, key=likeliness, reverse=True), are_apart), self.model)
         return [kept[i] for i in reading_order([fit.place for fit in kept])]
 
-    @property
+    @cached_property
     def _sides(self) -> Sides | None:
         """The sides that objects may have; None if the model knows of one, and no other was asked for."""
         return sides_of(self.model, self.side)

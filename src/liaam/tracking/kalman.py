@@ -144,6 +144,8 @@ def noise_and_drive(moments: Moments, variances: np.ndarray) -> tuple[float, np.
     scatter = (moments.mean_square - 4.0 * moments.mean_product) / 22.0
     median = float(np.sort(scatter / variances)[len(scatter) // 2])
     share = min(max(median, LEAST_SHARE), 1.0)
-    drive = 1.5 * (moments.mean_square - 6.0 * share * variances)
+    # A coordinate may scatter more than that share: what its neighbouring differences tell is no acceleration either.
+    noise = np.maximum(share * variances, scatter)
+    drive = 1.5 * (moments.mean_square - 6.0 * noise)
     least_drive = LEAST_DRIVE * share * variances
     return share, np.maximum(drive, least_drive)
