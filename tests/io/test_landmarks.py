@@ -648,6 +648,8 @@ texts = st.text(st.characters(codec="utf-8", exclude_characters="\0"), min_size=
 @given(points=point_lists, suffix=st.sampled_from([".pts", ".csv", ".ljson", ".tps"]))
 @SOME
 def test_written_points_come_back(tmp_path: Path, points: list, suffix: str) -> None:
+    known = np.array([point for point in points if np.isfinite(point).all()])
+    assume(len(known) < 3 or np.abs(known).max() > 2.0)  # others are refused as fractions of the image's size
     write_landmarks(tmp_path / f"a{suffix}", np.array(points), (640, 480))
     back = read_landmarks(tmp_path / f"a{suffix}", (640, 480)).points
     np.testing.assert_allclose(back, points, rtol=0, atol=1e-9 if suffix in (".pts", ".tps") else 0)

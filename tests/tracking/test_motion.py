@@ -13,7 +13,7 @@ from setups import disturb
 
 @pytest.fixture(scope="module")
 def motion(head_model):
-    return Motion(head_model.views[SURROUNDINGS].shape_model)
+    return Motion.of(head_model.views[SURROUNDINGS].shape_model)
 
 
 def posed(motion: Motion, rng: np.random.Generator) -> np.ndarray:

@@ -175,7 +175,7 @@ class Fitter(OneShapeFitter):
     @cached_property
     def finder(self) -> Finder:
         """The model's detector (see :mod:`liaam.fitting.search.finder`)."""
-        return Finder(self.model, self.searched_rotations)
+        return Finder(self.model, self.rotations)
 
     @property
     def searched_rotations(self) -> str:
@@ -354,12 +354,19 @@ class Fitter(OneShapeFitter):
         """Fit from the first start; see :meth:`fit`."""
         image, name = load_picture(image, name)  # once for all parts
         target, detection = self.target(image, init, name)
-        if self._several:
-            targets = self._targets_of_parts(target, image, init, name)
-            is_last = self.judge.is_limited or searched_region(init, target.image, restarts=self.restarts) is None
+        in_rotations = self._targets_in_rotations(target, init)
+        if not self._several:
+            fits = [PlacedFit(self.fit_target(each), each, detection) for each in in_rotations]
+            return max(fits, key=lambda fit: likeliness(fit.result))
+        if in_rotations == [target]:
+            of_parts = [self._targets_of_parts(target, image, init, name)]
+        else:
+            of_parts = [targets_at(each, self.finder.parts) for each in in_rotations]
+        is_last = self.judge.is_limited or searched_region(init, target.image, restarts=self.restarts) is None
+        fits = []
+        for targets in of_parts:
             part, result = fit_likeliest_part(self.parts, targets, self.options, is_last)
-            return PlacedFit(result, targets[part], detection, part)
-        fits = [PlacedFit(self.fit_target(each), each, detection) for each in self._targets_in_rotations(target, init)]
+            fits.append(PlacedFit(result, targets[part], detection, part))
         return max(fits, key=lambda fit: likeliness(fit.result))
 
     def _targets_of_parts(self, target: Target, image: np.ndarray, init, name: str) -> list[Target]:

@@ -182,8 +182,15 @@ def _fit_at_likeliest_place(
     odds = PlaceOdds.in_region(elsewhere.region)
     prior = odds.prior_of(first.result)
     if with_prior(first.result, prior).quality >= LEAST_QUALITY:
-        return first, prior
+        return _finished(fitters, first), prior
     return likeliest(fitters, elsewhere.finder, first, elsewhere.region, odds)
+
+
+def _finished(fitters: Sequence[OneShapeFitter], first: PlacedFit) -> PlacedFit:
+    """Return a first fit with all its steps: that of a model of several parts may have been stopped after a few."""
+    if len(fitters) == 1 or first.result.status is not FitStatus.MAX_ITERATIONS:
+        return first
+    return replace(first, result=fitters[first.part].fit_target(first.target))
 
 
 def _is_likely_wrong(fitter: OneShapeFitter, result: FitResult) -> bool:

@@ -156,7 +156,7 @@ def explained_contrast(result: FitResult, model: AAM) -> float:
     if not np.isfinite(fraction):
         return -np.inf
     share = 1.0 if result.present is None else float(result.present.mean())
-    area = float(np.abs(signed_areas(result.landmarks, model.triangles)).sum())
+    area = float(np.abs(signed_areas(result.landmarks, model.parts[result.part].triangles)).sum())
     return fraction * share * area
 
 

@@ -118,7 +118,7 @@ class AAM:
 
     def __getstate__(self) -> dict:
         """Leave out the fitters that :func:`liaam.fit` keeps with a model."""
-        return {name: value for name, value in self.__dict__.items() if name not in ("_fitters", "_first")}
+        return {name: value for name, value in self.__dict__.items() if name not in ("_fitters", "_first", "reflected")}
 
     def __repr__(self) -> str:
         images = count_of(self.n_all_images, "image")
@@ -143,6 +143,14 @@ class AAM:
     @cached_property
     def _first(self) -> "AAM":
         return replace(self, others=())
+
+    @cached_property
+    def reflected(self) -> "AAM":
+        """The model of one shape for objects of the other side: its mirror image, with the landmarks in the same order.
+
+        It has no light basis and no regressor.
+        """
+        return mirrored_model(self, np.arange(self.n_points))
 
     def part_of(self, shape: np.ndarray) -> int:
         """Return the index of the part under which a shape (n, 2), without missing points, is most likely."""

@@ -96,6 +96,7 @@ def barycentric(points: np.ndarray, triangle: np.ndarray) -> np.ndarray:
 # Width of the ring around a mesh, as a fraction of the distance from the shape's centre. Locating an outline needs
 # pixels on both of its sides; at twice the width the background begins to matter (measured on the spot protocol).
 SURROUND = 0.06
+MAX_RING_WEIGHTS = 32_000_000  # Largest number of weights of landmarks in all vertices, of meshes in pieces
 
 
 def surroundings(points: np.ndarray, triangles: np.ndarray, width: float = SURROUND) -> tuple[np.ndarray, np.ndarray]:
@@ -124,8 +125,10 @@ def surroundings_of_pieces(
     apart = width * float(np.sqrt(np.square(points - points.mean(axis=0)).sum(axis=1).mean()))
     hulls = []
     rings = []
-    for piece in pieces_of(triangles):
-        members = np.unique(triangles[piece])
+    pieces = [np.unique(triangles[piece]) for piece in pieces_of(triangles)]
+    if (len(points) + sum(map(len, pieces))) * len(points) > MAX_RING_WEIGHTS:  # as of a forged file
+        raise TrainingError(f"the mesh of {len(points)} landmarks is in {len(pieces)} pieces, which are too many")
+    for members in pieces:
         hull = members[_hull(points[members])]
         centred = points[members] - points[members].mean(axis=0)
         thickness = float(np.linalg.svd(centred, compute_uv=False)[-1] / np.sqrt(len(members)))

@@ -10,6 +10,7 @@ from liaam.encoding_constants import GRADIENTS
 from liaam.errors import ModelFileError
 from liaam.model.appearance import AppearanceModel
 from liaam.model.presence import Presence
+from liaam.model.shape import ShapeModel
 from liaam.model.views import VIEWS, Level, Reliability, View
 
 if TYPE_CHECKING:
@@ -51,6 +52,14 @@ def mirrored_model(model: "AAM", order: np.ndarray) -> "AAM":
     )
 
 
+def mirrored_shapes(model: ShapeModel, order: np.ndarray) -> ShapeModel:
+    """Mirror shapes left to right; ``order`` (n,) is the index of each landmark's mirror image."""
+    mirrored = np.array([-1.0, 1.0])
+    modes = (model.modes.reshape(len(model.modes), -1, 2) * mirrored)[:, order].reshape(model.modes.shape)
+    unexplained = None if model.unexplained is None else _covariances(model.unexplained)[order]
+    return replace(model, mean=(model.mean * mirrored)[order], modes=modes, unexplained=unexplained)
+
+
 class _MirroredViews(Mapping[str, View]):
     """Views that are mirrored when they are first needed, since this takes a quarter of the time of reading a file."""
 
@@ -74,11 +83,7 @@ class _MirroredViews(Mapping[str, View]):
 
 
 def _view(name: str, view: View, triangles: np.ndarray, order: np.ndarray, in_pieces: bool) -> View:
-    model = view.shape_model
-    mirrored = np.array([-1.0, 1.0])
-    modes = (model.modes.reshape(len(model.modes), -1, 2) * mirrored)[:, order].reshape(model.modes.shape)
-    unexplained = None if model.unexplained is None else _covariances(model.unexplained)[order]
-    shapes = replace(model, mean=(model.mean * mirrored)[order], modes=modes, unexplained=unexplained)
+    shapes = mirrored_shapes(view.shape_model, order)
     warp = VIEWS[name](shapes, triangles, in_pieces)
     frame = warp.frame
     other = view.warp.frame

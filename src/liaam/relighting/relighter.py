@@ -137,7 +137,7 @@ class Relighter:
         """
         check_method(fitter, result)
         fitter = fitter.lit_part_for(result)  # without a basis of light, beards count as shade
-        model = fitter.model
+        model = fitter.model.reflected if result.reflected else fitter.model
         image, name = load_picture(image, name)
         refuse_grey(image, name, "relighting needs colours; give a colour image", MethodError)
         camera = fitter.camera or model.camera
@@ -242,6 +242,8 @@ class Relighter:
         LiaamError
             If the other image was fitted with another model.
         """
+        if self.model is other.model.reflected or other.model is self.model.reflected:
+            raise LiaamError("the two objects are of different sides; give an image of one of the same side")
         if other.model is not self.model:
             raise LiaamError("the two images were fitted with different models; fit both with the same model")
         if not self.inside.any():

@@ -14,6 +14,7 @@ from liaam.fitting.detection import Detection
 from liaam.fitting.solution import residual_at
 from liaam.io import image_size
 from liaam.model.shape import Similarity
+from liaam.model.sides import reflected_points
 from liaam.photometry import is_grey, linear_to_srgb
 from liaam.photometry.encoding import stored_values
 from liaam.relighting import Relighter, paint
@@ -111,10 +112,16 @@ def residual_layer(
     fitter: Fitter, image: np.ndarray, result: FitResult, to: tuple[int, int]
 ) -> tuple[np.ndarray, dict[str, Any]]:
     """Draw the residual of a fit at a size (width, height), where the image is usable; also return its facts."""
-    (values, facts), model = residual_of(fitter, image, result), fitter.part_for(result).model
+    values, facts = residual_of(fitter, image, result)
+    model = fitter.part_for(result).model
     shape = rescaled(result.registered, image.shape[:2], (to[1], to[0]))
     canvas = np.broadcast_to(np.uint8(0), (to[1], to[0], 3))  # takes no memory
-    painted, inside = paint(canvas, shape, model, values)
+    if result.reflected:  # the residual is that of the image reversed left to right
+        painted, inside = paint(canvas, reflected_points(shape, to[0]), model, values)
+        painted = painted[:, ::-1]
+        inside = inside[:, ::-1]
+    else:
+        painted, inside = paint(canvas, shape, model, values)
     return coloured(painted[..., 0] / facts["limit"], RESIDUAL_COLOURS, inside & (painted[..., 1] > 0.5)), facts
 
 

@@ -11,14 +11,30 @@ from functools import cached_property
 import numpy as np
 
 from liaam.fitting import FitResult
+from liaam.model.mirror import mirrored_shapes
 from liaam.model.shape import ShapeModel, similarity_modes
 
 
 @dataclass(frozen=True, eq=False)
 class Motion:
-    """Motion coordinates of the shapes of a model in an image."""
+    """Motion coordinates of the shapes of a model in an image.
+
+    Attributes
+    ----------
+    shape_model : ShapeModel
+        The shapes as they are in the image.
+    fitted : ShapeModel
+        The shapes with which the model is fitted: of objects of the other side, the mirror images of these.
+    """
 
     shape_model: ShapeModel
+    fitted: ShapeModel
+
+    @classmethod
+    def of(cls, shapes: ShapeModel, *, is_reflected: bool = False) -> "Motion":
+        """Return the motion of fits with a shape model, as they are or of the image reversed left to right."""
+        order = np.arange(len(shapes.mean))
+        return cls(mirrored_shapes(shapes, order) if is_reflected else shapes, shapes)
 
     @cached_property
     def similarity(self) -> np.ndarray:
@@ -50,7 +66,7 @@ class Motion:
         y = self.coordinates(result.landmarks)
         basis = self.basis(y)
         n_p = len(result.p)
-        moved = (self.shape_model.basis.reshape(n_p, -1, 2) @ result.pose.matrix.T).reshape(n_p, -1)
+        moved = (self.fitted.basis.reshape(n_p, -1, 2) @ result.pose.matrix.T).reshape(n_p, -1)
         transformed = basis @ moved.T
         covariance = transformed @ _bounded(result.covariance[:n_p, :n_p]) @ transformed.T
         covariance[np.arange(len(y)), np.arange(len(y))] += LEAST

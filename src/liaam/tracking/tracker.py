@@ -21,6 +21,7 @@ from liaam.io import VideoReader
 from liaam.model import AAM
 from liaam.model.aam import named_model
 from liaam.model.shape import align, diagonal_of
+from liaam.model.sides import reflected_points
 from liaam.photometry import CameraModel
 from liaam.photometry.picture import load_picture
 from liaam.tracking import kalman
@@ -91,7 +92,8 @@ class TrackState:
     It holds the number of frames so far (at 0, an invalid frame raises), the estimate of the object's motion, how many
     frames the object has been lost, the wait between searches and the time until the next one in frames, the size
     (height, width) of the last frame, the last landmarks (n, 2), the number of the last frame with landmarks divided by
-    the review interval, and the index of the model's part (:attr:`liaam.AAM.parts`) that is tracked.
+    the review interval, the index of the model's part (:attr:`liaam.AAM.parts`) that is tracked, and whether the object
+    is of the other side (:attr:`liaam.fitting.FitResult.reflected`).
     """
 
     count: int = 0
@@ -103,6 +105,7 @@ class TrackState:
     last: np.ndarray | None = None
     period: int = 0
     part: int = 0
+    reflected: bool = False
 
 
 @dataclass(eq=False)
@@ -149,19 +152,22 @@ class Tracker:
         for part in self.fitter.parts:
             few = sharpest(part.model, LEVELS)
             fitter = Fitter(few, self.method, near, camera=self.camera, margin=NEAR, restarts=False)
-            self._of_parts.append((fitter, part, Motion(part.shapes)))
+            motions = (Motion.of(part.shapes), Motion.of(part.shapes, is_reflected=True))
+            self._of_parts.append((fitter, part, motions))
         self._estimates = self.fitter.objectives[-1].method.free_angles != "none"
         self.reset()
 
     def reset(self) -> None:
         """Forget the object. The next frame counts as the first one."""
         self.result, self.state = None, TrackState()
-        self._use(self.state.part)
+        self._use(self.state.part, self.state.reflected)
 
-    def _use(self, part: int) -> None:
-        """Track the shape of one of the model's parts."""
+    def _use(self, part: int, reflected: bool) -> None:
+        """Track the shape of one of the model's parts, as it is or reflected."""
         self.state.part = part
-        self._near, self._far, self._motion = self._of_parts[part]
+        self.state.reflected = reflected
+        self._near, self._far, motions = self._of_parts[part]
+        self._motion = motions[reflected]
 
     def update(self, image, time: float = float("nan"), index: int | None = None) -> TrackedFrame:
         """Find the object in the next frame.
@@ -208,9 +214,11 @@ class Tracker:
         self.result = None if status is TrackStatus.LOST else tried
         if status is TrackStatus.LOST or tried is None:
             return lost_frame(self._motion.shape_model.mean, index, time, tried)
-        part = self.model.part_of(tried.landmarks)
-        if self.state.track is None and part != self.state.part:
-            self._use(part)
+        assert self.state.size is not None  # the frame is valid
+        _, width = self.state.size
+        part = self.model.part_of(reflected_points(tried.landmarks, width) if tried.reflected else tried.landmarks)
+        if self.state.track is None and (part, tried.reflected) != (self.state.part, self.state.reflected):
+            self._use(part, tried.reflected)
         self.state.lost = self.state.wait = self.state.due = 0
         self.state.last, self.state.period = tried.landmarks, self._period_of(index)
         return self._seen(tried, status, index, time)
@@ -274,7 +282,7 @@ class Tracker:
         """Return a fit from the mean shape at the same place, if it is clearly better."""
         if np.isnan(followed.quality):
             return None
-        mean = self.model.parts[self.state.part].shape_model.mean
+        mean = self._motion.shape_model.mean
         anew = _fit(self.fitter, pixels, align(mean, followed.landmarks)(mean), name)
         if anew is None:
             return None

@@ -1,4 +1,4 @@
-"""Groups of training images whose shapes are too different for one Gaussian, such as left and right wings, or species.
+"""Groups of training images whose shapes are too different for one Gaussian, such as those of different species.
 
 Shapes are clustered by their Procrustes distances (Ward's method). A grouping is used if it makes left-out shapes
 clearly more likely, with one Gaussian for each group, than with one Gaussian for all, and if there is a gap between the

@@ -13,6 +13,7 @@ from liaam.errors import TrainingError
 from liaam.fitting.methods import Method
 from liaam.model import AAM, MESH, SURROUNDINGS, VIEWS, Level, View
 from liaam.model.cost import TooLargeError, check_cost
+from liaam.model.file_format import ALL_ROTATIONS
 from liaam.model.missing import Missing
 from liaam.model.shape import Recipe, ShapeModel, choose_recipe, mirror_order, scaled_mean, shape_model_on
 from liaam.model.views import shape_model_of
@@ -142,6 +143,8 @@ def train(
         models.append(_train_one(part, points_of_part, task))
     models = [replace(model, sides=samples.sides) for model in models]
     scale = shared_length([entry.pixel for entry in samples.entries])
+    if any(model.rotations == ALL_ROTATIONS for model in models):  # all shapes are searched for in one way
+        models = [replace(model, rotations=ALL_ROTATIONS) for model in models]
     return replace(models[0], others=tuple(models[1:]), scale=scale)
 
 

@@ -30,7 +30,7 @@ MOST_DEFORMED = 1.0  # Largest root mean square of the logarithm of the ratio of
 FARTHEST = 5.0  # Largest such logarithm that is counted, and that of triangles that are turned over
 LEAST_AREA = 1e-4  # Least area on the mean shape, relative to the largest triangle
 # Largest share of a triangle that those chosen before may cover on the mean shape, where parts that cross overlap
-MOST_COVERED = 0.5
+MOST_COVERED = 0.1
 # Barycentric weights of points inside a triangle, evenly spaced, (k, 3)
 INSIDE = np.array([(i + 1 / 3, j + 1 / 3, 9 - i - j + 1 / 3) for i in range(10) for j in range(10 - i)]) / 10.0
 
@@ -128,10 +128,17 @@ def steady_triangles(shapes: np.ndarray, mean: np.ndarray) -> np.ndarray:
         & (deformation <= MOST_DEFORMED)
         & (areas_of_mean > LEAST_AREA * areas_of_mean.max())
     )
+    # Limits of model files
+    most = 2 * len(mean)
+    box = float(np.prod(np.ptp(mean, axis=0)))
+    area = 0.0
     chosen: list[int] = []
     for i in np.argsort(deformation, kind="stable").tolist():
-        if may_be_used[i] and _covered_share(mean[triangles[i]], mean[triangles[chosen]]) <= MOST_COVERED:
+        if len(chosen) == most or not may_be_used[i] or area + areas_of_mean[i] > box:
+            continue
+        if _covered_share(mean[triangles[i]], mean[triangles[chosen]]) <= MOST_COVERED:
             chosen.append(i)
+            area += areas_of_mean[i]
     return triangles[chosen].astype(np.int32)
 
 
@@ -171,6 +178,7 @@ def _covered_share(triangle: np.ndarray, others: np.ndarray) -> float:
     """Return the share of a triangle (3, 2) that others (k, 3, 2) cover, by points inside it, 0 to 1."""
     points = INSIDE @ triangle
     covered = np.zeros(len(points), bool)
-    for other in others:
+    are_near = (others.min(axis=1) < triangle.max(axis=0)) & (others.max(axis=1) > triangle.min(axis=0))
+    for other in others[are_near.all(axis=1)]:
         covered |= (barycentric(points, other) >= 0).all(axis=1)
     return float(covered.mean())

@@ -176,7 +176,7 @@ class Finder:
         """A detector for each shape of the model: in general only this one."""
         if not self.model.others:
             return (self,)
-        return tuple(replace(self, model=part) for part in self.model.parts)
+        return tuple(replace(self, model=part, rotations=self.searched_rotations) for part in self.model.parts)
 
     @cached_property
     def templates(self) -> Bank:
