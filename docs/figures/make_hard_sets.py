@@ -11,7 +11,7 @@ import cv2
 import numpy as np
 
 import liaam
-from liaam.fitting import Fitter
+from liaam.fitting import FitResult, Fitter
 from liaam.io import write_image
 from liaam.model import AAM
 from liaam.model.mesh import delaunay
@@ -24,6 +24,7 @@ HERE = Path(__file__).parent
 SIZE = (400, 320)
 N_TRAINING = 40
 N_OF_LOT = 5
+N_TRIED = 9  # other pictures, of which that with the median error is shown
 TEXT = (40, 40, 40)
 FOLDED = (230, 60, 60)
 STEADY = (40, 170, 90)
@@ -41,12 +42,24 @@ def trained(pictures: list[Picture]) -> AAM:
 
 def fitted(model: AAM, picture: Picture, what: str, rotations: str | None = None) -> np.ndarray:
     """Draw the fit of a model from a box, and print its error."""
+    result, error = fit_of(model, picture, rotations)
+    print(f"{what}: {result.status}, quality {result.quality_text}, {error:.1%} off")
+    return captioned(overlay_of_fit(picture[0], result, model), what)
+
+
+def fit_of(model: AAM, picture: Picture, rotations: str | None = None) -> tuple[FitResult, float]:
+    """Fit a picture from the box of its landmarks; return the fit and its error as a fraction of the diagonal."""
     image, truth = picture
     box = np.concatenate([truth.min(axis=0), truth.max(axis=0)])
     result = Fitter(model, rotations=rotations).fit(image, box)
-    error = np.linalg.norm(result.landmarks - truth, axis=1).mean() / diagonal_of(truth)
-    print(f"{what}: {result.status}, quality {result.quality_text}, {error:.1%} off")
-    return captioned(overlay_of_fit(image, result, model), what)
+    return result, float(np.linalg.norm(result.landmarks - truth, axis=1).mean()) / diagonal_of(truth)
+
+
+def typical(model: AAM, pictures: list[Picture]) -> Picture:
+    """Return the picture whose fit has the median error."""
+    errors = [fit_of(model, picture)[1] for picture in pictures]
+    print("errors:", " ".join(f"{error:.1%}" for error in sorted(errors)))
+    return pictures[int(np.argsort(errors)[len(errors) // 2])]
 
 
 def captioned(image: np.ndarray, text: str) -> np.ndarray:
@@ -65,7 +78,7 @@ def turned() -> list[np.ndarray]:
     rng = np.random.default_rng(4)
     kind = AnimalFromAbove.drawn(rng)
     model = trained([kind.picture(rng) for _ in range(N_TRAINING)])
-    picture = kind.picture(rng)
+    picture = typical(model, [kind.picture(rng) for _ in range(N_TRIED)])
     return [
         fitted(model, picture, "upright ones are searched for", rotations="upright"),
         fitted(model, picture, "all rotations, as in training"),
@@ -98,15 +111,15 @@ def with_mesh(image: np.ndarray, landmarks: np.ndarray, triangles: np.ndarray) -
 
 
 def of_one_lot() -> list[np.ndarray]:
-    """Few fish of one lot, and of several."""
+    """Few fish of one lot, and fish of many lots."""
     rng = np.random.default_rng(8)
-    lots = [Fish.drawn(rng) for _ in range(9)]
-    one_lot = [lots[0].varied(rng, 0.02).picture(rng) for _ in range(N_OF_LOT)]
-    several = [lot.varied(rng, 0.02).picture(rng) for lot in lots[:8] for _ in range(N_OF_LOT)]
-    picture = lots[8].varied(rng, 0.02).picture(rng)
+    lot = Fish.drawn(rng)
+    one_lot = trained([lot.varied(rng, 0.02).picture(rng) for _ in range(N_OF_LOT)])
+    many_lots = trained([Fish.drawn(rng).picture(rng) for _ in range(N_TRAINING)])
+    picture = typical(many_lots, [Fish.drawn(rng).picture(rng) for _ in range(N_TRIED)])
     return [
-        fitted(trained(one_lot), picture, "trained on 5 fish of another lot"),
-        fitted(trained(several), picture, "trained on 5 fish of each of 8 lots"),
+        fitted(one_lot, picture, "trained on 5 fish of one other lot"),
+        fitted(many_lots, picture, "trained on a fish of each of 40 lots"),
     ]
 
 
