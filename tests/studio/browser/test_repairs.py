@@ -10,6 +10,9 @@ from liaam.io import Landmarks, write_landmarks
 
 pytestmark = pytest.mark.slow
 
+SHOWN = "**/image?*size=2048*"
+"""Requests of pictures, but not of their thumbnails."""
+
 OPEN = "name => window.liaamStudio?.annotate?.name() === name && window.liaamStudio.annotate.source()"
 
 
@@ -180,3 +183,31 @@ def test_the_picture_begins_high_on_a_low_page(serve, open_page, marked, artefac
     shoot(page, artefacts, f"53-low-{theme}")
     assert page.locator("[data-testid=annotate-viewer]").bounding_box()["y"] < 210
     wait_for_state(page, NAMES[0], "done")
+
+
+def test_a_proposal_that_comes_while_a_picture_opens_is_shown(serve, page, folder, portrait_model):
+    """A large picture takes seconds to open, in which its marks may change."""
+    held, answered = [], []
+
+    def answer(route):
+        if route.request.method != "GET" or answered:
+            route.continue_()
+            return
+        answered.append(route)
+        response = route.fetch()
+        marks = response.json()
+        before = {"source": "none", "points": [None] * len(marks["points"])}
+        route.fulfill(response=response, json={**marks, **before})
+
+    page.route("**/landmarks", answer)
+    page.route(SHOWN, lambda route: held.append(route))
+    page.goto(serve(folder, "--model", str(portrait_model)).address)
+    wait_for(page, "() => window.liaamStudio?.state.picture(window.liaamStudio.state.current)?.state === 'proposed'")
+    for _ in range(100):
+        if held and answered:
+            break
+        page.wait_for_timeout(50)
+    page.unroute(SHOWN)
+    for route in held:
+        route.continue_()
+    wait_for(page, "() => window.liaamStudio?.annotate?.source() === 'proposal'")

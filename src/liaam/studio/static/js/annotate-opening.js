@@ -38,6 +38,7 @@ export function createOpening(tab, begins) {
     cover.hidden = true;
     tab.refresh();
     try {
+      const key = keyOf(name); // before the marks are fetched: a large picture takes seconds, and marks may change meanwhile
       const requests = [tab.app.pictures.fetch(name), tab.template ? fetchMarks(name) : null];
       const [picture, marks] = await Promise.all(requests);
       if (own !== turn) return;
@@ -46,7 +47,8 @@ export function createOpening(tab, begins) {
       viewer.mirror(tab.mirroredViews.has(name));
       if (before !== name || width !== wasWide || height !== wasHigh) viewer.fit();
       if (!tab.template) tab.templates.begin();
-      else await take(name, marks, own);
+      else await take(name, marks, own, key);
+      if (own === turn && marking.book) refresh();
     } catch (error) {
       if (own !== turn) return;
       const instead = error.status === 0 ? UNREACHABLE : { title: `${name} cannot be opened`, text: error.message };
@@ -75,7 +77,7 @@ export function createOpening(tab, begins) {
   }
 
   /** Show a picture's marks from the server, or those that an earlier page could not save. */
-  async function take(name, marks, own = turn) {
+  async function take(name, marks, own = turn, key = keyOf(name)) {
     const { saver } = tab;
     const kept = (await tab.saving.inherited(name, marks)) ?? saver.pending(name);
     // A scale bar that was drawn, or absent points that were marked, beside suggested points.
@@ -88,7 +90,7 @@ export function createOpening(tab, begins) {
     const same = old && (saver.isDirty(name) || (before.source === shown.source && sameMarks(before, shown)));
     const book = {
       history: same ? old.history : new History(shown), covariances: marks.covariances ?? null,
-      doubtful: marks.doubtful, key: keyOf(name), tag: state.picture(name)?.tag, seen: null,
+      doubtful: marks.doubtful, key, tag: state.picture(name)?.tag, seen: null,
     };
     book.seen = book.history.state; // as it was opened
     books.set(name, book);
@@ -107,11 +109,12 @@ export function createOpening(tab, begins) {
     const own = turn;
     if (!name || !tab.template || tab.editing) return;
     const { revision } = saver.entry(name);
+    const key = keyOf(name);
     const marks = await tab.saving.tryToFetch(name); // if the server is unreachable, `online` calls this again
     if (!marks || own !== turn || saver.isDirty(name) || tab.tool.gesture) return;
     const { chosen, active } = marking;
     if (saver.entry(name).revision !== revision) await reload(); // this page has saved newer marks meanwhile
-    else await take(name, marks, own);
+    else await take(name, marks, own, key);
     if (marking.book && chosen.length && chosen.at(-1) < marking.points.length) marking.select(chosen, active);
   }
 
