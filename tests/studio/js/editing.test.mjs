@@ -302,7 +302,8 @@ test("marks that were fetched before this page saved newer ones do not replace t
     },
     inherited: async (_name, { revision }) => { throw new Error(`taken: ${revision}`); },
   };
-  const { reload } = createOpening({ name: "a", template: {}, marking: {}, tool: {}, saver, saving }, () => "click");
+  const state = { picture: () => ({ state: "done" }) };
+  const { reload } = createOpening({ name: "a", template: {}, marking: {}, tool: {}, state, saver, saving }, () => "click");
   await assert.rejects(reload(), { message: "taken: 2" });
 });
 

@@ -48,7 +48,7 @@ export function createOpening(tab, begins) {
       if (before !== name || width !== wasWide || height !== wasHigh) viewer.fit();
       if (!tab.template) tab.templates.begin();
       else await take(name, marks, own, key);
-      if (own === turn && marking.book) refresh();
+      if (own === turn && hasNewerMarks()) reload();
     } catch (error) {
       if (own !== turn) return;
       const instead = error.status === 0 ? UNREACHABLE : { title: `${name} cannot be opened`, text: error.message };
@@ -135,6 +135,9 @@ export function createOpening(tab, begins) {
     return `${picture?.state}|${picture?.uncertainty}|${state.project?.model?.trained}`;
   }
 
+  /** Whether the shown marks, which the user has not changed, are older than what the project says of the picture. */
+  const hasNewerMarks = () => isPristine() && marking.book.key !== keyOf(tab.name);
+
   /** The project was reloaded: the open picture may have been replaced, or the model may have a new proposal. */
   function refresh() {
     const { book } = marking;
@@ -143,8 +146,7 @@ export function createOpening(tab, begins) {
       if (tab.visible && !tab.editing && !isBroken && !cover.hidden) open(state.current);
     } else if (!tab.editing && isIdle() && book.tag !== state.picture(tab.name)?.tag) {
       open(tab.name); // the file was replaced
-    } else if (isPristine() && book.key !== keyOf(tab.name)) {
-      book.key = keyOf(tab.name);
+    } else if (hasNewerMarks()) {
       reload();
     } else if (!tab.editing && isIdle()) {
       const { state: progress = "reading", revision } = state.picture(tab.name) ?? {};
