@@ -13,12 +13,12 @@ import warnings
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 from importlib.util import find_spec
-from typing import Any
 
 import numpy as np
 
 from benchmarks.metrics import report
 from benchmarks.track import data_folder
+from benchmarks.trees import dlib_box, points_of, trained_trees
 from liaam.datasets import load_folder
 from liaam.fitting import Fitter
 from liaam.model.shape import diagonal_of
@@ -35,7 +35,7 @@ LOT = 5
 """Number of fish of one lot that train; others are of other lots."""
 
 PHOTOGRAPHS = ("wings", "ceph", "shells")
-TREES = {"tree_depth": 2, "oversampling_amount": 50, "oversampling_translation_jitter": 0.05, "num_threads": 1}
+TREES = {"tree_depth": 2, "oversampling_amount": 50, "oversampling_translation_jitter": 0.05}
 """Options of dlib's trainer, tuned on sets of specimens."""
 
 
@@ -123,18 +123,6 @@ def fits_of_trees(training: Sequence[Picture], others: Sequence[Picture]) -> Ite
     """Yield the landmarks that dlib's trees find in other pictures, from the true box; nothing if dlib is missing."""
     if find_spec("dlib") is None:
         return
-    dlib: Any = __import__("dlib")
-
-    def box(shape: np.ndarray) -> Any:
-        return dlib.rectangle(*np.rint([*shape.min(axis=0), *shape.max(axis=0)]).astype(int).tolist())
-
-    options = dlib.shape_predictor_training_options()
-    for option, value in TREES.items():
-        setattr(options, option, value)
-    objects = []
-    for _, shape in training:
-        points = [dlib.point(*point) for point in np.rint(shape).astype(int).tolist()]
-        objects.append([dlib.full_object_detection(box(shape), points)])
-    predictor = dlib.train_shape_predictor([image for image, _ in training], objects, options)
+    predictor = trained_trees(training, **TREES)
     for image, truth in others:
-        yield np.array([(point.x, point.y) for point in predictor(image, box(truth)).parts()], float)
+        yield points_of(predictor(image, dlib_box(truth)).parts())

@@ -22,6 +22,7 @@ from threadpoolctl import threadpool_limits
 from benchmarks import fit, iteration
 from benchmarks.metrics import in_turn, quartiles, report
 from benchmarks.track import data_folder
+from benchmarks.trees import dlib_box, points_of, trained_trees
 from experiments.lights import dapples, hard_light
 from liaam import load_model
 from liaam.datasets import Dataset, load_folder
@@ -328,19 +329,10 @@ def dlib_rows() -> list[PeerRow]:
 
 def dlib_trained() -> PeerRow:
     """A predictor of liaam's landmarks."""
-    dlib: Any = __import__("dlib")
     training, pictures = fit.make_pictures()
-    options = dlib.shape_predictor_training_options()
-    options.num_threads, options.be_verbose = 1, False
-
-    def detection(shape: np.ndarray):
-        points = [dlib.point(*map(int, np.rint(point))) for point in shape]
-        return dlib.full_object_detection(dlib_box(shape), points)
-
-    images, objects = [image for image, _ in training], [[detection(shape)] for _, shape in training]
-    predictor = dlib.train_shape_predictor(images, objects, options)
+    predictor = trained_trees(training)
     calls = [partial(predictor, image, dlib_box(shape)) for image, shape in pictures]
-    shapes = [np.array([(p.x, p.y) for p in call().parts()], float) for call in calls]
+    shapes = [points_of(call().parts()) for call in calls]
     error = fit.median_error(shapes, pictures, fit.make_model().diagonal)
     what = f"regression trees trained on the same {len(training)} heads, from a box, {error:.2f} px off"
     return PeerRow("peers_dlib_trained", what, calls, beside="peers_liaam_soft_li")
@@ -372,12 +364,6 @@ def dlib_model() -> Path:
     if spec is None or not spec.submodule_search_locations:
         raise MissingError("the file of its 68 points is not installed")
     return Path(spec.submodule_search_locations[0]) / "models" / "shape_predictor_68_face_landmarks.dat"
-
-
-def dlib_box(shape: np.ndarray):
-    """Make a dlib rectangle."""
-    dlib: Any = __import__("dlib")
-    return dlib.rectangle(*map(int, np.rint(fit.box_of(shape))))
 
 
 # ---- MediaPipe

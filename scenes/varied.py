@@ -17,6 +17,8 @@ from typing import Protocol
 import cv2
 import numpy as np
 
+from liaam.model.shape import Similarity, rotation
+
 Picture = tuple[np.ndarray, np.ndarray]
 """An image and its landmarks."""
 
@@ -81,29 +83,13 @@ def _smooth_noise(rng: np.random.Generator, height: int, width: int, size: float
     return contrast * noise / max(float(noise.std()), 1e-6)
 
 
-@dataclass(frozen=True)
-class Placement:
-    """Where an object lies: its own coordinates, in units of its length, and those of the picture."""
+def placed_at(centre: np.ndarray, length: float, turn: float, middle: tuple[float, float] = (0.5, 0.0)) -> Similarity:
+    """Return the map from an object's own coordinates, in units of its length, to the picture.
 
-    length: float
-    turn: float
-    centre: np.ndarray
-    middle: tuple[float, float] = (0.5, 0.0)
-    """Own coordinates of the point that lies at the centre."""
-
-    @property
-    def _matrix(self) -> np.ndarray:
-        cosine = np.cos(self.turn)
-        sine = np.sin(self.turn)
-        return np.array([[cosine, -sine], [sine, cosine]])
-
-    def __call__(self, points: np.ndarray) -> np.ndarray:
-        """Map own coordinates (..., 2) to the picture."""
-        return (np.asarray(points, float) - self.middle) * self.length @ self._matrix.T + self.centre
-
-    def inverse(self, points: np.ndarray) -> np.ndarray:
-        """Map points (..., 2) of the picture to own coordinates."""
-        return (points - self.centre) @ self._matrix / self.length + self.middle
+    ``middle`` are the own coordinates of the point that lies at the centre; ``turn`` is in radians.
+    """
+    matrix = length * rotation(turn)
+    return Similarity(matrix, centre - matrix @ middle)
 
 
 def moved(point: np.ndarray, x: float, y: float) -> np.ndarray:
@@ -174,7 +160,7 @@ class Fish:
         width, height = 320, 240
         drawing = Drawing(rng, width, height)
         centre = np.array([width, height]) * (0.5 + rng.uniform(-0.06, 0.06, 2))
-        placed = Placement(rng.uniform(0.55, 0.75) * width, rng.normal(0.0, self.turn), centre)
+        placed = placed_at(centre, rng.uniform(0.55, 0.75) * width, rng.normal(0.0, self.turn))
 
         def bent(points: np.ndarray) -> np.ndarray:
             points = np.atleast_2d(np.asarray(points, float)).copy()
@@ -200,7 +186,7 @@ class Fish:
             (dorsal, self.colours[2]),
             (anal, self.colours[2]),
             (tail, self.colours[1]),
-            (np.concatenate([upper, lower[::-1]]), self._texture(placed.inverse(drawing.points))),
+            (np.concatenate([upper, lower[::-1]]), self._texture(placed.inverse()(drawing.points))),
             (_disc(eye, self.eye), np.array([0.9, 0.9, 0.85])),
             (_disc(eye, 0.55 * self.eye), np.array([0.02, 0.02, 0.02])),
         ):
@@ -259,8 +245,8 @@ class WalkingAnimal:
         width, height = 360, 280
         drawing = Drawing(rng, width, height)
         centre = np.array([width, height]) * (0.5 + rng.uniform(-0.05, 0.05, 2)) - [0.0, 0.12 * height]
-        placed = Placement(rng.uniform(0.5, 0.62) * width, rng.normal(0.0, 0.05), centre)
-        coat = self._coat(placed.inverse(drawing.points))
+        placed = placed_at(centre, rng.uniform(0.5, 0.62) * width, rng.normal(0.0, 0.05))
+        coat = self._coat(placed.inverse()(drawing.points))
         phase = rng.uniform(0.0, 2.0 * np.pi)
         hip = np.array([0.88, 0.1])
         shoulder = np.array([0.22, 0.12])
@@ -326,7 +312,7 @@ class AnimalFromAbove:
         size = 320
         drawing = Drawing(rng, size, size)
         centre = size * (0.5 + rng.uniform(-0.08, 0.08, 2))
-        placed = Placement(rng.uniform(0.38, 0.5) * size, rng.uniform(0.0, 2.0 * np.pi), centre, middle=(0.45, 0.0))
+        placed = placed_at(centre, rng.uniform(0.38, 0.5) * size, rng.uniform(0.0, 2.0 * np.pi), middle=(0.45, 0.0))
         bend = rng.normal(0.0, 0.25)
         x = np.linspace(0.0, 1.0, 40)
         spine = np.column_stack([x, 1.2 * bend * (x - 0.4) ** 2])

@@ -69,11 +69,16 @@ def random_wing(rng: np.random.Generator, common: float = 4.0, own: float = 1.0)
     return LANDMARKS + moved(rng, common, own)
 
 
-def moved(rng: np.random.Generator, common: float, own: float) -> np.ndarray:
-    """Draw movements of the landmarks, (12, 2), by standard deviations in pixels."""
-    apart = np.linalg.norm(LANDMARKS[:, None] - LANDMARKS, axis=2)
-    together = np.linalg.cholesky(np.exp(-np.square(apart / _REACH)) + 1e-6 * np.eye(len(LANDMARKS)))
-    return common * together @ rng.normal(size=LANDMARKS.shape) + own * rng.normal(size=LANDMARKS.shape)
+def moved(
+    rng: np.random.Generator, common: float, own: float, landmarks: np.ndarray = LANDMARKS, reach: float = _REACH
+) -> np.ndarray:
+    """Draw movements of landmarks (n, 2), (n, 2), by standard deviations in pixels.
+
+    ``common`` is that of what they share with those within about ``reach`` pixels.
+    """
+    apart = np.linalg.norm(landmarks[:, None] - landmarks, axis=2)
+    together = np.linalg.cholesky(np.exp(-np.square(apart / reach)) + 1e-6 * np.eye(len(landmarks)))
+    return common * together @ rng.normal(size=landmarks.shape) + own * rng.normal(size=landmarks.shape)
 
 
 def draw_wing(landmarks: np.ndarray, rng: np.random.Generator, *, is_left: bool = False, is_torn: bool = False) -> Wing:

@@ -7,6 +7,7 @@ from contextlib import contextmanager, suppress
 from dataclasses import fields
 from pathlib import Path
 
+import cv2
 import numpy as np
 import pytest
 
@@ -51,6 +52,29 @@ def train_on(scenes: list[Scene], response: str = "linear", **options) -> AAM:
     camera = CameraModel(theta=scenes[0].theta, response=response)
     as_they_are = {"prior": "sample", "leave_out": False, "methods": "all", "lamps": None}
     return train(pairs, camera=camera, **{**as_they_are, **options})
+
+
+BODY = np.array([[0, 0], [26, -6], [52, 4], [60, 22], [34, 30], [8, 24], [24, 12], [40, 14]], float)
+"""Landmarks of an object without symmetry, which :class:`TexturedObject` draws."""
+
+
+class TexturedObject:
+    """An object with a texture of its own, in images of a size (width, height)."""
+
+    def __init__(self, rng: np.random.Generator, size: tuple[int, int]) -> None:
+        width, height = size
+        noise = rng.uniform(0, 255, (height, width, 3)).astype(np.float32)
+        texture = cv2.GaussianBlur(noise, (0, 0), 2.0)
+        self.size = size
+        self.texture = np.clip(128 + 4 * (texture - texture.mean()), 20, 235)
+
+    def photograph(self, shape: np.ndarray, rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
+        """Return an image of the object where a shape (8, 2) is, and its landmarks, with small errors."""
+        at = BODY + np.array([24.0, 26.0])
+        pose = align(at, shape)
+        grid = np.column_stack([pose.matrix, pose.offset])
+        image = cv2.warpAffine(self.texture, grid, self.size, borderMode=cv2.BORDER_REFLECT).astype(np.uint8)
+        return image, pose(at + rng.normal(0.0, 0.2, at.shape))
 
 
 def between(a, b):

@@ -17,6 +17,7 @@ from PIL import Image
 
 from liaam.cli.main import app
 from liaam.io import Contour, Landmarks, write_landmarks
+from scenes.wing import moved
 
 HERE = Path(__file__).parent
 
@@ -43,6 +44,8 @@ WING = np.array(
 )
 LINES = [(0, 1, 2, 3, 4, 5, 6, 7, 0), (0, 8, 9, 3), (0, 11, 10, 4), (11, 7), (9, 10), (10, 6)]
 
+REACH = 250.0  # pixels over which landmarks move together
+
 # Standard deviations of what landmarks have in common and of their own, pixels
 INDIVIDUALS = (9.0, 6.0)
 ASYMMETRY = (2.0, 2.5)
@@ -52,10 +55,8 @@ DIRECTIONAL = np.array([(0, 0)] * 8 + [(6, -2), (7, 1), (2, 4), (0, 0)], float) 
 
 def smooth(rng: np.random.Generator, deviations: tuple[float, float]) -> np.ndarray:
     """Move landmarks at random, (12, 2): together with those near them, and each for itself."""
-    apart = np.linalg.norm(WING[:, None] - WING, axis=2)
-    together = np.linalg.cholesky(np.exp(-np.square(apart / 250)) + 1e-6 * np.eye(len(WING)))
     common, own = deviations
-    return common * together @ rng.normal(size=WING.shape) + own * rng.normal(size=WING.shape)
+    return moved(rng, common, own, WING, REACH)
 
 
 def digitised(rng: np.random.Generator) -> dict[str, Landmarks]:

@@ -5,9 +5,7 @@ the landmarks of 30 of them. With ``--run``, the commands of the guide follow, a
 script.
 """
 
-import contextlib
 import os
-import sys
 from pathlib import Path
 
 os.environ.setdefault("MPLBACKEND", "Agg")
@@ -15,7 +13,7 @@ os.environ.setdefault("MPLBACKEND", "Agg")
 import numpy as np
 from PIL import Image
 
-from liaam.cli.main import main as liaam_main
+from docs.figures.commands import run_liaam, write_and_run
 from liaam.io import Landmarks, write_image, write_landmarks
 from scenes.leaf import draw_leaf
 
@@ -55,23 +53,10 @@ def write_leaves(folder: Path) -> None:
 def run_commands() -> None:
     """Run the commands of the guide in the folder that holds the leaves."""
     for command in COMMANDS:
-        print(f"$ liaam {command}")
-        sys.argv = ["liaam", *command.split()]
-        with contextlib.suppress(SystemExit):
-            liaam_main()
+        run_liaam(command.split())
     image = Image.open("liaam-evaluation/shapes.png").convert("P", palette=Image.Palette.ADAPTIVE, colors=64)
     image.save(HERE / "statistics.png", optimize=True)
 
 
-def main() -> None:
-    """Write the leaves to the folder that is named, and run the commands if asked to."""
-    folder = Path(sys.argv[1]).resolve()
-    is_run = "--run" in sys.argv
-    write_leaves(folder)
-    if is_run:
-        os.chdir(folder.parent)
-        run_commands()
-
-
 if __name__ == "__main__":
-    main()
+    write_and_run(write_leaves, run_commands)

@@ -4,11 +4,9 @@ The photographs are generated: both wings of flies, some of them torn, with a ru
 the guide follow, and its figure is written beside this script.
 """
 
-import contextlib
 import os
 import re
 import shlex
-import sys
 from pathlib import Path
 
 os.environ.setdefault("MPLBACKEND", "Agg")
@@ -16,7 +14,7 @@ os.environ.setdefault("MPLBACKEND", "Agg")
 import cv2
 import numpy as np
 
-from liaam.cli.main import main as liaam_main
+from docs.figures.commands import run_liaam, write_and_run
 from liaam.io import Landmarks, read_image, write_image, write_landmarks
 from scenes.wing import LANDMARKS, draw_wing, moved, random_wing
 
@@ -65,12 +63,10 @@ def expanded(words: list[str]) -> list[str]:
 
 
 def run_commands() -> None:
-    """Run the commands of the guide in the folder that holds the wings."""
+    """Run the commands of the guide in the folder that holds the wings, and draw its picture."""
     for words in commands_of_guide():
-        print("$ liaam", *words, flush=True)
-        sys.argv = ["liaam", *expanded(words)]
-        with contextlib.suppress(SystemExit):
-            liaam_main()
+        run_liaam(expanded(words))
+    draw()
 
 
 def draw() -> None:
@@ -81,16 +77,5 @@ def draw() -> None:
     cv2.imwrite(str(HERE / "walk.jpg"), small[:, :, ::-1], [cv2.IMWRITE_JPEG_QUALITY, 85])
 
 
-def main() -> None:
-    """Write the wings to the folder that is named, and run the commands if asked to."""
-    folder = Path(sys.argv[1]).resolve()
-    is_run = "--run" in sys.argv
-    write_flies(folder)
-    if is_run:
-        os.chdir(folder.parent)
-        run_commands()
-        draw()
-
-
 if __name__ == "__main__":
-    main()
+    write_and_run(write_flies, run_commands)

@@ -4,7 +4,6 @@ import csv
 import json
 from dataclasses import replace
 
-import cv2
 import numpy as np
 import pytest
 
@@ -18,13 +17,13 @@ from liaam.fitting.sides import as_fitted, reflected_result
 from liaam.fitting.solution import residual_at
 from liaam.io import write_image
 from liaam.model import SURROUNDINGS
-from liaam.model.shape import align, diagonal_of, in_box, rotation
+from liaam.model.shape import diagonal_of, in_box, rotation
 from liaam.model.sides import Sides, reflected_image, reflected_points
 from liaam.morphometry import of_one_side, read_specimens
 from liaam.plotting.overlays import caption_of
 from liaam.relighting import Relighter
+from setups import BODY, TexturedObject
 
-BODY = np.array([[0, 0], [26, -6], [52, 4], [60, 22], [34, 30], [8, 24], [24, 12], [40, 14]], float)
 SIZE = (110, 90)
 WIDTH = SIZE[0]
 QUICK = {"lamps": None, "copies": 0, "diagonal": 50, "leave_out": False}
@@ -39,16 +38,11 @@ def mirrored(image, points):
 def right():
     """Give textured objects of one side, and their landmarks."""
     rng = np.random.default_rng(7)
-    texture = cv2.GaussianBlur(rng.uniform(0, 255, (SIZE[1], SIZE[0], 3)).astype(np.float32), (0, 0), 2.0)
-    texture = np.clip(128 + 4 * (texture - texture.mean()), 20, 235)
-    at = BODY + np.array([24.0, 26.0])
+    body = TexturedObject(rng, SIZE)
     made = []
     for deviation in rng.normal(0.0, 0.3, (21, *BODY.shape)):
         shape = (BODY + deviation) @ rotation(rng.normal(0.0, 0.1)).T + rng.uniform(20, 24, 2)
-        pose = align(at, shape)
-        grid = np.column_stack([pose.matrix, pose.offset])
-        image = cv2.warpAffine(texture, grid, SIZE, borderMode=cv2.BORDER_REFLECT).astype(np.uint8)
-        made.append((image, pose(at + rng.normal(0.0, 0.2, at.shape))))
+        made.append(body.photograph(shape, rng))
     return made
 
 

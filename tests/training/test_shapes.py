@@ -2,7 +2,6 @@
 
 from dataclasses import replace
 
-import cv2
 import numpy as np
 import pytest
 
@@ -17,8 +16,8 @@ from liaam.io import write_image
 from liaam.model.shape import align, diagonal_of, rotation
 from liaam.relighting import Relighter
 from liaam.training.shapes import procrustes_distances, shape_groups
+from setups import BODY, TexturedObject
 
-BODY = np.array([[0, 0], [26, -6], [52, 4], [60, 22], [34, 30], [8, 24], [24, 12], [40, 14]], float)
 OTHER = BODY + np.array([[0, 8], [8, 0], [0, -9], [9, 0], [0, 9], [-9, 0], [0, 7], [6, 0]])
 SIZE = (110, 90)
 QUICK = {"lamps": None, "copies": 0, "diagonal": 50, "leave_out": False, "sides": "one"}
@@ -52,15 +51,10 @@ def names_of(count: int) -> list[str]:
 def samples():
     """Give textured objects and their landmarks; every other one is mirrored."""
     rng = np.random.default_rng(7)
-    texture = cv2.GaussianBlur(rng.uniform(0, 255, (SIZE[1], SIZE[0], 3)).astype(np.float32), (0, 0), 2.0)
-    texture = np.clip(128 + 4 * (texture - texture.mean()), 20, 235)
-    at = BODY + np.array([24.0, 26.0])
+    body = TexturedObject(rng, SIZE)
     made = []
     for i, shape in enumerate(shapes_of(rng, 24, spread=0.3)):
-        pose = align(at, shape)
-        grid = np.column_stack([pose.matrix, pose.offset])
-        image = cv2.warpAffine(texture, grid, SIZE, borderMode=cv2.BORDER_REFLECT).astype(np.uint8)
-        shape = pose(at + rng.normal(0.0, 0.2, at.shape))
+        image, shape = body.photograph(shape, rng)
         made.append((np.ascontiguousarray(image[:, ::-1]), mirrored(shape)) if i % 2 else (image, shape))
     return made
 

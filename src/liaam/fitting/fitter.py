@@ -356,12 +356,11 @@ class Fitter(OneShapeFitter):
         target, detection = self.target(image, init, name)
         in_rotations = self._targets_in_rotations(target, init)
         if not self._several:
-            fits = [PlacedFit(self.fit_target(each), each, detection) for each in in_rotations]
+            fits = [PlacedFit(self.fit_target(each), each, detection) for each in in_rotations or [target]]
             return max(fits, key=lambda fit: likeliness(fit.result))
-        if in_rotations == [target]:
+        of_parts = [targets_at(each, self.finder.parts) for each in in_rotations]
+        if not of_parts:
             of_parts = [self._targets_of_parts(target, image, init, name)]
-        else:
-            of_parts = [targets_at(each, self.finder.parts) for each in in_rotations]
         is_last = self.judge.is_limited or searched_region(init, target.image, restarts=self.restarts) is None
         fits = []
         for targets in of_parts:
@@ -378,9 +377,9 @@ class Fitter(OneShapeFitter):
         return [target, *(other._replace(linear=target.linear, noise=target.noise) for other in others)]
 
     def _targets_in_rotations(self, target: Target, init) -> list[Target]:
-        """Return the target with each start to try: of an object in a box that may be turned in any direction."""
+        """Return the target with each start of an object in a box that may be turned in any direction; else nothing."""
         if not is_box(init) or self.searched_rotations != ALL_ROTATIONS:
-            return [target]
+            return []
         return [target._replace(start=start) for start in self.finder.starts_in_box(target.linear, target.start)]
 
     def _completed(self, first: PlacedFit, init) -> FitResult:

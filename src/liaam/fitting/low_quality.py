@@ -24,15 +24,15 @@ from liaam.fitting.search.finder import LARGE, Finder
 from liaam.fitting.search.other_places import PlacedFit, likeliest, other_starts_in
 from liaam.fitting.search.parts import HOPEFUL
 from liaam.fitting.search.restarts import fit_again
+from liaam.fitting.search.starts import region_in
 from liaam.model.shape import diagonal_of
 
 if TYPE_CHECKING:
     from liaam.fitting.fitter import Fitter
 
-# Margin searched around a box given as a start, as a fraction of its sides, and the smallest width in pixels. A box, as
-# of a detector, is approximate; a shape given as a start is not searched for.
+# Margin searched around a box given as a start, as a fraction of its sides. A box, as of a detector, is approximate; a
+# shape given as a start is not searched for.
 AROUND_BOX = 0.3
-LEAST_REGION = 16
 
 Region = tuple[np.ndarray, np.ndarray]
 """Corners of the part of an image that is searched: (x, y) of the first pixel, and of that beyond the last."""
@@ -153,16 +153,14 @@ def searched_region(init: Any, image: np.ndarray, *, restarts: bool) -> Region |
 
 def region_of(init: Any, image: np.ndarray) -> Region | None:
     """Return the corners of the region to search: all without a start, around a box, None for other starts."""
-    limits = np.array(image.shape[1::-1])
     if init is None:
-        return np.zeros(2, int), limits
+        return np.zeros(2, int), np.array(image.shape[1::-1])
     box = getattr(init, "points", init)
     if np.shape(box) != (4,):
         return None
     low, high = np.asarray(box, np.float64).reshape(2, 2)
-    low, high = low - AROUND_BOX * (high - low), high + AROUND_BOX * (high - low)
-    low = np.clip(low, 0, limits - LEAST_REGION).astype(int)
-    return low, np.clip(np.ceil(high).astype(int), low + LEAST_REGION, limits)
+    around = AROUND_BOX * (high - low)
+    return region_in(image, low - around, high + around)
 
 
 def is_judged(fitter: OneShapeFitter) -> bool:

@@ -11,6 +11,7 @@ from liaam.errors import ModelFileError
 from liaam.model.appearance import AppearanceModel
 from liaam.model.presence import Presence
 from liaam.model.shape import ShapeModel
+from liaam.model.sides import reflected_covariances
 from liaam.model.views import VIEWS, Level, Reliability, View
 
 if TYPE_CHECKING:
@@ -56,7 +57,7 @@ def mirrored_shapes(model: ShapeModel, order: np.ndarray) -> ShapeModel:
     """Mirror shapes left to right; ``order`` (n,) is the index of each landmark's mirror image."""
     mirrored = np.array([-1.0, 1.0])
     modes = (model.modes.reshape(len(model.modes), -1, 2) * mirrored)[:, order].reshape(model.modes.shape)
-    unexplained = None if model.unexplained is None else _covariances(model.unexplained)[order]
+    unexplained = None if model.unexplained is None else reflected_covariances(model.unexplained)[order]
     return replace(model, mean=(model.mean * mirrored)[order], modes=modes, unexplained=unexplained)
 
 
@@ -106,8 +107,8 @@ def _reliability(reliability: Reliability, order: np.ndarray) -> Reliability:
     presence = reliability.presence
     return replace(
         reliability,
-        landmarks=_covariances(reliability.landmarks)[order],
-        bias=_covariances(reliability.bias)[order],
+        landmarks=reflected_covariances(reliability.landmarks)[order],
+        bias=reflected_covariances(reliability.bias)[order],
         presence=None if presence is None else Presence(*(each[order] for each in vars(presence).values())),
     )
 
@@ -122,8 +123,3 @@ def _appearance(kind: str, appearance: AppearanceModel, pixels: np.ndarray) -> A
             errors[:, 0, 1:] *= -1.0
             errors[:, 1:, 0] *= -1.0
     return AppearanceModel(mean, modes, appearance.eigenvalues, appearance.usable[pixels], errors)
-
-
-def _covariances(matrices: np.ndarray) -> np.ndarray:
-    """Mirror covariances (n, 2, 2) of landmarks."""
-    return matrices * np.array([[1.0, -1.0], [-1.0, 1.0]])

@@ -46,7 +46,7 @@ class OrientationHistograms:
     def __init__(self, image: np.ndarray, response: Response, shape: np.ndarray, mean: np.ndarray) -> None:
         """Encode an image around a shape (n, 2); ``mean`` (n, 2) is the mean shape with a diagonal of SIZE."""
         self.pose = align(mean, shape)
-        self.angle = _angle_of(self.pose)
+        self.angle = self.pose.angle
         self.patch: Patch = make_patch(
             image, shape, self.pose, encoding="soft", response=response, blur=SHARPNESS, margin=MARGIN
         )
@@ -66,7 +66,7 @@ class OrientationHistograms:
 
     def suits(self, pose: Similarity) -> bool:
         """Return whether scale and rotation of a pose of the mean shape are about those of the encoded image."""
-        turned = abs(_between(_angle_of(pose), self.angle))
+        turned = abs(_between(pose.angle, self.angle))
         return turned <= MOST_CHANGE and abs(np.log(pose.scale / self.pose.scale)) <= MOST_CHANGE
 
     def features(self, shape: np.ndarray, pose: Similarity, spacing: float) -> np.ndarray:
@@ -77,14 +77,9 @@ class OrientationHistograms:
         offsets = _cells(spacing) @ pose.matrix.T  # image pixels
         points = self.patch.from_image((shape[:, None] + offsets).reshape(-1, 2))
         counts = _bilinear(self.blurred(0.5 * spacing), points)
-        counts = _turned(counts, _between(_angle_of(pose), self.angle)).reshape(len(shape), -1)
+        counts = _turned(counts, _between(pose.angle, self.angle)).reshape(len(shape), -1)
         length = np.linalg.norm(counts, axis=1, keepdims=True)
         return np.minimum(counts / (length + LEAST_CONTRAST), MOST_OF_A_BIN).astype(np.float32)
-
-
-def _angle_of(pose: Similarity) -> float:
-    """Return the angle of a similarity, radians."""
-    return float(np.arctan2(pose.matrix[1, 0], pose.matrix[0, 0]))
 
 
 def _between(angle: float, other: float) -> float:

@@ -50,6 +50,11 @@ class Similarity:
         (a, b), (c, d) = self.matrix.tolist()
         return abs(a * d - b * c) ** 0.5
 
+    @property
+    def angle(self) -> float:
+        """Angle of the rotation, radians: clockwise as seen in an image."""
+        return float(np.arctan2(self.matrix[1, 0], self.matrix[0, 0]))
+
     def inverse(self) -> "Similarity":
         """Return the inverse similarity."""
         (a, b), (c, d) = self.matrix.tolist()
@@ -86,6 +91,11 @@ def _mean(points: np.ndarray) -> complex:
     return complex(np.add.reduce(points)) / (len(points) or nan)
 
 
+def aligned_to(target: np.ndarray, shapes: np.ndarray) -> np.ndarray:
+    """Return each of some shapes (m, n, 2), aligned to a target (n, 2) by :func:`align`."""
+    return np.array([align(shape, target)(shape) for shape in shapes])
+
+
 def _as_complex(shape: np.ndarray) -> np.ndarray:
     """Points (n, 2) as x + i y, (n,) complex128."""
     return np.ascontiguousarray(shape, dtype=np.float64).reshape(-1).view(np.complex128)
@@ -109,7 +119,7 @@ def procrustes_mean(shapes: np.ndarray) -> np.ndarray:
     """
     mean = _normalised(shapes[np.isfinite(shapes).sum(axis=(1, 2)).argmax()])
     for _ in range(100):
-        new = _normalised(np.nanmean([align(shape, mean)(shape) for shape in shapes], axis=0))
+        new = _normalised(np.nanmean(aligned_to(mean, shapes), axis=0))
         # Fix the gauge: the mean must not rotate between iterations.
         new = _normalised(align(new, mean)(new))
         moved = float(np.abs(new - mean).max())
@@ -350,8 +360,7 @@ def deviations_from(
     n = len(shapes)
     if order is not None:
         shapes = np.concatenate([shapes, (shapes * [-1.0, 1.0])[:, order]])
-    aligned = np.array([align(shape, mean)(shape) for shape in shapes])
-    deviations = (aligned - mean).reshape(len(shapes), -1)
+    deviations = (aligned_to(mean, shapes) - mean).reshape(len(shapes), -1)
     # Modes are orthogonal to the similarities, so that p and pose do not trade off.
     deviations -= deviations @ rigid.T @ rigid
     deviations[np.abs(deviations) < 1e-9 * diagonal_of(mean)] = 0.0  # rounding must not become a mode

@@ -82,7 +82,7 @@ class TrackedFrame:
     @property
     def roll(self) -> float:
         """Angle in the image from the mean shape to the landmarks, clockwise as seen, in radians; NaN if lost."""
-        return float(np.arctan2(*self.pose.matrix[::-1, 0])) if self.ok else np.nan
+        return self.pose.angle if self.ok else np.nan
 
     @property
     def size(self) -> float:

@@ -152,8 +152,7 @@ class Tracker:
         for part in self.fitter.parts:
             few = sharpest(part.model, LEVELS)
             fitter = Fitter(few, self.method, near, camera=self.camera, margin=NEAR, restarts=False)
-            motions = (Motion.of(part.shapes), Motion.of(part.shapes, is_reflected=True))
-            self._of_parts.append((fitter, part, motions))
+            self._of_parts.append((fitter, part))
         self._estimates = self.fitter.objectives[-1].method.free_angles != "none"
         self.reset()
 
@@ -166,8 +165,8 @@ class Tracker:
         """Track the shape of one of the model's parts, as it is or reflected."""
         self.state.part = part
         self.state.reflected = reflected
-        self._near, self._far, motions = self._of_parts[part]
-        self._motion = motions[reflected]
+        self._near, self._far = self._of_parts[part]
+        self._motion = Motion.of(self._far.shapes, is_reflected=reflected)
 
     def update(self, image, time: float = float("nan"), index: int | None = None) -> TrackedFrame:
         """Find the object in the next frame.

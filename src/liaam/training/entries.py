@@ -22,7 +22,7 @@ from liaam.io.sides import side_of_text
 from liaam.model.file import MAX_POINTS
 from liaam.model.mesh import FOLD_TOLERANCE, folded_share
 from liaam.model.missing import Missing
-from liaam.model.shape import align
+from liaam.model.shape import aligned_to
 from liaam.model.sides import Sides, reflected_image, reflected_points
 from liaam.progress import Progress, reported
 from liaam.scale.choice import length_of
@@ -402,7 +402,7 @@ def check_flat(mean: np.ndarray, shapes: np.ndarray) -> None:
 
 def folded_shares(entries: Sequence[Entry], mean: np.ndarray, triangles: np.ndarray) -> np.ndarray:
     """Return the fraction of a mesh's area that the landmarks of each sample turn over, (m,), 0 to 1."""
-    aligned = [align(entry.points, mean)(entry.points) for entry in entries]
+    aligned = aligned_to(mean, np.array([entry.points for entry in entries]))
     return np.array(
         [folded_share(points, triangles, entry.known) for points, entry in zip(aligned, entries, strict=True)]
     )

@@ -15,6 +15,5 @@ def rotations_of(shapes: np.ndarray, mean: np.ndarray) -> str:
 
     Rotations are those of the mean shape (n, 2), which has the average orientation, onto each shape.
     """
-    matrices = np.array([align(mean, shape).matrix for shape in shapes])
-    turns = np.abs(np.rad2deg(np.arctan2(matrices[:, 1, 0], matrices[:, 0, 0])))
+    turns = np.abs(np.rad2deg([align(mean, shape).angle for shape in shapes]))
     return ALL_ROTATIONS if float((turns > TURNED).mean()) > MANY else UPRIGHT

@@ -13,7 +13,7 @@ import numpy as np
 
 from liaam.errors import TrainingError
 from liaam.model.file_format import MOST_SHAPES
-from liaam.model.shape import align, deviations_from, procrustes_mean
+from liaam.model.shape import aligned_to, deviations_from, procrustes_mean
 from liaam.model.shape_prior import fit_prior, spread_points
 from liaam.training.entries import FEWEST
 from liaam.training.left_out import LEFT_OUT_FOLDS, objects_of
@@ -97,8 +97,7 @@ def separation(shapes: np.ndarray, groups: Sequence[np.ndarray]) -> float:
 
     ``groups`` holds indices of shapes. Infinity if all shapes of each group are the same.
     """
-    mean = procrustes_mean(shapes)
-    aligned = np.array([align(shape, mean)(shape) for shape in shapes]).reshape(len(shapes), -1)
+    aligned = aligned_to(procrustes_mean(shapes), shapes).reshape(len(shapes), -1)
     least = np.inf
     for one, other in combinations([aligned[group] for group in groups], 2):
         between = other.mean(axis=0) - one.mean(axis=0)

@@ -8,6 +8,7 @@ their own: their positions follow from the others, and from the model's regresso
 """
 
 from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 
 import numpy as np
@@ -15,7 +16,7 @@ import numpy as np
 from liaam.errors import TrainingError
 from liaam.io.files import count_of, some_names
 from liaam.model.mesh import FOLD_TOLERANCE, barycentric, delaunay, signed_areas, triangles_from_edges
-from liaam.model.shape import align
+from liaam.model.shape import aligned_to
 from liaam.training.entries import TrainingData, folded_shares
 
 # Least number of images that fold the mesh, and their least share, from which on they are taken for poses of the object
@@ -85,7 +86,7 @@ def mesh_of(data: TrainingData, mean: np.ndarray, given: np.ndarray | None) -> M
     posed = [entry.points for entry, share in zip(data.entries, shares, strict=True) if share <= FAULTY]
     if are_folded.sum() < max(LEAST_POSES, MANY * len(shares)) or len(posed) < LEAST_IMAGES:
         return MeshOfLandmarks(triangles)
-    steady = steady_triangles(np.array([align(points, mean)(points) for points in posed]), mean)
+    steady = steady_triangles(aligned_to(mean, np.array(posed)), mean)
     if len(np.unique(steady)) < (1.0 - MOST_OUTSIDE) * len(mean):
         return MeshOfLandmarks(triangles)
     are_still_folded = folded_shares(data.entries, mean, steady) > FOLD_TOLERANCE
@@ -144,14 +145,10 @@ def steady_triangles(shapes: np.ndarray, mean: np.ndarray) -> np.ndarray:
 
 def _candidates(shapes: list[np.ndarray]) -> np.ndarray:
     """Triangles of the Delaunay triangulations of all shapes, each once, (t, 3)."""
-    from scipy.spatial import Delaunay, QhullError  # heavy: imported when first needed
-
     triangles = []
     for shape in shapes:
-        try:
-            triangles.append(Delaunay(shape).simplices)
-        except QhullError:  # all landmarks on one line
-            continue
+        with suppress(TrainingError):  # all landmarks on one line
+            triangles.append(delaunay(shape))
     return np.unique(np.sort(np.concatenate(triangles), axis=1), axis=0)
 
 

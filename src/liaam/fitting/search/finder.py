@@ -22,6 +22,7 @@ from liaam.fitting.loop.objective import make_objectives
 from liaam.fitting.loop.options import SolverOptions
 from liaam.fitting.methods import get_method
 from liaam.fitting.search.responses import Bank, Peaks, strongest
+from liaam.fitting.search.starts import region_in
 from liaam.fitting.search.templates import (
     TEMPLATE,
     TURNS,
@@ -56,7 +57,6 @@ VISITED = 0.25  # margin around a place that its fit may use, as a fraction of t
 SIZES_NEAR = (-3, -2, -1, 0, 1, 2)  # powers of STEP, of the box's diagonal
 TURNED_STARTS = 3  # number of rotations of the mean shape in a box that fits start from
 TURNED_APART = np.deg2rad(40.0)  # least difference of two of these, radians
-LEAST_SIDE = 16  # least side of the region that is searched then, pixels
 GROWTH = (0.5, 2.0)  # limits on the change of size in the fit of a place; beyond them it has diverged
 SHAPE_PENALTY = 0.05  # on the score, per unit of the mean squared shape mode in standard deviations
 MOST = 20  # objects in an image
@@ -308,9 +308,7 @@ class Finder:
         """
         low, high = corners_of(start)
         diagonal = diagonal_of(start)
-        limits = np.array(linear.image.shape[1::-1])
-        first = np.clip(low - VISITED * diagonal, 0, limits - LEAST_SIDE).astype(int)
-        last = np.clip(np.ceil(high + VISITED * diagonal).astype(int), first + LEAST_SIDE, limits)
+        first, last = region_in(linear.image, low - VISITED * diagonal, high + VISITED * diagonal)
         around = linear.crop(first, last)
         sizes = diagonal * STEP ** np.array(SIZES_NEAR)
         search = _Search(self, around, count=PLACES + PLACES_PER_OBJECT, bank=self.templates, sizes=sizes)
@@ -357,8 +355,7 @@ class Finder:
     def _detection(self, shape: np.ndarray, score: float) -> Detection:
         """Return a detection with the rotation and the scale of a shape relative to the mean."""
         pose = align(self.model.shape_model.mean, shape)
-        angle = float(np.arctan2(pose.matrix[1, 0], pose.matrix[0, 0]))
-        return Detection(shape, score, angle, pose.scale)
+        return Detection(shape, score, pose.angle, pose.scale)
 
     def _in_the_middle(self, image: np.ndarray) -> Detection:
         """Return the mean shape in the middle of the image with score 0, for images without any detection."""

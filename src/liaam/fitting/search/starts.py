@@ -17,6 +17,7 @@ from liaam.model.shape import align, corners_of, in_box
 
 _SHOWN = 100  # characters of a start in a message, at most
 BOX_SUFFIX = ".box"  # of a text file that holds a detector's box, x0,y0,x1,y1 or x,y,size
+LEAST_REGION = 16  # smallest width and height of a region that is searched, pixels
 WIDEST = 10.0  # largest size of a start, relative to the larger side of the image
 
 
@@ -126,6 +127,13 @@ def start_shape(model: AAM, init, image_size: tuple[int, int], name: str = "imag
     if not size >= 4.0:
         raise StartError(f"{name}: the start is only {size:.1f} pixels large; give a start as large as the object")
     return shape
+
+
+def region_in(image: np.ndarray, low: np.ndarray, high: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return the corners (x, y), in whole pixels, of a region between two points of an image, cut off at its border."""
+    limits = np.array(image.shape[1::-1])
+    first = np.clip(low, 0, limits - LEAST_REGION).astype(int)
+    return first, np.clip(np.ceil(high).astype(int), first + LEAST_REGION, limits)
 
 
 def is_box(init) -> bool:
