@@ -83,10 +83,9 @@ def test_train_and_show(run, portraits, tmp_path):
     code, out, err = run("train", portraits[0] / "face[0-4]*", "-o", model, "--diagonal", 50, "--name", "me")
     assert (code, err) == (0, "")
     assert "5 samples" in out
-    assert "trained on 5 images and 15 copies under 300 lamps; shape modes: " in out
+    assert "trained on 5 images and 15 copies in other light (300 lamps); shape modes: " in out
     assert (
-        "of the object's size, by which the shapes of new images differ from those of the model; fits have larger"
-        in out
+        "of the object's size, the error of the best shapes of the model for left-out images. Fits have larger" in out
     )
     code, out, _ = run("show", model, "-o", tmp_path / "drawn.png")
     assert code == 0

@@ -236,8 +236,8 @@ def report(model: "AAM", output: Path, light: "LearntLamps | Literal['auto'] | N
     view = model.views[METHODS[DEFAULT_METHOD].view]
     bound = view.shape_model.left_out_bound
     say(
-        f"limit of accuracy: {bound / model.diagonal:.1%} of the object's size, by which the shapes of new images "
-        "differ from those of the model; fits have larger errors. More training images lower both"
+        f"limit of accuracy: {bound / model.diagonal:.1%} of the object's size, the error of the best shapes of the "
+        "model for left-out images. Fits have larger errors; more training images lower both"
     )
     if model.points is not None:
         away = model.points.deviation
