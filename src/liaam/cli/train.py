@@ -157,8 +157,9 @@ def compact(
     from liaam.training import compact as compact_model
 
     check_model_name(output, model_file.with_suffix(""))
+    model = load_model(model_file)
     before = model_file.stat().st_size
-    model = compact_model(load_model(model_file), parse_methods(methods))
+    model = compact_model(model, parse_methods(methods))
     model.save(output)
     sizes = f"{output.stat().st_size / 1e6:.1f} MB instead of {before / 1e6:.1f} MB"
     say(f"{output}: {sizes}; fits with {', '.join(methods_of(model))}")
