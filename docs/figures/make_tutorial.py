@@ -1,4 +1,4 @@
-"""Make the pictures of the tutorial: ``python -m docs.figures.make_tutorial``. Runs its commands, for half a minute."""
+"""Make the pictures of the tutorial: ``python -m docs.figures.make_tutorial``. Works as its commands, in a minute."""
 
 import os
 import shutil
@@ -10,7 +10,7 @@ os.environ.setdefault("MPLBACKEND", "Agg")
 from PIL import Image
 
 import liaam
-from liaam.datasets.heads import HARD_LIGHT, SOFT_LIGHT
+from liaam.datasets.heads import FACE, HARD_LIGHT, SOFT_LIGHT
 from liaam.fitting import Fitter
 from liaam.plotting import figure_of_model, overlay_of_fit, save_figure
 
@@ -19,16 +19,16 @@ HERE = Path(__file__).parent
 
 def main() -> None:
     """Write the pictures beside this script."""
-    with tempfile.TemporaryDirectory() as name:
-        folder = Path(shutil.copytree(SOFT_LIGHT, Path(name) / "faces"))
-        new = HARD_LIGHT / "head-3.jpg"
+    with tempfile.TemporaryDirectory() as folder_name:
+        folder = Path(shutil.copytree(SOFT_LIGHT, Path(folder_name) / "faces"))
         model = liaam.train(liaam.load_folder(folder), name="heads")
-        save_figure(figure_of_model(model), Path(name) / "model.png", dpi=100)
-        save("tutorial-model", [Image.open(Path(name) / "model.png").convert("RGB")])
-        result = Fitter(model).fit(new)
-        image = liaam.read_image(new)
-        fitted = overlay_of_fit(image, result, model)
-        save("tutorial-fit", [Image.fromarray(each) for each in (image, fitted, liaam.relight(model, new))])
+        save_figure(figure_of_model(model), Path(folder_name) / "model.png", dpi=100)
+        save("tutorial-model", [Image.open(Path(folder_name) / "model.png").convert("RGB")])
+        fitter = Fitter(model)
+        for name, path in (("tutorial-fit", HARD_LIGHT / "head-3.jpg"), ("tutorial-photo", FACE / "lisa.jpg")):
+            image = liaam.read_image(path)
+            fitted = overlay_of_fit(image, fitter.fit(path), model)
+            save(name, [Image.fromarray(each) for each in (image, fitted, liaam.relight(model, path))])
 
 
 def save(name: str, images: list[Image.Image]) -> None:

@@ -83,10 +83,9 @@ def test_train_and_show(run, portraits, tmp_path):
     code, out, err = run("train", portraits[0] / "face[0-4]*", "-o", model, "--diagonal", 50, "--name", "me")
     assert (code, err) == (0, "")
     assert "5 samples" in out
-    assert "trained on 5 images and 15 copies under 300 lamps; shape modes: " in out
+    assert "trained on 5 images and 15 copies in other light (300 lamps); shape modes: " in out
     assert (
-        "of the object's size, by which the shapes of new images differ from those of the model; fits have larger"
-        in out
+        "of the object's size, the error of the best shapes of the model for left-out images. Fits have larger" in out
     )
     code, out, _ = run("show", model, "-o", tmp_path / "drawn.png")
     assert code == 0
@@ -418,7 +417,7 @@ def test_help_and_methods(run):
     ("arguments", "message"),
     [
         (("fit", "x.png", "--elipses"), "No such option: --elipses (Possible options: --ellipses"),
-        (("fti", "x.png"), "No such command 'fti'. Did you mean 'fit'?"),
+        (("fti", "x.png"), "No such command 'fti'. Did you mean 'fit'? See '"),
         (("fit",), "Missing argument"),
         (("train", "faces", "-o", "m.liaam", "--diagonal", "wide"), "Invalid value for '--diagonal'"),
     ],
@@ -428,6 +427,22 @@ def test_a_misused_command_is_one_line_that_says_where_to_look(run, arguments, m
     assert code == 2
     assert err.startswith("error: ") and message in err and err.count("\n") == 1
     assert "--help'" in err
+
+
+def test_a_group_without_a_command_prints_its_help_only(run):
+    code, out, err = run("camera")
+    assert (code, err) == (2, "") and "Usage: " in out
+
+
+@pytest.mark.parametrize("command", ["fit", "compact"])
+def test_after_a_misspelt_name_of_a_model_the_names_are_listed(run, tmp_path, monkeypatch, command):
+    monkeypatch.chdir(tmp_path)
+    write_image("a.png", np.zeros((20, 20, 3), np.uint8))
+    arguments = ("fase", "a.png") if command == "fit" else ("fase", "-o", "small.liaam")
+    code, _, err = run(command, *arguments)
+    assert code == 1 and err.count("\n") == 1
+    assert "fase: the model file does not exist; make one with" in err
+    assert "or use one that comes with liaam (face)" in err
 
 
 def test_show_checks_where_it_writes_before_it_draws(run, model_file, tmp_path, monkeypatch):

@@ -103,6 +103,12 @@ def test_check_never_writes_into_the_folder(run, spoilt, inside):
     assert not (spoilt / "deep").exists()
 
 
+def test_a_file_as_output_folder_is_refused_at_once(run, good, tmp_path):
+    (tmp_path / "out.png").write_bytes(b"a picture")
+    code, out, err = run("check", good, "-o", tmp_path / "out.png")
+    assert (code, out) == (1, "") and "out.png is a file; give a folder with -o" in err
+
+
 def test_check_never_writes_over_landmarks(run, spoilt, tmp_path):
     other = tmp_path / f"{SPOILT}.pts"
     other.write_text("mine")

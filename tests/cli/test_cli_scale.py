@@ -67,6 +67,14 @@ def test_wings_in_folders_of_sides_have_scales_of_their_own(run, tmp_path):
     assert pd.read_csv(tmp_path / "t.csv")["distance_1_2_mm"].tolist() == pytest.approx([0.5, 0.5, 1.0, 1.0])
 
 
+def test_a_folder_stands_for_its_images(run, images, tmp_path):
+    (images / "more").mkdir()
+    (images / "b.png").rename(images / "more" / "b.png")
+    code, _, _ = run("scale", images, "--ruler", "1 mm", "-o", tmp_path / "s.csv")
+    assert code == 0
+    assert pd.read_csv(tmp_path / "s.csv")["image"].tolist() == ["a.png", "c.png", "b.png"]
+
+
 def test_bars_are_found_too(run, tmp_path, rng):
     write_image(tmp_path / "a.png", draw("black", rng, size=200.0).image)
     code, _, _ = run("scale", tmp_path / "a.png", "--scale-bar", "5mm", "-o", tmp_path / "s.csv")

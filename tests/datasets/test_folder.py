@@ -240,6 +240,16 @@ def test_of_two_images_of_one_stem_the_one_with_landmarks_is_taken(tmp_path: Pat
     assert load_folder(tmp_path)[0].image == tmp_path / "a.jpg"
 
 
+def test_images_of_the_folder_above_are_said_to_be_those(tmp_path: Path) -> None:
+    add_image(tmp_path / "a.png")
+    (tmp_path / "notes").mkdir()
+    (tmp_path / "notes" / "read-me.txt").write_text("hello")
+    with pytest.raises(
+        LandmarkError, match=r"notes: no images in this folder; of the images in .*, none has landmarks here"
+    ):
+        load_folder(tmp_path / "notes")
+
+
 def test_missing_folder_no_images_no_pairs(tmp_path: Path) -> None:
     with pytest.raises(ImageError, match="does not exist: name the folder"):
         load_folder(tmp_path / "no")

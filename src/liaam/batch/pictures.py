@@ -11,7 +11,7 @@ from pathlib import Path
 
 from liaam.errors import ImageError
 from liaam.io.files import existing_file
-from liaam.io.images import PICTURE_SUFFIXES
+from liaam.io.images import PICTURE_SUFFIXES, USUAL_SUFFIXES
 
 
 def find_pictures(*sources: str | os.PathLike[str], on_closed: Callable[[str], object] | None = None) -> Iterator[str]:
@@ -48,7 +48,7 @@ def find_pictures(*sources: str | os.PathLike[str], on_closed: Callable[[str], o
         first = next(pictures, None)
         if first is None:
             raise ImageError(
-                f"{source}: no images ({', '.join(PICTURE_SUFFIXES[:9])} …); give a folder of images, or a quoted "
+                f"{source}: no images ({USUAL_SUFFIXES}); give a folder of images, or a quoted "
                 "pattern such as 'images/**'"
             )
         yield first

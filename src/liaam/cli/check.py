@@ -45,6 +45,8 @@ def check(
     """
     from liaam.datasets.point_outliers import LEAST_POINTS
 
+    if output is not None:
+        check_output_folder(output, folder)
     data = inputs.read_folder(folder, Reading(strict, category, y_down, stored_orientation))
     unusable = check_pixels(data)
     faults = faults_by_sample(list(data), inputs.parse_shapes(shapes), sides)
@@ -65,7 +67,7 @@ def check(
             table.add_row(cell(sample.name), cell(fault.message))
     show_table(table)
     if output is not None:
-        write_faults(output, folder, faults)
+        write_faults(output, faults)
     raise typer.Exit(1)
 
 
@@ -198,12 +200,18 @@ def as_in_image(fault: "LabelFault") -> "LabelFault":
     return replace(fault, expected=fault.expected * [-1.0, 1.0])
 
 
-def write_faults(output: Path, folder: Path, faults: "list[tuple[Sample, list[LabelFault]]]") -> None:
+def check_output_folder(output: Path, folder: Path) -> None:
+    """Raise if the faults of a folder cannot be written to an output, before they are looked for."""
+    if output.is_file():
+        raise LiaamError(f"{output} is a file; give a folder with -o")
+    if real_path(output).is_relative_to(real_path(inputs.folder_of(folder)[0])):
+        raise LiaamError(f"{output} is inside the folder to check, which is never changed; give another folder with -o")
+
+
+def write_faults(output: Path, faults: "list[tuple[Sample, list[LabelFault]]]") -> None:
     """Write an overlay of each sample with faults, and its landmarks in the corrected order."""
     from liaam.plotting import overlay_of_faults
 
-    if real_path(output).is_relative_to(real_path(inputs.folder_of(folder)[0])):
-        raise LiaamError(f"{output} is inside the folder to check, which is never changed; give another folder with -o")
     reordered = 0
     for sample, faults_of_sample in faults:
         place = output / sample.name

@@ -289,4 +289,6 @@ def count_copies(model: "AAM") -> str:
     more = model.n_copies
     if not more:
         return ""
-    return f" and {more} copies under {model.n_lamps} lamps" if model.n_lamps else f" and {more} mirrored copies"
+    if model.n_lamps:
+        return f" and {more} copies in other light ({model.n_lamps} lamps)"
+    return f" and {more} mirrored copies"

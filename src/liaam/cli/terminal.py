@@ -89,11 +89,12 @@ def _plain_complaints() -> Iterator[None]:
         if getattr(error, "exit_code", None) != MISUSED:
             raise
         text = error.format_message()  # type: ignore
-        if "\n" in text:  # such as the help, which a command without arguments prints
+        if not text or "\n" in text:  # a command without arguments prints its help
             raise
         context = getattr(error, "ctx", None)
         command = "liaam" if context is None else context.command_path
-        complain(f"error: {text.rstrip('.')}; see '{command} --help'")
+        see = f"see '{command} --help'"
+        complain(f"error: {text} {see.capitalize()}" if text.endswith("?") else f"error: {text.rstrip('.')}; {see}")
         raise SystemExit(MISUSED) from None
 
 

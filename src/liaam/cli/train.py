@@ -157,8 +157,9 @@ def compact(
     from liaam.training import compact as compact_model
 
     check_model_name(output, model_file.with_suffix(""))
+    model = load_model(model_file)
     before = model_file.stat().st_size
-    model = compact_model(load_model(model_file), parse_methods(methods))
+    model = compact_model(model, parse_methods(methods))
     model.save(output)
     sizes = f"{output.stat().st_size / 1e6:.1f} MB instead of {before / 1e6:.1f} MB"
     say(f"{output}: {sizes}; fits with {', '.join(methods_of(model))}")
@@ -236,8 +237,8 @@ def report(model: "AAM", output: Path, light: "LearntLamps | Literal['auto'] | N
     view = model.views[METHODS[DEFAULT_METHOD].view]
     bound = view.shape_model.left_out_bound
     say(
-        f"limit of accuracy: {bound / model.diagonal:.1%} of the object's size, by which the shapes of new images "
-        "differ from those of the model; fits have larger errors. More training images lower both"
+        f"limit of accuracy: {bound / model.diagonal:.1%} of the object's size, the error of the best shapes of the "
+        "model for left-out images. Fits have larger errors; more training images lower both"
     )
     if model.points is not None:
         away = model.points.deviation

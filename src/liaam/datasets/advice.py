@@ -8,7 +8,7 @@ from itertools import islice
 from pathlib import Path
 
 from liaam.io.files import is_number, some_names
-from liaam.io.images import PICTURE_SUFFIXES, UNREAD_SUFFIXES
+from liaam.io.images import PICTURE_SUFFIXES, UNREAD_SUFFIXES, USUAL_SUFFIXES
 from liaam.io.landmarks import LANDMARK_SUFFIXES
 from liaam.io.landmarks.formats import ALSO_OTHER, NOT_READ
 
@@ -63,7 +63,6 @@ def _has_numbers(file: Path) -> bool:
 
 def no_images(root: Path, files: Sequence[Path], pattern: str | None, recursive: bool) -> str:
     """Describe a folder without (matching) images."""
-    endings = ", ".join(PICTURE_SUFFIXES)
     images = [file.name for file in files if file.suffix.lower() in PICTURE_SUFFIXES]
     if images:
         return f"{root} contains no image like '{pattern}': its images are {some_names(images)}. Change the pattern."
@@ -77,17 +76,28 @@ def no_images(root: Path, files: Sequence[Path], pattern: str | None, recursive:
     if others:
         listed = ", ".join(f"{suffix} ({n})" for suffix, n in others.most_common(5))
         return (
-            f"{root} contains no image that can be read ({endings}), only files of type {listed}: convert the images, "
-            "or name another folder."
+            f"{root} contains no image that can be read ({USUAL_SUFFIXES}), only files of type {listed}: convert the "
+            "images, or name another folder."
         )
-    return f"{root} contains no image ({endings}): name another folder."
+    return f"{root} contains no image ({USUAL_SUFFIXES}): name another folder."
 
 
 def no_pairs(
-    root: Path, wanted: Sequence[Path], left_out: Sequence[tuple[Path, str]], unread: Sequence[Path], recursive: bool
+    root: Path,
+    images_root: Path,
+    wanted: Sequence[Path],
+    left_out: Sequence[tuple[Path, str]],
+    unread: Sequence[Path],
+    recursive: bool,
 ) -> str:
-    """Describe a folder in which no image has landmarks; ``left_out`` has files and reasons."""
+    """Describe a folder in which no image has landmarks; ``left_out`` has files and reasons.
+
+    ``images_root`` is another folder if ``root`` has no images, but files that may hold the landmarks of those there.
+    """
     count = f"none of the {len(wanted)} images has landmarks" if len(wanted) > 1 else "its only image has no landmarks"
+    if images_root != root:
+        beside = f"'{images_root.resolve().name}'" if images_root == Path() else str(images_root)
+        count = f"no images in this folder; of the images in {beside}, none has landmarks here"
     text = f"{root}: {count} ({some_names([image.name for image in wanted], 3)})."
     if unread:
         names = some_names([file.name for file in unread])

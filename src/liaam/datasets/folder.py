@@ -104,7 +104,7 @@ def load_folder(
     unread = advice.unread_landmarks(files, bare, pairing.unrecognised)
     if not samples:
         reasons = [(left.path, left.reason) for left in left_out]
-        raise LandmarkError(advice.no_pairs(root, wanted, reasons, unread, recursive))
+        raise LandmarkError(advice.no_pairs(root, images_root, wanted, reasons, unread, recursive))
     orphans = [left.path for left in left_out if left.reason == advice.NO_IMAGE]
     left_out += [UnusedFile(file, advice.UNKNOWN) for file in unread]
     left_out += [UnusedFile(file, advice.UNKNOWN_IMAGE) for file in advice.unread_images(files, orphans)]

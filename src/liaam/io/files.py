@@ -92,7 +92,8 @@ def existing_file(path: AnyPath, error: type[LiaamError], kind: str) -> Path:
     if not there:
         names = [entry.name for entry in path.parent.iterdir() if entry.name != path.name]
         close = " or ".join(difflib.get_close_matches(path.name, names, n=3, cutoff=0.6))
-        hint = f"Did you mean {close}?" if close else f"Nothing in {path.parent} has a similar name: check the path."
+        folder = "the current folder" if path.parent == Path() else path.parent
+        hint = f"Did you mean {close}?" if close else f"Nothing in {folder} has a similar name: check the path."
         raise missing(error)(f"{path} does not exist. {hint}")
     if fault:
         raise error(f"{path} {fault}")

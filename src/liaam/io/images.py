@@ -31,6 +31,7 @@ IMAGE_SUFFIXES = (".png", ".tif", ".tiff", ".bmp", ".ppm", ".pgm", ".pnm", ".jpg
 # both RAW and JPEG; of images that are not supported, to name them in messages; and of videos that can be written.
 STILL_SUFFIXES = (*IMAGE_SUFFIXES, ".jfif", ".jpe", ".webp", ".avif", ".heic", ".heif", ".gif", ".jp2")
 PICTURE_SUFFIXES = (*STILL_SUFFIXES, *RAW_SUFFIXES)
+USUAL_SUFFIXES = f"{', '.join(PICTURE_SUFFIXES[:9])} …"  # the first of them, for messages
 UNREAD_SUFFIXES = (".jxl", ".svg", ".psd", ".exr")
 VIDEO_SUFFIXES = (".mp4", ".m4v", ".mov", ".mkv", ".avi", ".webm")
 

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from liaam.errors import LiaamError, ModelFileError, shortened
+from liaam.errors import LiaamError, ModelFileError, missing, shortened
 from liaam.io.files import json_object
 from liaam.model import cost
 from liaam.model.appearance import CHANNELS
@@ -42,6 +42,7 @@ from liaam.model.mesh import signed_areas
 from liaam.model.shape import diagonal_of
 from liaam.model.sides import Sides
 from liaam.model.views import MESH, shape_model_of
+from liaam.models import MODELS
 from liaam.photometry import camera_from, parse_response
 from liaam.scale.choice import TRAINING
 from liaam.scale.lengths import Length
@@ -57,6 +58,11 @@ def read_fields(path: str | os.PathLike) -> tuple[dict[str, Any], list[dict[str,
 
     path = Path(path)
     make = "liaam train FOLDER -o MODEL"
+    if not path.suffix and not path.exists():  # perhaps a misspelt name of a model
+        raise missing(ModelFileError)(
+            f"{path}: the model file does not exist; make one with '{make}', or use one that comes with liaam "
+            f"({', '.join(MODELS)})"
+        )
     broken = (
         "this is not a complete liaam model ({fault}); it may be truncated or of another kind: copy it again or "
         "train it again"

@@ -174,7 +174,7 @@ def describe_objects(names: Sequence[str]) -> str:
     if max(counts.values(), default=1) == 1:
         return ""
     shown = some_names([f"{name} ({count})" for name, count in counts.items()], 4)
-    return f"images of one object, by their names, are left out together: {shown}"
+    return f"cross-validation leaves out all images of an object together, by their names: {shown}"
 
 
 def folds_of(names: Sequence[str], most: int = LEFT_OUT_FOLDS) -> list[np.ndarray]:

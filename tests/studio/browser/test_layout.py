@@ -212,5 +212,6 @@ def test_touch_drags_a_point_under_a_loupe_and_pinches(open_page, serve, marked,
     fingers.send("touchEnd")
     wait_for(page, "twice => Math.abs(window.liaamStudio.annotate.viewer.scale - twice) < 0.1 * twice", 2 * scale)
     assert page.evaluate("() => visualViewport.scale") == page_scale, "the page itself was zoomed"
+    assert np.abs(client(page, [120, 160]) - middle).max() < 4, "what is between the fingers has moved"
     assert np.abs(points_of(page) - before - moved).max() < 1e-9
     assert not annotate(page, "isDirty()")

@@ -80,6 +80,8 @@ def test_measures_are_made_by_clicking_and_follow_the_points(measuring, wings, a
     page.locator("[data-testid^=sort-distance]").click()
     wait_until(page, lambda: "base – tip" in page.locator("[aria-label=Histogram] h2").inner_text())
     assert page.locator(".plot-bar").count() >= 5
+    region = page.locator("[aria-label='Table of all pictures']")
+    assert region.inner_text() == region.locator("table").inner_text(), "something stands below a complete table"
     page.locator("tr[data-index]").first.locator("button").click()
     shortest = names[int(np.argmin(column(page, "distance:1-5")))]
     wait_for(page, "name => window.liaamStudio.state.current === name", shortest)

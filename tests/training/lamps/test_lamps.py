@@ -380,7 +380,7 @@ def test_lamps_are_made_drawn_and_trained_with(run, folder, tmp_path):
         "train", folder / "*-[dl][ae]*", "-o", tmp_path / "m.liaam", *options, "--lamps", file, "--copies", 2
     )
     assert code == 0
-    assert "4 images and 8 copies under 4 lamps" in out
+    assert "4 images and 8 copies in other light (4 lamps)" in out
 
 
 def test_slips_are_told(run, folder, tmp_path):

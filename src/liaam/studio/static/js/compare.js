@@ -131,7 +131,7 @@ export class Tab extends SourceTab {
   /** In a small view, show the object instead of the whole picture, unless the user has zoomed. */
   _enlarge() {
     const [{ viewer }, shape] = [this.left, this.sides.find(({ fit }) => fit?.ok)?.fit.shape];
-    if (!shape || viewer.container.clientHeight > SMALL || !viewer.view._fitted) return;
+    if (!shape || viewer.container.clientHeight > SMALL || !viewer.showsWhole) return;
     const box = bounds(shape);
     viewer.fitTo(box, 0.07 * viewer.container.clientHeight);
   }

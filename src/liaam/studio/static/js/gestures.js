@@ -1,17 +1,22 @@
 // Gestures that edit points: dragging, selecting with a box, placing, and the handles that rotate and scale.
-// A gesture is {move(xy, event), up(), cancel(), loupe: xy | null}.
+// A gesture is {move(xy, event), up(), cancel(), loupe}: from a press to its release. xy: landmark coordinates of the
+// pointer; event: {at: its place on the screen, shiftKey}; loupe: what is shown enlarged, or null.
 
 import { ARROWS, bounds, centroid, cornersOf, distance, inBox, middleOf, move, nearest, turn } from "./points.js";
 
-const REACH = { mouse: 9, pen: 14, touch: 24 }; // css pixels around a point that hit it
+// By the type of the pointer, in css pixels.
+const REACH = { mouse: 9, pen: 14, touch: 24 }; // around a point, in which a press hits it
 const REACH_PLACING = { mouse: 5, pen: 7, touch: 11 }; // smaller while placing, so that points can be close together
 const HANDLE_REACH = { mouse: 11, pen: 15, touch: 24 };
+const SLIP = { mouse: 1, pen: 2, touch: 5 }; // maximum movement of a click on a point, which does not move it
+
 export const CURSORS = { scale: "nwse-resize", turn: "grab", move: "move" }; // by kind of a handle
 const FRAME = 16; // css pixels between the points and their frame
 const KNOB = 26; // css pixels from the frame to the knobs
-const NUDGED = 1200; // milliseconds that the loupe stays after a key
-const STILL = 4; // maximum movement of a click, css pixels
-const SLIP = { mouse: 1, pen: 2, touch: 5 }; // maximum movement of a click that does not move a point, css pixels
+const LOUPE_AFTER_KEY = 1200; // milliseconds that the loupe stays
+const CLICK = 4; // maximum movement of a click on an empty place, css pixels
+const ANGLE_STEP = Math.PI / 36; // of a rotation with Shift: 5 degrees
+const SMALLEST = 0.02; // factor of one gesture that scales, so that points do not fall together
 export const NOTHING = { loupe: null, move() {}, up() {}, cancel() {} };
 
 /** What gestures edit: the marks of a picture, what is being drawn over it, or a template. It has `points` and a
@@ -73,15 +78,19 @@ export class Editable {
 export function frameOf(viewer, points, indices) {
   const box = indices.length > 1 ? bounds(points, indices) : null;
   if (box === null) return null;
-  const [one, other] = [viewer.toScreen([box[0], box[1]]), viewer.toScreen([box[2], box[3]])];
-  const [x0, y0] = [Math.min(one[0], other[0]) - FRAME, one[1] - FRAME]; // the view may be mirrored
-  const [x1, y1] = [Math.max(one[0], other[0]) + FRAME, other[1] + FRAME];
+  const [xOfOne, top] = viewer.toScreen([box[0], box[1]]);
+  const [xOfOther, bottom] = viewer.toScreen([box[2], box[3]]);
+  const x0 = Math.min(xOfOne, xOfOther) - FRAME; // the view may be mirrored
+  const x1 = Math.max(xOfOne, xOfOther) + FRAME;
+  const y0 = top - FRAME;
+  const y1 = bottom + FRAME;
   const middle = (x0 + x1) / 2;
   const corners = cornersOf([x0, y0, x1, y1]);
+  const oppositeOf = (i) => corners[(i + 2) % 4];
   return {
     box: [x0, y0, x1, y1],
     handles: [
-      ...corners.map((at, i) => ({ kind: "scale", at, fixed: corners[(i + 2) % 4] })),
+      ...corners.map((at, i) => ({ kind: "scale", at, fixed: oppositeOf(i) })),
       { kind: "turn", at: [middle, y0 - KNOB] },
       { kind: "move", at: [middle, y1 + KNOB] },
     ],
@@ -99,71 +108,87 @@ export function handleAt(viewer, doc, event) {
 /** A gesture that places a point: show(xy) at first and with each move. */
 export function placing(xy, show, up, cancel) {
   show(xy);
-  const gesture = { loupe: xy, move: (at) => { show(gesture.loupe = at); }, up, cancel };
-  return gesture;
+  return {
+    loupe: xy,
+    move(at) {
+      this.loupe = at;
+      show(at);
+    },
+    up,
+    cancel,
+  };
 }
 
-/** A gesture that moves points; index: the point under the pointer, or -1. isFar(place on the screen): whether it is
- *  more than a click; still(): it was only a click. */
-export function dragging(doc, index, indices, start, isFar = (_at) => true, still = () => {}) {
+/** A gesture that moves points.
+ *  index: the point under the pointer, or -1; indices: the points that move; start: where the pointer was pressed.
+ *  isFar(place on the screen): whether the pointer has moved further than in a click; onclick(): it never did. */
+export function dragging(doc, index, indices, start, isFar = (_at) => true, onclick = () => {}) {
   const before = doc.points;
-  let [dx, dy] = [0, 0];
-  let far = false;
-  const after = () => doc.follow(before, move(before, indices, dx, dy), indices);
+  let dx = 0;
+  let dy = 0;
+  let isDrag = false;
+  const moved = () => doc.follow(before, move(before, indices, dx, dy), indices);
   return {
     loupe: index < 0 ? null : before[index],
     move(xy, event) {
-      far ||= isFar(event.at);
-      if (!far) return; // a click must not move a point
-      [dx, dy] = [xy[0] - start[0], xy[1] - start[1]];
-      const points = after();
+      isDrag ||= isFar(event.at); // and stays one if the pointer comes back
+      if (!isDrag) return; // a click must not move a point
+      dx = xy[0] - start[0];
+      dy = xy[1] - start[1];
+      const points = moved();
       this.loupe = index < 0 ? null : points[index];
       doc.preview(points);
     },
     up() {
-      if (dx || dy) doc.commit(after(), "move");
+      if (dx || dy) doc.commit(moved(), "move");
       else doc.preview(null);
-      if (!far) still();
+      if (!isDrag) onclick();
     },
     cancel: () => doc.preview(null),
   };
 }
 
+/** A gesture of a handle that scales the points about the opposite corner, or rotates them about their middle. */
 export function turning(viewer, doc, handle, indices) {
   const before = doc.points;
-  const fixed = handle.kind === "scale" ? viewer.toImage(handle.fixed) : middleOf(bounds(before, indices));
+  const scales = handle.kind === "scale";
+  const fixed = scales ? viewer.toImage(handle.fixed) : middleOf(bounds(before, indices));
   const start = viewer.toImage(handle.at);
+  const angleOf = ([x, y]) => Math.atan2(y - fixed[1], x - fixed[0]);
   let points = before;
+
+  const factorAt = (xy) => Math.max(distance(xy, fixed) / Math.max(distance(start, fixed), 1e-9), SMALLEST);
+  const angleAt = (xy, inSteps) => {
+    const angle = angleOf(xy) - angleOf(start);
+    return inSteps ? Math.round(angle / ANGLE_STEP) * ANGLE_STEP : angle;
+  };
   return {
     loupe: null,
     move(xy, event) {
-      if (handle.kind === "scale") {
-        const factor = Math.max(distance(xy, fixed) / Math.max(distance(start, fixed), 1e-9), 0.02);
-        points = turn(before, indices, fixed, 0, factor);
-      } else {
-        const [from, to] = [start, xy].map(([x, y]) => Math.atan2(y - fixed[1], x - fixed[0]));
-        const step = event.shiftKey ? Math.PI / 36 : 0;
-        points = turn(before, indices, fixed, step ? Math.round((to - from) / step) * step : to - from);
-      }
+      if (scales) points = turn(before, indices, fixed, 0, factorAt(xy));
+      else points = turn(before, indices, fixed, angleAt(xy, event.shiftKey));
       doc.preview(points);
     },
     up() {
       if (points === before) doc.preview(null);
-      else doc.commit(points, handle.kind === "scale" ? "scale" : "rotate");
+      else doc.commit(points, scales ? "scale" : "rotate");
     },
     cancel: () => doc.preview(null),
   };
 }
 
+/** A gesture that selects the points in a box; adds: in addition to those that were selected. */
 function boxing(doc, start, adds) {
-  const kept = adds ? [...doc.selection] : [];
+  const before = adds ? [...doc.selection] : [];
   return {
-    loupe: null, box: [...start, ...start],
+    loupe: null,
+    box: [...start, ...start],
     move(xy) {
       this.box = [...start, ...xy];
-      doc.select([...new Set([...kept, ...inBox(doc.points, this.box)])]);
+      doc.select([...new Set([...before, ...inBox(doc.points, this.box)])]);
     },
-    up: () => doc.select([...doc.selection]), cancel: () => doc.select(kept),
+    up: () => doc.select([...doc.selection]),
+    cancel: () => doc.select(before),
   };
 }
 
@@ -174,7 +199,7 @@ export class PointTool {
   hovered = -1;
   pointer = null; // {at: css pixels, xy, type} of the last pointer that hovered, or of a point moved by keys
   magnifies = true; // whether the loupe shows where a click would place a point
-  pressed = null; // position of a press that started no gesture
+  pressed = null; // position on the page of a press that started no gesture
   doc = null; // what the gesture in progress edits
 
   /** @param {any} viewer; @param {() => any} current; @param {{boxes?: () => boolean, onend?: () => void}} options */
@@ -183,10 +208,11 @@ export class PointTool {
     this.current = current;
     this.boxes = boxes;
     this.onend = onend;
-    viewer.canvas.addEventListener("pointerup", (event) => this.released(event));
+    viewer.canvas.addEventListener("pointerup", (event) => this._deselectByClick(event));
     viewer.canvas.addEventListener("blur", () => this.leave());
   }
 
+  /** Index of the point that an event hits; -1 for none. */
   find(event, xy) {
     const doc = this.current();
     const reach = (doc.placing ? REACH_PLACING : REACH)[event.pointerType] ?? REACH.mouse;
@@ -197,104 +223,119 @@ export class PointTool {
     this.pressed = null;
     if (event.button > 0) return false;
     const doc = this.current();
-    doc.began = doc.context;
-    this.gesture = this.begin(event, xy);
-    this.doc = this.gesture && doc;
-    if (!this.gesture) doc.began = null;
-    this.note(event, xy);
-    if (this.gesture === null) this.pressed = [event.clientX, event.clientY];
+    doc.began = doc.context; // before the press selects a point
+    this.gesture = this._begin(doc, event, xy);
+    this._notePointer(event, xy);
     this.viewer.redraw();
-    return this.gesture !== null;
+    if (this.gesture === null) {
+      doc.began = null;
+      this.pressed = [event.clientX, event.clientY];
+      return false;
+    }
+    this.doc = doc;
+    return true;
   }
 
-  begin(event, xy) {
-    const doc = this.current();
+  /** The gesture that a press begins; null for none. */
+  _begin(doc, event, xy) {
     if (!doc.editable) return null;
     const adds = event.shiftKey || event.ctrlKey || event.metaKey;
-    const handle = handleAt(this.viewer, doc, event);
     const index = this.find(event, xy);
-    const framed = doc.framed();
-    if (handle && index < 0)
-      return handle.kind === "move" ? dragging(doc, -1, framed, xy) : turning(this.viewer, doc, handle, framed);
     if (index >= 0) {
       if (doc.press(index, event)) return { ...NOTHING };
-      return this.grab(doc, index, adds, xy, SLIP[event.pointerType] ?? SLIP.mouse);
+      return this._grab(doc, index, adds, xy, SLIP[event.pointerType] ?? SLIP.mouse);
     }
+    const handle = handleAt(this.viewer, doc, event);
+    if (handle?.kind === "move") return dragging(doc, -1, doc.framed(), xy);
+    if (handle) return turning(this.viewer, doc, handle, doc.framed());
     if (adds || this.boxes()) return boxing(doc, xy, adds);
     return doc.adding(xy);
   }
 
-  grab(doc, index, adds, xy, slip) {
-    if (adds) {
-      const chosen = new Set(doc.selection);
-      if (!chosen.delete(index)) chosen.add(index);
-      doc.select([...chosen], chosen.has(index) ? index : -1);
-      if (!chosen.has(index)) return { ...NOTHING };
-    } else doc.select(doc.selection.has(index) ? [...doc.selection] : [index], index);
+  /** A press on a point selects it, or adds it to the selection or takes it out; then the selected points are dragged. */
+  _grab(doc, index, adds, xy, slip) {
+    const isSelected = doc.selection.has(index);
+    if (adds && isSelected) {
+      doc.select([...doc.selection].filter((each) => each !== index), -1);
+      return { ...NOTHING };
+    }
+    if (adds) doc.select([...doc.selection, index], index);
+    else doc.select(isSelected ? [...doc.selection] : [index], index);
+
     const at = this.viewer.toScreen(xy);
-    const still = () => !adds && doc.selection.size > 1 && doc.select([index], index); // a click on one of several
-    return dragging(doc, index, [...doc.selection], xy, (to) => distance(to, at) > slip, still);
+    const isFar = (to) => distance(to, at) > slip;
+    const onclick = () => {
+      if (!adds && doc.selection.size > 1) doc.select([index], index); // a click on one of several
+    };
+    return dragging(doc, index, [...doc.selection], xy, isFar, onclick);
   }
 
   move(event, xy) {
     if (!this.gesture) return;
-    this.note(event, xy);
+    this._notePointer(event, xy);
     this.gesture.move(xy, { shiftKey: event.shiftKey, at: this.viewer.place(event) });
     this.viewer.redraw();
   }
 
   up(event, xy) {
     if (!this.gesture) return;
-    this.note(event, xy);
+    this._notePointer(event, xy);
     const { gesture } = this;
-    this.gesture = null;
+    this.gesture = null; // what it does below may begin another
     gesture.up();
-    this.ended();
+    this._forgetDocument();
     this.onend();
     this.viewer.redraw();
   }
 
   cancel() {
     this.gesture?.cancel();
-    this.ended();
+    this._forgetDocument();
     this.gesture = null;
     this.pressed = null;
     this.viewer.redraw();
   }
 
-  ended() {
+  /** The gesture has ended. */
+  _forgetDocument() {
     if (this.doc) this.doc.began = null;
     this.doc = null;
   }
 
-  released(event) {
+  _deselectByClick(event) {
     const { pressed } = this;
     this.pressed = null;
-    if (pressed && distance(pressed, [event.clientX, event.clientY]) <= STILL) this.current().select([], -1);
+    if (pressed && distance(pressed, [event.clientX, event.clientY]) <= CLICK) this.current().select([], -1);
   }
 
   hover(event, xy) {
-    this.note(event, xy);
+    this._notePointer(event, xy);
+    const doc = this.current();
     const index = this.find(event, xy);
-    if (index === this.hovered && !this.current().placing && !this.current().followsPointer) return;
+    const isDrawnAnew = index !== this.hovered || doc.placing || doc.followsPointer;
     this.hovered = index;
-    this.viewer.redraw();
+    if (isDrawnAnew) this.viewer.redraw();
   }
 
-  note(event, xy) { this.pointer = { at: this.viewer.place(event), xy, type: event.pointerType }; }
+  _notePointer(event, xy) { this.pointer = { at: this.viewer.place(event), xy, type: event.pointerType }; }
 
   /** What the loupe shows: the point of a gesture or of keys, or the place for a click; null without a loupe. */
   get loupe() {
     const { pointer, gesture } = this;
-    if (!pointer || gesture || pointer.type === "keys") return pointer && (gesture ? gesture.loupe : pointer.xy);
-    return this.magnifies && this.hovered < 0 && this.current().placing ? pointer.xy : null;
+    if (!pointer) return null;
+    if (gesture) return gesture.loupe;
+    if (pointer.type === "keys") return pointer.xy;
+    const wouldPlace = this.current().placing && this.hovered < 0;
+    return this.magnifies && wouldPlace ? pointer.xy : null;
   }
 
   /** Show the loupe over a point that was moved by keys, for a moment. */
   nudged(xy) {
     this.pointer = { at: this.viewer.toScreen(xy), xy, type: "keys" };
-    clearTimeout(this.resting);
-    this.resting = setTimeout(() => this.pointer?.type === "keys" && this.leave(), NUDGED);
+    clearTimeout(this._loupeTimer);
+    this._loupeTimer = setTimeout(() => {
+      if (this.pointer?.type === "keys") this.leave();
+    }, LOUPE_AFTER_KEY);
   }
 
   leave() {
@@ -313,24 +354,28 @@ export class PointTool {
   }
 }
 
-const TURN = Math.PI / 180;
-const GROW = 1.01;
+const KEY_ANGLE = Math.PI / 180; // one degree
+const KEY_FACTOR = 1.01;
+const KEYS_WITH_SHIFT = 5; // times as much
 
-/** Edit points with a key: {points, what, key} or null. `indices`: the selected points, or all. */
+/** Edit points with a key: {points, what, key} or null; edits in a row with the same `key` are one step of undo.
+ *  An arrow moves the `chosen` points; with Ctrl it rotates (left, right) or scales (up, down) the points `indices`. */
 export function keyEdit(event, points, indices, chosen, mirrored = false) {
-  const [across, down] = ARROWS[event.key] ?? [];
-  const arrow = across === undefined ? null : [mirrored ? -across : across, down];
-  const more = event.shiftKey ? 5 : 1;
-  if (arrow && (event.ctrlKey || event.metaKey)) {
-    const centre = centroid(points, indices);
-    if (centre === null) return null;
-    const [angle, factor] = arrow[0] ? [arrow[0] * TURN * more, 1] : [0, GROW ** (-arrow[1] * more)];
-    return {
-      points: turn(points, indices, centre, angle, factor), what: arrow[0] ? "rotate" : "scale",
-      key: `turn ${indices.join()}`,
-    };
-  }
-  if (!arrow || chosen.length === 0) return null;
+  const arrow = ARROWS[event.key];
+  if (arrow === undefined) return null;
+  const across = mirrored ? -arrow[0] : arrow[0];
+  const down = arrow[1];
+  if (event.ctrlKey || event.metaKey) return turnedByKey(points, indices, across, down, event.shiftKey);
+  if (chosen.length === 0) return null;
   const step = event.altKey ? 0.1 : event.shiftKey ? 10 : 1;
-  return { points: move(points, chosen, step * arrow[0], step * arrow[1]), what: "move", key: `move ${chosen.join()}` };
+  return { points: move(points, chosen, step * across, step * down), what: "move", key: `move ${chosen.join()}` };
+}
+
+function turnedByKey(points, indices, across, down, withShift) {
+  const centre = centroid(points, indices);
+  if (centre === null) return null;
+  const times = withShift ? KEYS_WITH_SHIFT : 1;
+  const key = `turn ${indices.join()}`;
+  if (across) return { points: turn(points, indices, centre, across * KEY_ANGLE * times, 1), what: "rotate", key };
+  return { points: turn(points, indices, centre, 0, KEY_FACTOR ** (-down * times)), what: "scale", key };
 }

@@ -2,17 +2,24 @@
 // points as they are placed.
 
 import { several } from "./annotate-words.js";
-import { bins, joined, keepWanted, KINDS, measured, measureOf, measuresIn, measureText, numberText, summary, wantedIn } from "./measures.js";
+import { MeasureBuilder } from "./measure-builder.js";
+import { bins, measured, measureText, numberText, summary, wantedIn } from "./measures.js";
+import { plotFiles } from "./plot-files.js";
 import { createShapeSpace } from "./shape-space.js";
-import { groupMark, histogram, picker } from "./shape-plots.js";
-import { button, fileField, h, icon, iconButton, menu, runKey, isPlain, saveFile, segmented } from "./ui.js";
+import { groupMark, histogram } from "./shape-plots.js";
+import { button, fileField, h, icon, menu, runKey, isPlain, saveFile, segmented } from "./ui.js";
 import { attempt } from "./unsaved.js";
 
-const ROWS = 400; // rows of the table that are shown
-const AGAIN = 300; // milliseconds after a change until all is measured again
-const BY = { "": "No groups", folder: "By subfolder", name: "By name", table: "By a table…" };
+const MOST_ROWS = 400; // of the table that is shown
+const MOST_GROUPS = 8; // in the legend
+const MEASURE_AFTER = 300; // milliseconds after a change
+const VIEWS = [{ value: "measures", label: "Measures" }, { value: "shapes", label: "Shapes" }];
+const GROUPED_BY = { "": "No groups", folder: "By subfolder", name: "By name", table: "By a table…" };
 const EXPORTS = { csv: "Table (.csv)", svg: "Plots (.svg)" };
-const NAMES = "By the letters with which names begin, such as male of male_07.jpg; or by a table with the columns specimen and group";
+const ABOUT_GROUPS =
+  "By the letters with which names begin, such as male of male_07.jpg; or by a table with the columns specimen and group";
+const ABOUT_ESTIMATES =
+  "By a thin-plate spline from the complete pictures; without, pictures that lack points have no shape";
 
 export class Tab {
   shortcuts = [
@@ -21,13 +28,12 @@ export class Tab {
   ];
   visible = false;
   /** @type {Shapes | null} */
-  data = null;
-  picked = []; // indices of the points of the measure that is being made, in order
+  data = null; // what the server has measured
   column = null; // name of the column that the histogram shows
-  order = { name: "", down: false }; // of the table
-  _asked = 0;
+  order = { name: "", down: false }; // of the table: the name of a column, "group", or "" for the pictures'
+  _isStale = true; // whether something has changed since the data were fetched
+  _newest = 0; // number of the newest request; answers to earlier ones are ignored
   _timer = null;
-  _stale = true;
 
   /** @param {HTMLElement} root; @param {App} app */
   constructor(root, app) {
@@ -35,17 +41,18 @@ export class Tab {
     this.state = app.state;
     const { id } = this.state.project;
     this._key = `liaam-studio:measure-view:${id}`;
-    this.by = attempt(() => JSON.parse(localStorage.getItem(this._key)).by) ?? "";
+    this.by = attempt(() => JSON.parse(localStorage.getItem(this._key)).by) ?? ""; // a key of GROUPED_BY
     this.space = createShapeSpace(this);
     this._build(root);
     this.state.addEventListener("select", () => this._draw());
-    for (const event of ["project", "landmarks"]) this.state.addEventListener(event, () => this._soon());
-    measured.addEventListener("change", () => this._soon(0));
+    for (const event of ["project", "landmarks"]) this.state.addEventListener(event, () => this._fetchSoon());
+    measured.addEventListener("change", () => this._fetchSoon(0));
     window.liaamStudio.measure = { data: () => this.data, space: this.space, tab: this };
   }
 
   get names() { return this.state.project.template?.names ?? []; }
   get contours() { return this.state.project.template?.contours ?? []; }
+  /** The measures and the scale that are wanted, as text. */
   get wanted() { return wantedIn(this.state.project.id); }
   /** Index of the selected picture in the data; -1 if it has no landmarks. */
   get chosen() { return this.data?.pictures.indexOf(this.state.current) ?? -1; }
@@ -57,14 +64,15 @@ export class Tab {
 
   show() {
     this.visible = true;
-    if (this._stale) this._fetch();
+    if (this._isStale) this._fetch();
   }
 
   hide() { this.visible = false; }
 
   key(event) {
-    const view = (name) => () => this._view(name);
-    return isPlain(event) && runKey(event, { enter: () => this.open(), m: view("measures"), s: view("shapes") });
+    return isPlain(event) && runKey(event, {
+      enter: () => this.open(), m: () => this._showView("measures"), s: () => this._showView("shapes"),
+    });
   }
 
   /** Open the selected picture for annotation. */
@@ -76,40 +84,47 @@ export class Tab {
     if (name) this.state.select(name);
   }
 
-  _soon(after = AGAIN) {
-    this._stale = true;
+  /** Fetch once the changes pause, or when the tab is shown. */
+  _fetchSoon(after = MEASURE_AFTER) {
+    this._isStale = true;
     clearTimeout(this._timer);
-    this._timer = setTimeout(() => this.visible && this._fetch(), after);
+    this._timer = setTimeout(() => {
+      if (this.visible) this._fetch();
+    }, after);
   }
 
   get query() {
     const { measures, scale } = this.wanted;
-    return { measures: measures || null, scale: scale || null, by: this.by || null, estimate: this.estimate.checked ? "1" : null };
+    const estimate = this.estimate.checked ? "1" : null;
+    return { measures: measures || null, scale: scale || null, by: this.by || null, estimate };
   }
 
   async _fetch() {
-    this._stale = false;
-    const asked = ++this._asked;
+    this._isStale = false;
+    this._newest += 1;
+    const request = this._newest;
     const { api } = this.app;
     try {
       const data = await api.get(api.url("shapes", this.query), { quiet: Boolean(this.data) });
-      if (asked !== this._asked) return;
+      if (request !== this._newest) return;
       this.data = data;
-      this._say("");
+      this._showFault("");
     } catch (error) {
-      if (asked !== this._asked) return;
-      if (!this.state.pictures.some(({ placed }) => placed)) this.data = null;
-      this._say(error.message);
+      if (request !== this._newest) return;
+      const hasLandmarks = this.state.pictures.some(({ placed }) => placed);
+      if (!hasLandmarks) this.data = null; // else what was measured stays below the fault
+      this._showFault(error.message);
     }
     this._draw();
   }
 
-  _say(text) {
+  /** Without data, the tab says what to do instead. */
+  _showFault(text) {
     this._fault.textContent = text;
     this._fault.hidden = !text || !this.data;
   }
 
-  _view(name) {
+  _showView(name) {
     this.views.value = name;
     this._measures.hidden = name !== "measures";
     this.space.element.hidden = name !== "shapes";
@@ -117,104 +132,51 @@ export class Tab {
   }
 
   _build(root) {
-    this.views = segmented("Measures or shapes", [{ value: "measures", label: "Measures" }, { value: "shapes", label: "Shapes" }],
-      "measures", (name) => this._view(name), "measure-view");
-    this.groupList = h("select.text.measure-by", {
-      "aria-label": "Groups", title: NAMES, testid: "measure-by", onchange: () => this._group(this.groupList.value),
-    }, Object.entries(BY).map(([value, label]) => h("option", { value }, label)));
-    this.groupList.value = this.by;
-    this._file = fileField((file) => this._takeTable(file), { accept: ".csv,text/csv", "aria-label": "Table of groups", testid: "measure-table-file" });
-    this.estimate = h("input", { type: "checkbox", testid: "measure-estimate", onchange: () => this._fetch() });
-    const estimate = h("label.check.small", { title: "By a thin-plate spline from the complete pictures; without, pictures that lack points have no shape" },
-      this.estimate, "Estimate missing points");
-    const save = menu("Save…", EXPORTS, (kind) => this._save(kind), { "aria-label": "Save", testid: "measure-save" });
-    this._legend = h("span.row.tight.small", { testid: "measure-legend" });
+    this.views = segmented("Measures or shapes", VIEWS, "measures", (name) => this._showView(name), "measure-view");
     this._fault = h("p.error-text.small", { role: "alert", hidden: true, testid: "measure-fault" });
-    this._builder = h("section.panel.measure-card", { "aria-label": "New measure" });
+    this._builder = new MeasureBuilder(this);
     this._chart = h("section.panel.measure-card", { "aria-label": "Histogram" });
     this._table = h("div.measure-table", { tabindex: "0", role: "region", "aria-label": "Table of all pictures" });
-    this._measures = h("div.measure-view", h("div.measure-cards", this._builder, h("div.measure-results", this._chart, this._table)));
+    this._measures = h("div.measure-view",
+      h("div.measure-cards", this._builder.element, h("div.measure-results", this._chart, this._table)));
     this.space.element.hidden = true;
     this._empty = h("div.empty.big", { hidden: true });
     this._chosen = h("div.row.measure-chosen", { role: "status", testid: "measure-chosen" });
     this._content = h("div.measure-content.glass", this._fault, this._measures, this.space.element);
-    root.append(h("div.workspace.measure-tab",
-      h("div.toolbar", { role: "toolbar", "aria-label": "Measure" }, this.views.element, this.groupList, this._file, this._legend,
-        h("span.grow"), estimate, save),
-      this._content, this._empty, this._chosen));
-    this._buildBuilder();
+    root.append(h("div.workspace.measure-tab", this._toolbar(), this._content, this._empty, this._chosen));
   }
 
-  _buildBuilder() {
-    const kinds = Object.entries(KINDS).map(([value, { label }]) => ({ value, label }));
-    this.kind = segmented("Kind of measure", kinds, "distance", () => this._pick([]), "measure-kind");
-    this._picker = h("div.measure-plot");
-    this._hint = h("p.small.muted", { role: "status" });
-    this._list = h("ul.measure-list", { "aria-label": "Measures", testid: "measure-list" });
-    this._scale = h("input.text", {
-      type: "text", placeholder: "of each picture, or in pixels", testid: "measure-scale", value: this.wanted.scale,
-      onchange: () => keepWanted(this.state.project.id, { ...this.wanted, scale: this._scale.value.trim() }),
+  _toolbar() {
+    const groupings = Object.entries(GROUPED_BY).map(([value, label]) => h("option", { value }, label));
+    this.groupList = h("select.text.measure-by", {
+      "aria-label": "Groups", title: ABOUT_GROUPS, testid: "measure-by", onchange: () => this._chooseGroups(this.groupList.value),
+    }, groupings);
+    this.groupList.value = this.by;
+    this._tableFile = fileField((file) => this._takeTable(file), {
+      accept: ".csv,text/csv", "aria-label": "Table of groups", testid: "measure-table-file",
     });
-    this._add = button("Add", { kind: "primary", small: true, testid: "measure-add", onclick: () => this._addPicked() });
-    this._builder.append(h("h2.panel-title", "Measures"), h("div.row", this.kind.element, h("span.grow"), this._add), this._picker, this._hint, this._list,
-      h("label.field", "Scale, if the pictures have none: length of a pixel, or two points and the length between them, such as 11-12=5 mm", this._scale));
+    this._legend = h("span.row.tight.small", { testid: "measure-legend" });
+    this.estimate = h("input", { type: "checkbox", testid: "measure-estimate", onchange: () => this._fetch() });
+    const estimate = h("label.check.small", { title: ABOUT_ESTIMATES }, this.estimate, "Estimate missing points");
+    const save = menu("Save…", EXPORTS, (kind) => this._save(kind), { "aria-label": "Save", testid: "measure-save" });
+    return h("div.toolbar", { role: "toolbar", "aria-label": "Measure" },
+      this.views.element, this.groupList, this._tableFile, this._legend, h("span.grow"), estimate, save);
   }
 
-  _pick(indices) {
-    this.picked = indices;
-    this._drawBuilder();
-  }
-
-  _toggle(index) {
-    const { most } = KINDS[this.kind.value];
-    const without = this.picked.filter((i) => i !== index);
-    const next = without.length < this.picked.length ? without : [...this.picked, index].slice(-most);
-    this._pick(next);
-    this._picker.querySelector(`[data-index="${index}"]`)?.focus();
-    if (next.length === most) this._addPicked();
-  }
-
-  _addPicked() {
-    if (this.picked.length < KINDS[this.kind.value].fewest) return;
-    this._keep([...measuresIn(this.wanted.measures), measureOf(this.kind.value, this.picked)]);
-    this._pick([]);
-  }
-
-  _keep(list) { keepWanted(this.state.project.id, { ...this.wanted, measures: joined(list) }); }
-
-  /** Where points are drawn to be clicked: the mean shape, the template, or the open picture's points. */
-  _layout() {
-    const { template } = this.state.project;
-    const { space } = this.data ?? {};
-    if (space && space.landmarks.length === this.names.length) return space.mean;
-    return template?.points ?? window.liaamStudio.annotate?.points() ?? [];
-  }
-
-  _drawBuilder() {
-    const { names, contours, picked } = this;
-    const { fewest, most } = KINDS[this.kind.value];
-    const points = this._layout();
-    this._picker.replaceChildren(points.some(Boolean)
-      ? picker({ points, names, contours, lit: picked, closed: this.kind.value === "area", onpick: (i) => this._toggle(i) })
-      : h("p.muted.small", "The points are drawn here once three pictures are done."));
-    this._add.disabled = picked.length < fewest;
-    const left = Math.max(0, fewest - picked.length);
-    this._hint.textContent = picked.length ? picked.map((i) => names[i]).join(" – ")
-      : `Click ${fewest === most ? fewest : `${fewest} or more`} points${this.kind.value === "angle" ? "; the angle is at the second" : ""}.`;
-    if (picked.length && left) this._hint.textContent += `: ${left} more`;
-    const remove = (measure) => this._keep(measuresIn(this.wanted.measures).filter((each) => each !== measure));
-    this._list.replaceChildren(...measuresIn(this.wanted.measures).map((each) => {
-      const words = measureText(each, names);
-      return h("li.row", h("span.grow", words), iconButton(`Remove ${words}`, "close", () => remove(each), { small: true }));
-    }));
+  /** Group the pictures in another way. "By a table" asks for a file if there is none, or if it is chosen once more. */
+  async _chooseGroups(by) {
+    const needsFile = by === "table" && (!this.data?.has_table || this.by === "table");
+    if (needsFile) {
+      this.groupList.value = this.by; // until a file is chosen
+      this._tableFile.click();
+      return undefined;
+    }
+    return this._group(by);
   }
 
   async _group(by) {
-    if (by === "table" && (!this.data?.has_table || this.by === "table")) {
-      this.groupList.value = this.by;
-      return this._file.click();
-    }
     this.by = by;
+    this.groupList.value = by;
     attempt(() => localStorage.setItem(this._key, JSON.stringify({ by })));
     return this._fetch();
   }
@@ -224,29 +186,21 @@ export class Tab {
     const text = await file.text();
     const { specimens } = await this.state.send((folder) => api.put(api.url("groups"), { text, name: file.name, folder }));
     toast(`Groups of ${several(specimens, "specimen")} read.`, "good");
-    this.by = "";
-    this.data = { ...this.data, has_table: true };
-    this.groupList.value = "table";
     await this._group("table");
   }
 
   async _save(kind) {
-    const { api } = this.app;
-    if (kind === "csv") return saveFile(...(await api.file(api.url("measurements", this.query))));
-    const style = [".shape-plot { color: #444; background: #fff; }", ...[...document.styleSheets].flatMap((sheet) => attempt(() => [...sheet.cssRules]) ?? [])
-      .map(({ cssText }) => cssText).filter((rule) => rule.startsWith(".plot-") || rule.startsWith(".shape-plot"))].join("\n");
-    const colours = getComputedStyle(document.documentElement);
-    const plain = style.replace(/var\((--[a-z-]+)\)/g, (_, name) => colours.getPropertyValue(name));
+    if (kind === "csv") return this._saveTable();
     const shown = this.views.value === "shapes" ? this.space.element : this._measures;
-    for (const [number, plot] of [...shown.querySelectorAll("svg.shape-plot")].filter((one) => !one.querySelector(".plot-pick")).entries()) {
-      const copy = /** @type {SVGElement} */ (plot.cloneNode(true));
-      const sheet = document.createElementNS("http://www.w3.org/2000/svg", "style");
-      sheet.textContent = plain;
-      copy.prepend(sheet);
-      const text = new XMLSerializer().serializeToString(copy);
-      saveFile(new Blob([text], { type: "image/svg+xml" }), `${this.state.project.folder}-${this.views.value}-${number + 1}.svg`);
-    }
+    const name = `${this.state.project.folder}-${this.views.value}`;
+    plotFiles(shown).forEach((file, i) => saveFile(file, `${name}-${i + 1}.svg`));
     return undefined;
+  }
+
+  async _saveTable() {
+    const { api } = this.app;
+    const [blob, name] = await api.file(api.url("measurements", this.query));
+    saveFile(blob, name);
   }
 
   _draw() {
@@ -255,33 +209,52 @@ export class Tab {
     this._content.hidden = !data;
     this._empty.hidden = Boolean(data);
     this._chosen.hidden = !data;
-    if (!data) {
-      const go = button("Place landmarks", { kind: "primary", onclick: () => this.app.openTab("annotate") });
-      this._empty.replaceChildren(icon("ruler", 56), h("h2", "Measures and shapes of all pictures"),
-        h("p", "Place the landmarks of a picture. Its measures are then here, and from three pictures on their shapes."), h("div.row", go));
-      return;
-    }
-    const { names } = this.groups;
-    this._legend.replaceChildren(...names.slice(0, 8).map((name, i) => h("span.row.tight", groupMark(i), name)), names.length > 8 ? `+ ${names.length - 8}` : "");
+    if (!data) return this._drawEmpty();
+    this._drawLegend();
     this._drawChosen();
-    if (this.views.value === "shapes") return void this.space.draw();
-    this._drawBuilder();
+    if (this.views.value === "shapes") return this.space.draw();
+    this._builder.draw();
     this._drawChart();
     this._drawTable();
   }
 
+  _drawEmpty() {
+    const go = button("Place landmarks", { kind: "primary", onclick: () => this.app.openTab("annotate") });
+    this._empty.replaceChildren(
+      icon("ruler", 56),
+      h("h2", "Measures and shapes of all pictures"),
+      h("p", "Place the landmarks of a picture. Its measures are then here, and from three pictures on their shapes."),
+      h("div.row", go));
+  }
+
+  _drawLegend() {
+    const { names } = this.groups;
+    const marks = names.slice(0, MOST_GROUPS).map((name, i) => h("span.row.tight", groupMark(i), name));
+    this._legend.replaceChildren(...marks, names.length > MOST_GROUPS ? `+ ${names.length - MOST_GROUPS}` : "");
+  }
+
   _drawChosen() {
-    const { chosen, data, state } = this;
-    const at = data.space?.of.indexOf(chosen) ?? -1;
-    const facts = at < 0 ? "" : `${numberText(data.space.distances[at])} from the mean shape${data.space.distances[at] > data.space.limit ? ", unusual" : ""}`;
     const open = button("Open its points", { small: true, shortcut: "Enter", testid: "measure-open", onclick: () => this.open() });
-    this._chosen.replaceChildren(h("strong", state.current ?? ""),
-      h("span.muted.grow", chosen < 0 ? "has no landmarks yet" : facts), open);
+    this._chosen.replaceChildren(h("strong", this.state.current ?? ""), h("span.muted.grow", this._aboutChosen()), open);
+  }
+
+  _aboutChosen() {
+    const { chosen } = this;
+    if (chosen < 0) return "has no landmarks yet";
+    const { space } = this.data;
+    const shape = space ? space.of.indexOf(chosen) : -1;
+    if (shape < 0) return "";
+    const distance = space.distances[shape];
+    return `${numberText(distance)} from the mean shape${distance > space.limit ? ", unusual" : ""}`;
   }
 
   /** Title of a column for people. */
-  title({ measure, unit }) { return `${measure === null ? "Centroid size" : measureText(measure, this.names)}, ${unit}`; }
+  title({ measure, unit }) {
+    const text = measure === null ? "Centroid size" : measureText(measure, this.names);
+    return `${text}, ${unit}`;
+  }
 
+  /** The column that the histogram shows. */
   get _column() {
     const { columns } = this.data;
     return columns.find(({ name }) => name === this.column) ?? columns[0];
@@ -289,46 +262,96 @@ export class Tab {
 
   _drawChart() {
     const column = this._column;
-    const { n, mean, sd, least, most } = summary(column.values);
-    const facts = n ? `${several(n, "picture")}: ${numberText(mean, column.unit)}${sd === null ? "" : ` ± ${numberText(sd)} (standard deviation)`}, ` +
-      `${numberText(least)} to ${numberText(most)}` : "No picture has all points of this measure, or a scale.";
-    this._chart.replaceChildren(h("h2.panel-title", this.title(column)), h("p.small.muted", { testid: "measure-facts" }, facts),
-      h("div.measure-plot", histogram(bins(column.values), { title: this.title(column), lit: this.chosen, onbin: (of) => this._next(of) })));
+    const plot = histogram(bins(column.values), {
+      title: this.title(column), lit: this.chosen, onbin: (indices) => this._chooseNextOf(indices),
+    });
+    this._chart.replaceChildren(
+      h("h2.panel-title", this.title(column)),
+      h("p.small.muted", { testid: "measure-facts" }, summaryText(column)),
+      h("div.measure-plot", plot));
   }
 
-  /** Select the next picture of a bin after the selected one. */
-  _next(of) { this.choose(of[(of.indexOf(this.chosen) + 1) % of.length]); }
+  /** Select the picture of a bin that follows the selected one, or else its first. */
+  _chooseNextOf(indices) {
+    const position = indices.indexOf(this.chosen);
+    this.choose(indices[(position + 1) % indices.length]);
+  }
 
+  /** Indices of the pictures in the order of the table. */
   _sorted() {
     const { data, order } = this;
-    const column = data.columns.find(({ name }) => name === order.name);
-    const value = column ? (i) => column.values[i] : order.name === "group" ? (i) => data.groups[i] : (i) => i;
-    const rank = (a, b) => (a === null ? 1 : b === null ? -1 : a < b ? -1 : a > b ? 1 : 0);
-    const indices = data.pictures.map((_, i) => i).sort((i, j) => rank(value(i), value(j)));
+    const indices = data.pictures.map((_, i) => i);
+    const values = this._valuesFor(order.name);
+    if (values) indices.sort((i, j) => compared(values[i], values[j]));
     return order.down ? indices.reverse() : indices;
   }
 
+  /** What the table is sorted by; null for the order of the pictures. */
+  _valuesFor(name) {
+    if (name === "group") return this.data.groups;
+    return this.data.columns.find((column) => column.name === name)?.values ?? null;
+  }
+
+  /** Sort by a column, and once more the other way round. The histogram shows it, if it has values. */
   _sort(name) {
-    this.order = { name, down: this.order.name === name && !this.order.down };
-    this.column = this.data.columns.some((column) => column.name === name) ? name : this.column;
+    const wasDown = this.order.name === name && this.order.down;
+    const wasUp = this.order.name === name && !wasDown;
+    this.order = { name, down: wasUp };
+    if (this.data.columns.some((column) => column.name === name)) this.column = name;
     this._draw();
   }
 
   _drawTable() {
-    const { data, order, chosen } = this;
-    const grouped = this.groups.names.length > 0;
-    const head = (name, label) => h("th", { scope: "col", "aria-sort": order.name !== name ? null : order.down ? "descending" : "ascending" },
-      button(label, { kind: "ghost", small: true, pressed: name === this._column.name || null, testid: `sort-${name || "picture"}`, onclick: () => this._sort(name) }));
     const sorted = this._sorted();
-    const shown = sorted.slice(0, ROWS);
-    const group = (i) => h("td", this.groups.of[i] >= 0 && groupMark(this.groups.of[i]), " ", data.groups[i]);
-    const estimated = (i) => (data.estimated[i] ? h("span.muted.small", ` ${data.estimated[i]} estimated`) : null);
-    const row = (i) => h("tr", { class: i === chosen && "chosen", "data-index": String(i), onclick: () => this.choose(i), ondblclick: () => this.open() },
-      h("th", { scope: "row" }, button(data.pictures[i], { kind: "ghost", small: true, onclick: () => this.choose(i) }), estimated(i)),
-      grouped && group(i), data.columns.map(({ values }) => h("td.number", numberText(values[i]))));
-    this._table.replaceChildren(h("table", { testid: "measure-table" },
-      h("thead", h("tr", head("", "Picture"), grouped && head("group", "Group"), data.columns.map((column) => head(column.name, this.title(column))))),
-      h("tbody", shown.map(row))),
-    sorted.length > ROWS && h("p.small.muted", `${ROWS} of ${sorted.length} pictures. The saved table has all.`));
+    const { groups } = this;
+    const rows = sorted.slice(0, MOST_ROWS).map((i) => this._row(i, groups));
+    const table = h("table", { testid: "measure-table" }, h("thead", this._headRow(groups)), h("tbody", rows));
+    const more = sorted.length > MOST_ROWS
+      ? h("p.small.muted", `${MOST_ROWS} of ${sorted.length} pictures. The saved table has all.`) : "";
+    this._table.replaceChildren(table, more);
   }
+
+  _headRow(groups) {
+    const group = groups.names.length > 0 && this._head("group", "Group");
+    const columns = this.data.columns.map((column) => this._head(column.name, this.title(column)));
+    return h("tr", this._head("", "Picture"), group, columns);
+  }
+
+  _head(name, label) {
+    const { order } = this;
+    const direction = order.down ? "descending" : "ascending";
+    return h("th", { scope: "col", "aria-sort": order.name === name ? direction : null }, button(label, {
+      kind: "ghost", small: true, pressed: name === this._column.name || null, testid: `sort-${name || "picture"}`,
+      onclick: () => this._sort(name),
+    }));
+  }
+
+  _row(i, groups) {
+    const { data } = this;
+    const choose = () => this.choose(i);
+    const estimated = data.estimated[i] > 0 && h("span.muted.small", ` ${data.estimated[i]} estimated`);
+    const name = button(data.pictures[i], { kind: "ghost", small: true, onclick: choose });
+    const group = groups.of[i];
+    const groupCell = groups.names.length > 0 && h("td", group >= 0 && groupMark(group), " ", data.groups[i]);
+    return h("tr", { class: i === this.chosen && "chosen", "data-index": String(i), onclick: choose, ondblclick: () => this.open() },
+      h("th", { scope: "row" }, name, estimated),
+      groupCell,
+      data.columns.map(({ values }) => h("td.number", numberText(values[i]))));
+  }
+}
+
+/** Order of two values; those that are missing come last. */
+function compared(a, b) {
+  if (a === b) return 0;
+  if (a === null) return 1;
+  if (b === null) return -1;
+  return a < b ? -1 : 1;
+}
+
+/** Number, mean, standard deviation and range of a column in words. */
+function summaryText({ values, unit }) {
+  const { n, mean, sd, least, most } = summary(values);
+  if (!n) return "No picture has all points of this measure, or a scale.";
+  const spread = sd === null ? "" : ` ± ${numberText(sd)} (standard deviation)`;
+  return `${several(n, "picture")}: ${numberText(mean, unit)}${spread}, ${numberText(least)} to ${numberText(most)}`;
 }

@@ -4,137 +4,214 @@ import { numberText } from "./measures.js";
 import { bentGrid, scatter, superimposed } from "./shape-plots.js";
 import { button, h, labelledSlider, relist } from "./ui.js";
 
-const OUTLIERS = 12; // unusual shapes that are named
+const MOST_NAMED = 12; // unusual shapes that are named
 const MOST_AXES = 10; // components that can be chosen
+const MOST_PAIRS = 30; // pairs of groups that can be chosen
 const SELECTED = "selected";
-const MOST = 3; // standard deviations, or times a change, to which the slider goes
+const MOST_AMOUNT = 3; // standard deviations, or times a change, to which the slider goes
 
-/** @param {import("./measure.js").Tab} tab */
+const percent = (share, digits = 0) => `${(100 * share).toFixed(digits)} %`;
+const groupPair = (from, to) => `${from}>${to}`;
+
+/** Standard deviation of scores, whose mean is 0. */
+const deviation = (scores) =>
+  Math.sqrt(scores.reduce((sum, score) => sum + score * score, 0) / Math.max(1, scores.length - 1));
+
+/** The Shapes view of a Measure tab: {element, draw()}. @param {import("./measure.js").Tab} tab */
 export function createShapeSpace(tab) {
-  const axes = { across: 0, upward: 1 };
-  let change = "0"; // a component by index, "selected", or "a>b", groups by index
-  let amount = 1;
-  let known = null; // the selected shape that the change was set for
+  const axes = { across: 0, upward: 1 }; // components that the scatter shows
+  let change = "0"; // what the grid shows: a component by its index, SELECTED, or a pair of groups
+  let amount = 1; // of that change
+  let lastPicture = null; // the selected picture when it was drawn last
 
-  const component = (which, label) => h("select.text", {
-    "aria-label": label, testid: `shape-${which}`, onchange: (event) => { axes[which] = Number(event.target.value); draw(); },
+  const componentList = (which, label) => h("select.text", {
+    "aria-label": label,
+    testid: `shape-${which}`,
+    onchange: (event) => {
+      axes[which] = Number(event.target.value);
+      draw();
+    },
   });
-  const across = component("across", "Component across");
-  const upward = component("upward", "Component upward");
-  const what = h("select.text", { "aria-label": "Change", testid: "shape-change", onchange: () => { change = what.value; setAmount(); } });
-  const { element: slider, show } = labelledSlider("Amount", (value) => { amount = value; draw(); }, {
-    min: String(-MOST), max: String(MOST), step: "0.1", "aria-label": "Amount of the change", testid: "shape-amount", class: "row shape-amount",
+  const across = componentList("across", "Component across");
+  const upward = componentList("upward", "Component upward");
+  const changeList = h("select.text", {
+    "aria-label": "Change",
+    testid: "shape-change",
+    onchange: () => {
+      change = changeList.value;
+      amount = 1;
+      draw();
+    },
   });
-  const pca = h("div.measure-plot", { testid: "shape-scatter" });
-  const cloud = h("div.measure-plot", { testid: "shape-cloud" });
-  const grid = h("div.measure-plot", { testid: "shape-grid" });
-  const unusual = h("div.row.tight.small", { testid: "shape-outliers" });
+  const slider = labelledSlider("Amount", (value) => { amount = value; draw(); }, {
+    min: String(-MOST_AMOUNT),
+    max: String(MOST_AMOUNT),
+    step: "0.1",
+    "aria-label": "Amount of the change",
+    testid: "shape-amount",
+    class: "row shape-amount",
+  });
+  const scatterPlot = h("div.measure-plot", { testid: "shape-scatter" });
+  const cloudPlot = h("div.measure-plot", { testid: "shape-cloud" });
+  const gridPlot = h("div.measure-plot", { testid: "shape-grid" });
+  const outliers = h("div.row.tight.small", { testid: "shape-outliers" });
   const tests = h("ul.small.shape-tests", { testid: "shape-tests", "aria-label": "Differences between groups" });
-  const why = h("p.muted", { testid: "shape-why-not" });
-  const sides = h("p.muted.small", { testid: "shape-sides" });
+  const whyNot = h("p.muted", { testid: "shape-why-not" });
+  const sidesNote = h("p.muted.small", { testid: "shape-sides" });
   const cards = h("div.measure-cards.shape-cards",
     h("section.panel.measure-card.shape-main", { "aria-label": "Principal components" },
-      h("div.row", h("h2.panel-title.grow", "Principal components"), across, "and", upward), pca, unusual, tests),
+      h("div.row", h("h2.panel-title.grow", "Principal components"), across, "and", upward), scatterPlot, outliers, tests),
     h("section.panel.measure-card", { "aria-label": "Thin-plate grid" },
-      h("div.row", h("h2.panel-title.grow", "Change as a grid"), what), slider, grid),
+      h("div.row", h("h2.panel-title.grow", "Change as a grid"), changeList), slider.element, gridPlot),
     h("section.panel.measure-card", { "aria-label": "Procrustes superimposition" },
-      h("h2.panel-title", "All shapes, superimposed"), sides, cloud));
-  const element = h("div.measure-view", why, cards);
+      h("h2.panel-title", "All shapes, superimposed"), sidesNote, cloudPlot));
+  const element = h("div.measure-view", whyNot, cards);
 
-  function setAmount() {
-    amount = 1;
-    draw();
+  /** The group of each shape as an index; -1 for none. */
+  function groupsOf(space) {
+    const { of } = tab.groups; // once, since it is computed
+    return space.of.map((picture) => of[picture]);
   }
 
   /** Index of the selected picture among those that have a shape; -1 for none. */
-  const chosenIn = (space) => space.of.indexOf(tab.chosen);
-
-  const column = (space, c) => space.scores.map((row) => row[c]);
-  const sd = (values) => Math.sqrt(values.reduce((sum, v) => sum + v * v, 0) / Math.max(1, values.length - 1));
+  const selectedIn = (space) => space.of.indexOf(tab.chosen);
 
   /** Mean scores of a group. */
   function centreOf(space, group) {
-    const own = space.scores.filter((_, i) => tab.groups.of[space.of[i]] === group);
-    return space.axes.map((_, c) => own.reduce((sum, row) => sum + row[c], 0) / own.length);
+    const groups = groupsOf(space);
+    const rows = space.scores.filter((_, i) => groups[i] === group);
+    return space.axes.map((_, c) => rows.reduce((sum, row) => sum + row[c], 0) / rows.length);
   }
 
-  /** The scores at which the grid is drawn, and how the change and its amount are called. */
-  function asked(space) {
-    const { names } = tab.groups;
+  /** The change that the grid shows: its scores at amount 1, its name, and the unit of its amount. */
+  function changeOf(space) {
     if (change === SELECTED) {
-      const own = space.scores[chosenIn(space)] ?? space.axes.map(() => 0);
-      return { scores: own.map((score) => amount * score), words: `× ${amount.toFixed(1)}`, called: `from the mean shape to ${tab.state.current}` };
+      const scores = space.scores[selectedIn(space)] ?? space.axes.map(() => 0);
+      return { scores, name: `from the mean shape to ${tab.state.current}`, unit: "times" };
     }
     if (change.includes(">")) {
       const [from, to] = change.split(">").map(Number);
-      const [first, last] = [centreOf(space, from), centreOf(space, to)];
-      return { scores: last.map((score, c) => amount * (score - first[c])), words: `× ${amount.toFixed(1)}`, called: `from ${names[from]} to ${names[to]}` };
+      const start = centreOf(space, from);
+      const end = centreOf(space, to);
+      const { names } = tab.groups;
+      return { scores: end.map((score, c) => score - start[c]), name: `from ${names[from]} to ${names[to]}`, unit: "times" };
     }
-    const c = Number(change);
-    const step = sd(column(space, c));
-    return { scores: space.axes.map((_, i) => (i === c ? amount * step : 0)), words: `${amount.toFixed(1)} SD`, called: `along PC${c + 1}` };
+    const component = Number(change);
+    const step = deviation(space.scores.map((row) => row[component]));
+    const scores = space.axes.map((_, c) => (c === component ? step : 0));
+    return { scores, name: `along PC${component + 1}`, unit: "SD" };
   }
 
-  function offer(space) {
-    const some = space.shares.slice(0, MOST_AXES);
-    const labels = Object.fromEntries(some.map((share, c) => [c, `PC${c + 1}, ${(100 * share).toFixed(0)} %`]));
-    for (const which of ["across", "upward"]) axes[which] = Math.min(axes[which], some.length - 1);
-    relist(across, labels, String(axes.across));
-    relist(upward, labels, String(axes.upward));
-    const { names, of } = tab.groups;
-    const present = names.map((_, i) => i).filter((i) => space.of.some((picture) => of[picture] === i));
-    const pairs = present.flatMap((a) => present.filter((b) => b > a).map((b) => [`${a}>${b}`, `${names[a]} to ${names[b]}`])).slice(0, 30);
-    const changes = [...some.map((_, c) => [String(c), `Along PC${c + 1}`]), [SELECTED, "To the selected picture"], ...pairs];
-    if (!changes.some(([value]) => value === change)) change = "0";
-    // As in a plain object, keys that are numbers would come first, which they do.
-    relist(what, Object.fromEntries(changes), change);
+  /** Two groups [a, b] each that have shapes, as indices. */
+  function pairsOfGroups(space) {
+    const groups = new Set(groupsOf(space));
+    const present = tab.groups.names.map((_, i) => i).filter((i) => groups.has(i));
+    return present.flatMap((a) => present.filter((b) => b > a).map((b) => [a, b]));
   }
 
-  function drawOutliers(space) {
-    const far = space.distances.map((value, i) => [value, i]).filter(([value]) => value > space.limit).sort((a, b) => b[0] - a[0]);
-    const one = ([value, i]) => button(tab.data.pictures[space.of[i]], {
-      small: true, title: `${numberText(value)} from the mean shape; unusual are those beyond ${numberText(space.limit)}`,
-      testid: "shape-outlier", onclick: () => tab.choose(space.of[i]),
+  function fillLists(space) {
+    const shares = space.shares.slice(0, MOST_AXES);
+    const components = Object.fromEntries(shares.map((share, c) => [c, `PC${c + 1}, ${percent(share)}`]));
+    axes.across = Math.min(axes.across, shares.length - 1);
+    axes.upward = Math.min(axes.upward, shares.length - 1);
+    relist(across, components, String(axes.across));
+    relist(upward, components, String(axes.upward));
+
+    const { names } = tab.groups;
+    const pairs = pairsOfGroups(space).slice(0, MOST_PAIRS);
+    // An object lists keys that are numbers first; these are first here, too.
+    const changes = Object.fromEntries([
+      ...shares.map((_, c) => [String(c), `Along PC${c + 1}`]),
+      [SELECTED, "To the selected picture"],
+      ...pairs.map(([a, b]) => [groupPair(a, b), `${names[a]} to ${names[b]}`]),
+    ]);
+    if (!(change in changes)) change = "0"; // its group or component is no longer there
+    relist(changeList, changes, change);
+  }
+
+  /** Indices of the shapes that are unusually far from the mean, the farthest first. */
+  function unusualIn({ distances, limit }) {
+    const far = distances.map((_, i) => i).filter((i) => distances[i] > limit);
+    return far.sort((a, b) => distances[b] - distances[a]);
+  }
+
+  function drawOutliers(space, unusual) {
+    if (!unusual.length) return outliers.replaceChildren(h("span.muted", "No shape is unusually far from the mean."));
+    const limit = numberText(space.limit);
+    const buttons = unusual.slice(0, MOST_NAMED).map((i) => button(tab.data.pictures[space.of[i]], {
+      small: true,
+      title: `${numberText(space.distances[i])} from the mean shape; unusual are those beyond ${limit}`,
+      testid: "shape-outlier",
+      onclick: () => tab.choose(space.of[i]),
+    }));
+    const more = unusual.length - buttons.length;
+    return outliers.replaceChildren("Unusual shapes:", ...buttons, more > 0 ? `and ${more} more` : "");
+  }
+
+  function drawScatter(space, unusual) {
+    const { across: x, upward: y } = axes;
+    scatterPlot.replaceChildren(scatter({
+      points: space.scores.map((row) => [row[x], row[y] ?? 0]),
+      groups: groupsOf(space),
+      chosen: selectedIn(space),
+      unusual: new Set(unusual),
+      titles: [x, y].map((c) => `PC${c + 1} (${percent(space.shares[c], 1)})`),
+      names: space.of.map((picture) => tab.data.pictures[picture]),
+      onpick: (i) => tab.choose(space.of[i]),
+    }));
+  }
+
+  /** The contours between the landmarks that the shapes have. */
+  function contoursIn(space) {
+    const position = new Map(space.landmarks.map((landmark, i) => [landmark, i]));
+    return tab.contours.map(({ indices, closed }) => {
+      const present = indices.filter((landmark) => position.has(landmark));
+      return { indices: present.map((landmark) => position.get(landmark)), closed };
     });
-    unusual.replaceChildren(far.length ? "Unusual shapes:" : h("span.muted", "No shape is unusually far from the mean."),
-      ...far.slice(0, OUTLIERS).map(one), far.length > OUTLIERS ? `and ${far.length - OUTLIERS} more` : "");
-    return new Set(far.map(([, i]) => i));
+  }
+
+  function drawCloud(space, contours) {
+    const chosen = space.shapes[selectedIn(space)] ?? null;
+    cloudPlot.replaceChildren(
+      superimposed({ shapes: space.shapes, mean: space.mean, contours, chosen, groups: groupsOf(space) }));
+  }
+
+  function drawGrid(space, contours) {
+    const { scores, name, unit } = changeOf(space);
+    const words = unit === "SD" ? `${amount.toFixed(1)} SD` : `× ${amount.toFixed(1)}`;
+    slider.show(amount, words);
+    gridPlot.replaceChildren(space.grid
+      ? bentGrid(space, scores.map((score) => amount * score), { contours, label: `Thin-plate grid ${name}, ${words}` })
+      : h("p.muted.small", "All points lie on one line, so that there is no grid."));
+  }
+
+  function drawTests() {
+    const line = ({ groups, p, share, distance, specimens }) => {
+      const apart = distance === null ? "" : `${numberText(distance)} apart, `;
+      return h("li", `${groups}: ${apart}${percent(share)} of the variance of shape of ${specimens}, P = ${p.toFixed(3)}`);
+    };
+    tests.hidden = !tab.data.tests.length;
+    tests.replaceChildren(...tab.data.tests.map(line));
   }
 
   function draw() {
-    const { data } = tab;
-    const { space } = data;
-    why.hidden = Boolean(space);
+    const { space, why_not: reason, sides } = tab.data;
+    whyNot.hidden = Boolean(space);
     cards.hidden = !space;
-    sides.hidden = !data.sides;
-    sides.textContent = data.sides && `${data.sides}.`;
-    why.textContent = space ? "" : `Shapes are compared from three complete pictures on: ${data.why_not}.`;
+    whyNot.textContent = space ? "" : `Shapes are compared from three complete pictures on: ${reason}.`;
+    sidesNote.hidden = !sides;
+    sidesNote.textContent = sides && `${sides}.`;
     if (!space) return;
-    const own = chosenIn(space);
-    if (known !== tab.state.current && change === SELECTED) amount = 1;
-    known = tab.state.current;
-    offer(space);
-    const far = drawOutliers(space);
-    const groups = space.of.map((picture) => tab.groups.of[picture]);
-    const names = space.of.map((picture) => data.pictures[picture]);
-    const titles = [axes.across, axes.upward].map((c) => `PC${c + 1} (${(100 * space.shares[c]).toFixed(1)} %)`);
-    pca.replaceChildren(scatter({
-      points: space.scores.map((row) => [row[axes.across], row[axes.upward] ?? 0]), groups, chosen: own, unusual: far, titles, names,
-      onpick: (i) => tab.choose(space.of[i]),
-    }));
-    const place = new Map(space.landmarks.map((landmark, i) => [landmark, i]));
-    const contours = tab.contours.map(({ indices, closed }) =>
-      ({ indices: indices.filter((i) => place.has(i)).map((i) => place.get(i)), closed }));
-    cloud.replaceChildren(superimposed({ shapes: space.shapes, mean: space.mean, contours, chosen: space.shapes[own] ?? null, groups }));
-    const { scores, words, called } = asked(space);
-    show(amount, words);
-    grid.replaceChildren(space.grid
-      ? bentGrid(space, scores, { contours, label: `Thin-plate grid ${called}, ${words}` })
-      : h("p.muted.small", "All points lie on one line, so that there is no grid."));
-    const tested = ({ groups: who, p, share, distance, specimens }) => h("li",
-      `${who}: ${distance === null ? "" : `${numberText(distance)} apart, `}${(100 * share).toFixed(0)} % of the variance of shape of ${specimens}, P = ${p.toFixed(3)}`);
-    tests.hidden = !data.tests.length;
-    tests.replaceChildren(...data.tests.map(tested));
+    if (lastPicture !== tab.state.current && change === SELECTED) amount = 1; // another picture is another change
+    lastPicture = tab.state.current;
+    fillLists(space);
+    const unusual = unusualIn(space);
+    const contours = contoursIn(space);
+    drawOutliers(space, unusual);
+    drawScatter(space, unusual);
+    drawCloud(space, contours);
+    drawGrid(space, contours);
+    drawTests();
   }
 
   return { element, draw };

@@ -7,12 +7,12 @@ import { complaints, toast } from "./ui.js";
 import { attempt } from "./unsaved.js";
 
 const LOOK_EVERY = 4000; // milliseconds between checks of the folder
+const RECONNECT_AFTER = 2000; // milliseconds
+const ONE_STEP = 500; // milliseconds; faster changes of the address, as by a held key, are one step of Back
 
 // The page's address holds the tab and the picture: a reload keeps them, and Back and Forward move between them.
 
-const QUICK = 500; // milliseconds; faster changes, as by a held key, are one step
-
-let last = -QUICK;
+let lastChange = -ONE_STEP; // of the address, milliseconds
 let isOpen = false; // whether the page has opened its first picture and tab
 
 /** The picture in an address; "" if the address is malformed. */
@@ -28,11 +28,14 @@ export function remember({ tab, name }) {
   if (tab !== undefined) address.searchParams.set("tab", tab);
   if (name !== undefined) address.hash = name ? encodeURIComponent(name) : "";
   if (address.href === location.href) return; // after Back and Forward
-  const isStep = isOpen && performance.now() - last >= QUICK;
-  last = performance.now();
-  history[isStep ? "pushState" : "replaceState"](null, "", address);
+  const isStep = isOpen && performance.now() - lastChange >= ONE_STEP;
+  lastChange = performance.now();
+  if (isStep) history.pushState(null, "", address);
+  else history.replaceState(null, "", address);
 }
 
+/** The project as the server has it. Events: "project", "select", "folder", "landmarks", "training", "fitting" and
+ *  "online" say what has changed. */
 export class State extends EventTarget {
   /** @type {Project | null} */
   project = null;
@@ -47,15 +50,15 @@ export class State extends EventTarget {
   unsure = false; // whether another server, for another folder, may have taken over the port
   _indexed = null; // the project whose pictures are in _byName
   _byName = new Map();
-  _refreshing = null;
-  _again = false;
+  _refreshing = null; // promise of the fetch in progress
+  _fetchAgain = false; // whether to fetch once more after it
 
   async open() {
     const wanted = nameIn(location.hash); // before the first picture is selected
     await this.refresh();
-    this.select(this.picture(wanted) ? wanted : this._first());
-    this._follow();
-    this._watch();
+    this.select(this.picture(wanted) ? wanted : this._firstToOpen());
+    this._followEvents();
+    this._watchFolder();
   }
 
   /** Whether a model was dropped on the page, which then only fits. */
@@ -72,12 +75,18 @@ export class State extends EventTarget {
     return this._byName.get(name) ?? null;
   }
 
-  /** Fetch the project again; calls during a fetch lead to one more. */
+  /** Fetch the project again. However many calls there are during a fetch, one more follows it, since it may have begun
+   *  before the change that they are about. */
   refresh() {
-    this._again = Boolean(this._refreshing);
-    this._refreshing ??= this._fetch().finally(() => {
+    if (this._refreshing) {
+      this._fetchAgain = true;
+      return this._refreshing;
+    }
+    this._refreshing = this._fetch().finally(() => {
+      const again = this._fetchAgain;
       this._refreshing = null;
-      if (this._again) this.refresh().catch(() => {});
+      this._fetchAgain = false;
+      if (again) this.refresh().catch(() => {});
     });
     return this._refreshing;
   }
@@ -85,8 +94,9 @@ export class State extends EventTarget {
   /** Fetch the project until the states of all pictures are known. */
   async settled() {
     await this._refreshing?.catch(() => {}); // it may have begun before the last change
-    do await this.refresh().catch(() => {});
-    while (this.project.pictures.some(({ state }) => state === "reading"));
+    do {
+      await this.refresh().catch(() => {});
+    } while (this.project.pictures.some(({ state }) => state === "reading"));
   }
 
   select(name) {
@@ -94,22 +104,24 @@ export class State extends EventTarget {
     const before = this.current;
     this.current = name;
     remember({ name: name ?? "" });
-    this._say("select", { name, before });
+    this._emit("select", { name, before });
   }
 
   /** Select the picture `by` positions further in the list, among those that can be opened. */
   step(by) {
     const names = this.order.filter((name) => this.picture(name)?.state !== "broken");
     if (!names.length) return;
-    const at = names.indexOf(this.current);
-    this.select(names[Math.min(Math.max(at + by, 0), names.length - 1)]);
+    const position = names.indexOf(this.current) + by;
+    const last = names.length - 1;
+    this.select(names[Math.min(Math.max(position, 0), last)]);
   }
 
+  /** The pictures of the subfolder that is shown. */
   get pictures() { return this.project.pictures.filter(({ name }) => isIn(name, this.folder)); }
 
   showFolder(folder) {
     this.folder = folder;
-    this._say("folder");
+    this._emit("folder");
   }
 
   saveMarks(name, marks, options = {}) {
@@ -117,24 +129,31 @@ export class State extends EventTarget {
     return this.send((folder) => api.put(address, { ...marks, folder, who: whoAmI(this.project) }, options));
   }
 
+  /** Take over what the server has answered about one picture. */
   update(picture) {
-    const known = this.picture(picture.name);
-    if (!known) return;
-    Object.assign(known, picture);
-    this._say("project");
+    const current = this.picture(picture.name);
+    if (!current) return;
+    Object.assign(current, picture);
+    this._emit("project");
   }
 
   /** Check the folder for changes by other programs, which send no events, while the page is visible. */
-  async look() {
+  async _lookForChanges() {
     if (document.hidden || this._refreshing || !this.project) return;
     const project = await api.get(api.url("project", { stamp: this.project.stamp }), { quiet: true });
     if (!project.unchanged && !this._refreshing) this._take(project);
   }
 
-  _watch() {
+  _watchFolder() {
     const complain = complaints();
-    // 503: the folder is gone. A lost connection is reported by the event stream.
-    const look = () => this.look().then(() => complain(""), ({ status, message }) => status === 503 && complain(message));
+    const look = async () => {
+      try {
+        await this._lookForChanges();
+        complain("");
+      } catch ({ status, message }) {
+        if (status === 503) complain(message); // the folder is gone; a lost connection is reported by the event stream
+      }
+    };
     addEventListener("focus", look);
     document.addEventListener("visibilitychange", look);
     setInterval(look, LOOK_EVERY);
@@ -160,59 +179,64 @@ export class State extends EventTarget {
     this.project = project;
     if (!this.picture()) {
       if (this.current) toast(`${this.current} is no longer in the folder.`);
-      this.select(this._first());
+      this.select(this._firstToOpen());
     }
-    this._say("project");
+    this._emit("project");
   }
 
   async _fetch() {
     try {
       this._take(await api.get(api.url("project"), { quiet: Boolean(this.project) }));
-      this._online(true);
+      this._setOnline(true);
     } catch (error) {
-      if (error.unreachable || error.status === 401) this._online(false, error.status === 401);
+      const isRefused = error.status === 401;
+      if (error.unreachable || isRefused) this._setOnline(false, isRefused);
       throw error;
     }
   }
 
-  _first() {
-    const pictures = this.project.pictures.filter((picture) => picture.state !== "broken");
-    return (pictures.find((picture) => picture.state !== "done") ?? pictures[0])?.name ?? null;
+  /** The first picture that is not done, or else the first; null if none can be opened. */
+  _firstToOpen() {
+    const pictures = this.project.pictures.filter(({ state }) => state !== "broken");
+    const first = pictures.find(({ state }) => state !== "done") ?? pictures[0];
+    return first?.name ?? null;
   }
 
-  _follow() {
+  _followEvents() {
     const source = new EventSource(api.url("events"));
     let lost = false;
     source.addEventListener("open", () => {
-      this._online(true);
+      this._setOnline(true);
       if (lost) this.refresh().catch(() => {});
       lost = false;
     });
     source.addEventListener("error", () => {
       lost = true;
       this.unsure = true;
-      this._online(false, this.restarted);
+      this._setOnline(false, this.restarted);
       this.refresh().catch(() => {}); // an event source does not give the status: ask whether the server was restarted
       // A browser does not reconnect after an error status, such as from a new server with another token.
-      if (source.readyState === EventSource.CLOSED) setTimeout(() => this._follow(), 2000);
+      if (source.readyState === EventSource.CLOSED) setTimeout(() => this._followEvents(), RECONNECT_AFTER);
     });
     source.addEventListener("project", () => this.refresh().catch(() => {}));
-    for (const work of ["training", "fitting"])
+    for (const work of ["training", "fitting"]) {
       source.addEventListener(work, (/** @type {any} */ { data }) => {
         this.project[work] = JSON.parse(data);
-        this._say(work, this.project[work]);
+        this._emit(work, this.project[work]);
       });
-    source.addEventListener("landmarks", (event) => {
-      for (const each of [JSON.parse(event.data)].flat()) this._say("landmarks", each);
+    }
+    source.addEventListener("landmarks", ({ data }) => {
+      const changed = JSON.parse(data); // of one picture, or of several
+      for (const each of Array.isArray(changed) ? changed : [changed]) this._emit("landmarks", each);
     });
     addEventListener("pagehide", () => source.close());
   }
 
-  _online(online, restarted = false) {
+  _setOnline(online, restarted = false) {
     if (online === this.online && restarted === this.restarted) return;
     Object.assign(this, { online, restarted });
-    this._say("online", online);
+    this._emit("online", online);
   }
 
-  _say(type, detail = null) { this.dispatchEvent(new CustomEvent(type, { detail })); }
+  _emit(type, detail = null) { this.dispatchEvent(new CustomEvent(type, { detail })); }
 }

@@ -8,9 +8,15 @@ import { look } from "./look.js";
 import { button, h, perFrame, runKey } from "./ui.js";
 import { attempt } from "./unsaved.js";
 
-const LARGEST = 64; // maximum zoom, screen pixels per picture pixel
-const EASE = 0.0016; // zoom per pixel of the wheel
+const LARGEST = 64; // maximum zoom, css pixels per picture pixel
+const ZOOM_STEP = 1.3; // of a key or button
+const WHEEL_ZOOM = 0.0016; // change of the logarithm of the zoom per pixel of the wheel
+const WHEEL_LINE = 16; // pixels in a line, for wheels that count lines
+const WHEEL_MOST = 300; // pixels of one event that count, since some wheels report jumps
+const TRACKPAD_PINCH = 4; // times the wheel's zoom: browsers report a pinch as a slow wheel with Ctrl
 const GLOW_SIZE = 8; // pixels
+const MIDDLE_BUTTON = 1; // as MouseEvent.button counts
+const RIGHT_BUTTON = 2;
 const SHARP_FROM = 3; // zoom from which pixels are shown as squares
 
 export class Viewer extends EventTarget {
@@ -20,17 +26,18 @@ export class Viewer extends EventTarget {
   width = 0;
   height = 0;
   scale = 1;
-  left = 0; // position of the picture's corner, css pixels
+  left = 0; // position of the picture's corner in the container, css pixels
   top = 0;
   mirrored = false; // whether left and right of the picture are exchanged on the screen
   isLoupe = false; // whether the loupe is being drawn
   look = look.control();
   _layers = [];
-  _pointers = new Map();
-  _taken = null; // id of the pointer that the tool has
-  _fitted = true;
-  _space = false;
-  _scaled = null; // {canvas, what, at}: the scaled picture, cached
+  _pointers = new Map(); // pointers that are down: id -> [x, y] on the page
+  _toolPointer = null; // id of the pointer that the tool handles
+  showsWhole = true; // whether the whole picture is shown, and stays so when the size of the container changes
+  _spaceIsDown = false; // then a drag pans whatever the tool is
+  _offsetBefore = null; // position of the container in the canvas when it was last resized
+  _scaled = null; // {canvas, settings, corner}: the scaled picture, cached
   _glow = h("div.viewer-glow"); // shows a tiny copy of the picture, as tones around it
   _zoomText = h("span.number", { "aria-hidden": "true" }, "100 %");
   redraw = perFrame(() => this._draw());
@@ -44,69 +51,84 @@ export class Viewer extends EventTarget {
       onpointerup: (event) => this._end(event, "up"), onpointercancel: (event) => this._end(event, "cancel"),
       onpointerleave: (event) => this._pointers.size || this.tool?.leave?.(event),
       onwheel: (event) => this._wheel(event), oncontextmenu: (event) => event.preventDefault(),
-      onkeydown: (event) => this._hold(event, "grab"), onkeyup: (event) => this._hold(event, ""),
-      onblur: () => { this._space = false; },
+      onkeydown: (event) => this._spaceKey(event, true), onkeyup: (event) => this._spaceKey(event, false),
+      onblur: () => { this._spaceIsDown = false; },
     });
     container.classList.add("viewer");
-    const tool = (label, icon, shortcut, onclick) =>
-      button(label, { icon, shortcut, onclick, iconOnly: true, kind: "ghost", small: true });
-    this._turnBack = button("Mirrored", {
-      small: true, pressed: true, hidden: true, shortcut: "F", testid: "mirrored-view", title: "The picture is shown mirrored: show it as it is",
-      onclick: () => this.dispatchEvent(new Event("unmirror")),
-    });
-    container.append(this._glow, this.canvas, h("div.viewer-zoom", { role: "group", "aria-label": "View" }, this._turnBack,
-      tool("Zoom out", "minus", "-", () => this.zoomBy(1 / 1.3)), this._zoomText,
-      tool("Zoom in", "plus", "+", () => this.zoomBy(1.3)), tool("Whole picture", "fit", "0", () => this.fit()),
-      this.look));
+    container.append(this._glow, this.canvas, this._viewButtons());
     look.addEventListener("change", () => this.redraw());
     const watch = new ResizeObserver(() => this._resize());
     for (const element of [container, this.canvas]) watch.observe(element);
     this._resize();
   }
 
+  _viewButtons() {
+    const tool = (label, icon, shortcut, onclick) =>
+      button(label, { icon, shortcut, onclick, iconOnly: true, kind: "ghost", small: true });
+    this._unmirrorButton = button("Mirrored", {
+      small: true, pressed: true, hidden: true, shortcut: "F", testid: "mirrored-view", title: "The picture is shown mirrored: show it as it is",
+      onclick: () => this.dispatchEvent(new Event("unmirror")),
+    });
+    return h("div.viewer-zoom", { role: "group", "aria-label": "View" },
+      this._unmirrorButton,
+      tool("Zoom out", "minus", "-", () => this.zoomBy(1 / ZOOM_STEP)),
+      this._zoomText,
+      tool("Zoom in", "plus", "+", () => this.zoomBy(ZOOM_STEP)),
+      tool("Whole picture", "fit", "0", () => this.fit()),
+      this.look);
+  }
+
   /** Show a picture; width and height are those of landmark coordinates, the source may have any resolution. Tiles are
-   *  drawn over it. @param {any} source; @param {import("./tiles.js").Tiles | null} tiles */
+   *  drawn over it. The view stays if the size does. @param {any} source; @param {import("./tiles.js").Tiles | null} tiles */
   setPicture(source, width = 0, height = 0, tiles = null) {
-    const same = width === this.width && height === this.height;
-    if (same && source === this.source && tiles === this.tiles) return;
+    const sameSize = width === this.width && height === this.height;
+    if (sameSize && source === this.source && tiles === this.tiles) return;
     this.source = source;
     this.tiles?.removeEventListener("ready", this.redraw);
     this.tiles = tiles;
     tiles?.addEventListener("ready", this.redraw);
     this.width = width;
     this.height = height;
-    if (!same) this.fit();
+    if (!sameSize) this.fit();
     this.redraw();
   }
 
-  /** Show a part of the picture, [left, top, right, bottom], as large as it fits with a margin (css pixels). */
-  fitTo(/** @type {number[]} */ [left, top, right, bottom], margin, fitted = false) {
-    const { w, h } = this._size();
-    this.scale = Math.min((w - 2 * margin) / (right - left), (h - 2 * margin) / (bottom - top), LARGEST);
+  /** Show a part of the picture, [left, top, right, bottom] from its corner, as large as it fits with a margin (css
+   *  pixels). */
+  fitTo(box, margin) {
+    this.showsWhole = false;
+    this._frame(box, margin);
+  }
+
+  /** Show the whole picture. */
+  fit() {
+    const { clientWidth, clientHeight } = this.container;
+    const margin = Math.min(14, 0.03 * Math.min(clientWidth, clientHeight));
+    this.showsWhole = true;
+    if (this.width && clientWidth && clientHeight) this._frame([0, 0, this.width, this.height], margin);
+  }
+
+  _frame(/** @type {number[]} */ [left, top, right, bottom], margin) {
+    const { clientWidth, clientHeight } = this.container;
+    this.scale = Math.min((clientWidth - 2 * margin) / (right - left), (clientHeight - 2 * margin) / (bottom - top), LARGEST);
     const middle = (left + right) / 2;
-    this.left = w / 2 - this.scale * (this.mirrored ? this.width - middle : middle);
-    this.top = h / 2 - (this.scale * (top + bottom)) / 2;
-    this._fitted = fitted;
+    this.left = clientWidth / 2 - this.scale * (this.mirrored ? this.width - middle : middle);
+    this.top = clientHeight / 2 - (this.scale * (top + bottom)) / 2;
     this._changed();
   }
 
-  fit() {
-    const { w, h } = this._size();
-    this._fitted = true;
-    if (this.width && w && h) this.fitTo([0, 0, this.width, this.height], Math.min(14, 0.03 * Math.min(w, h)), true);
-  }
-
+  /** Zoom; the place `at` of the container, or else its middle, keeps what it shows. */
   zoomBy(factor, at = null) {
     if (!this.width) return;
-    const { w, h } = this._size();
-    const [cx, cy] = at ?? [w / 2, h / 2];
-    const least = 0.25 * Math.min(w / this.width, h / this.height, 1);
-    const scale = Math.min(Math.max(this.scale * factor, least), LARGEST);
+    const { clientWidth, clientHeight } = this.container;
+    const [x, y] = at ?? [clientWidth / 2, clientHeight / 2];
+    const scaleOfWhole = Math.min(clientWidth / this.width, clientHeight / this.height, 1);
+    const scale = Math.min(Math.max(this.scale * factor, scaleOfWhole / 4), LARGEST);
     const ratio = scale / this.scale;
-    this.left = cx - ratio * (cx - this.left);
-    this.top = cy - ratio * (cy - this.top);
+    this.left = x - ratio * (x - this.left);
+    this.top = y - ratio * (y - this.top);
     this.scale = scale;
-    this._fitted = false;
+    this.showsWhole = false;
     this._changed();
   }
 
@@ -115,7 +137,7 @@ export class Viewer extends EventTarget {
     const { left, top } = this;
     this.left += dx;
     this.top += dy;
-    this._fitted = false;
+    this.showsWhole = false;
     this._changed();
     return [this.left - left, this.top - top];
   }
@@ -123,35 +145,38 @@ export class Viewer extends EventTarget {
   /** Set the view to that of another viewer with a picture of the same size, without the event "view". */
   setView(view) {
     Object.assign(this, view);
-    this._changed(true);
+    this._show();
   }
 
   get view() {
-    const { scale, left, top, _fitted } = this;
-    return { scale, left, top, _fitted };
+    const { scale, left, top, showsWhole } = this;
+    return { scale, left, top, showsWhole };
   }
 
   /** Show the picture mirrored, or as it is. Only what is seen changes, not the coordinates of points. */
   mirror(on) {
     if (on === this.mirrored) return;
     this.mirrored = on;
-    this._turnBack.hidden = !on;
+    this._unmirrorButton.hidden = !on;
     this._changed();
   }
 
-  /** How far a point is from the picture's left border on the screen, in pixels of the picture. */
-  _across(x) { return this.mirrored ? this.width - x - 0.5 : x + 0.5; }
+  /** How far a point is from the border that is on the left of the screen, in pixels of the picture. */
+  _fromLeft(x) { return this.mirrored ? this.width - x - 0.5 : x + 0.5; }
 
-  toScreen([x, y]) { return [this.left + this.scale * this._across(x), this.top + this.scale * (y + 0.5)]; }
+  /** Screen coordinates of a landmark. */
+  toScreen([x, y]) { return [this.left + this.scale * this._fromLeft(x), this.top + this.scale * (y + 0.5)]; }
 
-  /** The corner of the picture with which a point is at a place of the screen, at a scale. */
-  cornerFor([x, y], [cx, cy], scale) { return { left: cx - scale * this._across(x), top: cy - scale * (y + 0.5) }; }
+  /** Position {left, top} of the picture's corner that puts a landmark at a place of the screen, at a scale. */
+  cornerFor([x, y], [screenX, screenY], scale) {
+    return { left: screenX - scale * this._fromLeft(x), top: screenY - scale * (y + 0.5) };
+  }
 
-  /** Picture coordinates of an event or of [cx, cy] on the screen. */
+  /** Landmark coordinates of an event or of a place [x, y] of the screen. */
   toImage(place) {
-    const [cx, cy] = Array.isArray(place) ? place : this.place(place);
-    const across = (cx - this.left) / this.scale;
-    return [(this.mirrored ? this.width - across : across) - 0.5, (cy - this.top) / this.scale - 0.5];
+    const [screenX, screenY] = Array.isArray(place) ? place : this.place(place);
+    const fromLeft = (screenX - this.left) / this.scale;
+    return [(this.mirrored ? this.width - fromLeft : fromLeft) - 0.5, (screenY - this.top) / this.scale - 0.5];
   }
 
   /** Position of an event on the screen, css pixels. */
@@ -167,6 +192,7 @@ export class Viewer extends EventTarget {
     return [left + x, top + y];
   }
 
+  /** Draw draw(context, viewer) over the picture, after the layers that were added before. */
   addLayer(draw) {
     this._layers.push(draw);
     this.redraw();
@@ -175,7 +201,10 @@ export class Viewer extends EventTarget {
   key(event) {
     if (event.ctrlKey || event.metaKey || event.altKey) return false;
     return runKey(event, {
-      "+": () => this.zoomBy(1.3), "=": () => this.zoomBy(1.3), "-": () => this.zoomBy(1 / 1.3), 0: () => this.fit(),
+      "+": () => this.zoomBy(ZOOM_STEP),
+      "=": () => this.zoomBy(ZOOM_STEP), // "+" without Shift on many keyboards
+      "-": () => this.zoomBy(1 / ZOOM_STEP),
+      0: () => this.fit(),
       a: () => {
         this.look.open = !this.look.open;
         (this.look.open ? this.look.querySelector("input") : this.canvas).focus();
@@ -183,42 +212,53 @@ export class Viewer extends EventTarget {
     });
   }
 
-  /** Size of the area that no panel covers, css pixels. */
-  _size() { return { w: this.container.clientWidth, h: this.container.clientHeight }; }
-
-  /** Position of that area in the canvas. */
+  /** Position of the container in the canvas, css pixels. */
   _offset() {
-    const [outer, inner] = [this.canvas, this.container].map((element) => element.getBoundingClientRect());
-    return [inner.left - outer.left, inner.top - outer.top];
+    const canvas = this.canvas.getBoundingClientRect();
+    const container = this.container.getBoundingClientRect();
+    return [container.left - canvas.left, container.top - canvas.top];
   }
 
   _resize() {
-    const { canvas } = this;
+    const { canvas, container } = this;
+    if (!container.clientWidth || !container.clientHeight) return;
     const ratio = window.devicePixelRatio || 1;
-    const { w, h } = this._size();
-    if (!w || !h) return;
-    const [width, height] = [canvas.clientWidth, canvas.clientHeight].map((size) => Math.round(size * ratio));
+    const width = Math.round(canvas.clientWidth * ratio);
+    const height = Math.round(canvas.clientHeight * ratio);
     // Setting the size of a canvas clears it.
     if (canvas.width !== width || canvas.height !== height) Object.assign(canvas, { width, height });
-    const [x, y] = this._offset();
-    const [dx, dy] = this._at ? [this._at[0] - x, this._at[1] - y] : [0, 0];
-    this._at = [x, y];
-    if (this._fitted) this.fit();
-    else if (dx || dy) { // a panel has moved, but not what the user looks at
-      const moved = this.panBy(dx, dy);
-      this._at = [x + dx - moved[0], y + dy - moved[1]]; // what rounding has left is for the next time
-    }
+    this._keepInPlace();
     // Draw at once, because a resized canvas is blank.
     this._draw();
   }
 
-  _changed(silent = false) {
+  /** After a change of the container: keep the whole picture whole, or else keep on the page what the user looks at,
+   *  although a panel has moved the container. */
+  _keepInPlace() {
+    const offset = this._offset();
+    const before = this._offsetBefore ?? offset;
+    this._offsetBefore = offset;
+    if (this.showsWhole) return this.fit();
+    const dx = before[0] - offset[0];
+    const dy = before[1] - offset[1];
+    if (dx === 0 && dy === 0) return;
+    const [pannedX, pannedY] = this.panBy(dx, dy);
+    this._offsetBefore = [offset[0] + dx - pannedX, offset[1] + dy - pannedY]; // what rounding has left is for the next time
+  }
+
+  /** Show another view, and say so by the event "view". */
+  _changed() {
+    this._show();
+    this.dispatchEvent(new Event("view"));
+  }
+
+  _show() {
     const ratio = window.devicePixelRatio || 1;
-    // On the grid of pixels, so that panning can reuse what is drawn.
-    for (const side of ["left", "top"]) this[side] = Math.round(this[side] * ratio) / ratio;
+    // On the grid of the screen's pixels, so that panning can reuse what is drawn.
+    this.left = Math.round(this.left * ratio) / ratio;
+    this.top = Math.round(this.top * ratio) / ratio;
     this._zoomText.textContent = `${Math.round(100 * this.scale)} %`;
     this.redraw();
-    if (!silent) this.dispatchEvent(new Event("view"));
   }
 
   _draw() {
@@ -226,15 +266,20 @@ export class Viewer extends EventTarget {
     // In a hidden tab, or under the wall; drawn when it is shown again and resized.
     if (!this.container.clientWidth || !canvas.width || !canvas.clientWidth) return;
     const ctx = canvas.getContext("2d");
-    const ratio = canvas.width / (canvas.clientWidth || 1);
-    const [x, y] = this._offset();
+    const ratio = canvas.width / canvas.clientWidth; // pixels of the canvas per css pixel
+    const offset = this._offset();
     ctx.setTransform(1, 0, 0, 1, 0, 0);
     ctx.clearRect(0, 0, canvas.width, canvas.height);
     if (!("filter" in ctx)) canvas.style.filter = look.filter; // in Safari: changes the points, too
-    if (this.source && this.width) ctx.drawImage(this._scaledTo(canvas, ratio, x, y), 0, 0);
-    else this._showGlow(this._scaled = null);
-    ctx.setTransform(ratio, 0, 0, ratio, ratio * x, ratio * y);
+    if (this.source && this.width) ctx.drawImage(this._scaledPicture(ratio, offset), 0, 0);
+    else this._forgetPicture();
+    toContainer(ctx, ratio, offset);
     this._drawLayers(ctx);
+  }
+
+  _forgetPicture() {
+    this._scaled = null;
+    this._glow.hidden = true;
   }
 
   _drawLayers(ctx) {
@@ -248,7 +293,7 @@ export class Viewer extends EventTarget {
   _drawPicture(ctx) {
     ctx.save();
     if (this.mirrored) {
-      ctx.translate(2 * this.left + this.scale * this.width, 0);
+      ctx.translate(2 * this.left + this.scale * this.width, 0); // mirrored at the middle of the picture
       ctx.scale(-1, 1);
     }
     ctx.filter = look.filter;
@@ -269,40 +314,47 @@ export class Viewer extends EventTarget {
     Object.assign(this, before, { isLoupe: false });
   }
 
-  /** The scaled picture on a canvas of the same size. It is cached, because scaling takes longer than other drawing. */
-  _scaledTo({ width, height }, ratio, x, y) {
-    const { source } = this;
-    const what = [source, this.mirrored, this.tiles?.version, this.scale, this.width, this.height, ratio, width, height, look.values];
-    const at = [this.left + x, this.top + y].map((v) => v * ratio);
-    const before = this._scaled;
-    const moved = what.every((value, i) => value === before?.what[i]) && at.map((v, i) => v - before.at[i]);
-    if (moved && !moved[0] && !moved[1]) return before.canvas;
-    const canvas = before?.canvas ?? document.createElement("canvas");
+  /** The scaled picture on a canvas of the same size. It is cached, because scaling takes longer than other drawing.
+   *  After a pan by whole pixels, only the strips that came into view are drawn. */
+  _scaledPicture(ratio, offset) {
+    const { width, height } = this.canvas;
+    const settings = [
+      this.source, this.mirrored, this.tiles?.version, this.scale, this.width, this.height, ratio, width, height, look.values,
+    ];
+    const corner = [ratio * (this.left + offset[0]), ratio * (this.top + offset[1])]; // of the picture, pixels of the canvas
+    const cached = this._scaled;
+    const isUsable = cached !== null && settings.every((value, i) => value === cached.settings[i]);
+    const pan = isUsable ? [corner[0] - cached.corner[0], corner[1] - cached.corner[1]] : null;
+    if (pan?.every((by) => by === 0)) return cached.canvas;
+
+    const canvas = cached?.canvas ?? document.createElement("canvas");
     const ctx = canvas.getContext("2d");
-    const isShift = moved && moved.every((v) => Math.abs(v - Math.round(v)) < 1e-6);
-    if (!isShift) Object.assign(canvas, { width, height }); // also clears it
-    const whole = [[0, 0, width, height]];
-    for (const [left, top, across, down] of isShift ? shifted(ctx, moved.map(Math.round)) : whole) {
-      ctx.save();
-      ctx.beginPath();
-      ctx.rect(left, top, across, down);
-      ctx.clip();
-      ctx.clearRect(left, top, across, down); // strips overlap, and pictures may be transparent
-      ctx.setTransform(ratio, 0, 0, ratio, ratio * x, ratio * y);
-      this._drawPicture(ctx);
-      ctx.restore();
-    }
-    this._scaled = { canvas, what, at };
-    this._showGlow(canvas, [at[0], at[1], ratio * this.scale * this.width, ratio * this.scale * this.height]);
+    let parts = [[0, 0, width, height]];
+    if (pan?.every(isWhole)) parts = shifted(ctx, Math.round(pan[0]), Math.round(pan[1]));
+    else Object.assign(canvas, { width, height }); // also clears it
+    for (const part of parts) this._drawPart(ctx, part, ratio, offset);
+    this._scaled = { canvas, settings, corner };
+    this._showGlow(canvas, [...corner, ratio * this.scale * this.width, ratio * this.scale * this.height]);
     return canvas;
   }
 
-  /** Show the tones of the picture, which is at `box` of a canvas, around it. */
-  _showGlow(canvas, /** @type {number[]} */ [left, top, width, height] = []) {
-    this._glow.hidden = !canvas;
-    if (!canvas) return;
-    const isWhole = left >= 0 && top >= 0 && left + width <= canvas.width && top + height <= canvas.height;
-    if (this._glowOf === this.source || !isWhole) return;
+  /** Draw the picture anew in a part [x, y, width, height] of a canvas. */
+  _drawPart(ctx, /** @type {number[]} */ [x, y, width, height], ratio, offset) {
+    ctx.save();
+    ctx.beginPath();
+    ctx.rect(x, y, width, height);
+    ctx.clip();
+    ctx.clearRect(x, y, width, height); // strips overlap, and pictures may be transparent
+    toContainer(ctx, ratio, offset);
+    this._drawPicture(ctx);
+    ctx.restore();
+  }
+
+  /** Show the tones of the picture, which is at [left, top, width, height] of a canvas, around it. */
+  _showGlow(canvas, /** @type {number[]} */ [left, top, width, height]) {
+    this._glow.hidden = false;
+    const isInside = left >= 0 && top >= 0 && left + width <= canvas.width && top + height <= canvas.height;
+    if (this._glowOf === this.source || !isInside) return;
     this._glowOf = this.source;
     const tiny = Object.assign(document.createElement("canvas"), { width: GLOW_SIZE, height: GLOW_SIZE });
     tiny.getContext("2d").drawImage(canvas, left, top, width, height, 0, 0, GLOW_SIZE, GLOW_SIZE);
@@ -313,15 +365,17 @@ export class Viewer extends EventTarget {
 
   _wheel(event) {
     event.preventDefault();
-    const step = event.deltaMode === 1 ? 16 * event.deltaY : event.deltaY;
-    this.zoomBy(Math.exp(-EASE * Math.max(-300, Math.min(300, step)) * (event.ctrlKey ? 4 : 1)), this.place(event));
+    const pixels = event.deltaMode === WheelEvent.DOM_DELTA_LINE ? WHEEL_LINE * event.deltaY : event.deltaY;
+    const clipped = Math.max(-WHEEL_MOST, Math.min(WHEEL_MOST, pixels));
+    const speed = event.ctrlKey ? TRACKPAD_PINCH * WHEEL_ZOOM : WHEEL_ZOOM;
+    this.zoomBy(Math.exp(-speed * clipped), this.place(event));
   }
 
-  _hold(event, cursor) {
+  _spaceKey(event, isDown) {
     if (event.key !== " ") return;
     event.preventDefault();
-    this._space = cursor !== "";
-    this._cursor = cursor;
+    this._spaceIsDown = isDown;
+    this._cursor = isDown ? "grab" : "";
   }
 
   set _cursor(cursor) { this.canvas.style.cursor = cursor; }
@@ -331,60 +385,77 @@ export class Viewer extends EventTarget {
     this._pointers.set(event.pointerId, [event.clientX, event.clientY]);
     attempt(() => this.canvas.setPointerCapture(event.pointerId)); // it may have been released already
     if (this._pointers.size === 2) { // a second finger ends the tool's gesture
-      if (this._taken != null) this.tool?.cancel?.(event);
-      this._taken = null;
+      if (this._toolPointer !== null) this.tool?.cancel?.(event);
+      this._toolPointer = null;
       return;
     }
-    const mine = this._space || event.button === 1 || event.button === 2;
-    const isFirst = !mine && this._pointers.size === 1;
-    if (isFirst && this.tool?.down?.(event, this.toImage(event))) this._taken = event.pointerId;
-    else this._cursor = "grabbing";
     event.preventDefault();
+    const pans = this._spaceIsDown || event.button === MIDDLE_BUTTON || event.button === RIGHT_BUTTON;
+    const mayEdit = !pans && this._pointers.size === 1;
+    if (mayEdit && this.tool?.down?.(event, this.toImage(event))) this._toolPointer = event.pointerId;
+    else this._cursor = "grabbing";
   }
 
   _move(event) {
     const before = this._pointers.get(event.pointerId);
-    if (!before) {
-      this.tool?.hover?.(event, this.toImage(event));
-      this._cursor = this._space ? "grab" : this.tool?.cursor?.(event, this.toImage(event)) ?? "";
-      return;
-    }
-    if (this._taken === event.pointerId) return this.tool?.move?.(event, this.toImage(event));
+    if (!before) return this._hover(event);
+    if (this._toolPointer === event.pointerId) return this.tool?.move?.(event, this.toImage(event));
     const now = [event.clientX, event.clientY];
-    if (this._pointers.size === 2) this._pinch(event.pointerId, before, now);
-    else if (this._taken == null) {
+    if (this._pointers.size === 2) {
+      this._pinch(event.pointerId, before, now);
+      this._pointers.set(event.pointerId, now);
+    } else if (this._toolPointer === null) {
       const [dx, dy] = this.panBy(now[0] - before[0], now[1] - before[1]);
-      now.splice(0, 2, before[0] + dx, before[1] + dy);
+      this._pointers.set(event.pointerId, [before[0] + dx, before[1] + dy]); // what rounding has left is for the next move
     }
-    this._pointers.set(event.pointerId, now);
   }
 
+  /** A pointer moves that is not down. */
+  _hover(event) {
+    const point = this.toImage(event);
+    this.tool?.hover?.(event, point);
+    this._cursor = this._spaceIsDown ? "grab" : this.tool?.cursor?.(event, point) ?? "";
+  }
+
+  /** One of two fingers moves from a place of the page to another: pan with their middle, zoom with their distance. */
   _pinch(id, before, now) {
-    const other = [...this._pointers].find(([key]) => key !== id)[1];
-    const box = this.canvas.getBoundingClientRect();
-    const apart = (a) => Math.hypot(a[0] - other[0], a[1] - other[1]) || 1;
-    const middle = (a) => [(a[0] + other[0]) / 2 - box.left, (a[1] + other[1]) / 2 - box.top];
-    const [from, to] = [middle(before), middle(now)];
+    const otherId = [...this._pointers.keys()].find((key) => key !== id);
+    const other = this._pointers.get(otherId);
+    const box = this.container.getBoundingClientRect();
+    const distanceFrom = (a) => Math.hypot(a[0] - other[0], a[1] - other[1]) || 1;
+    const middleOf = (a) => [(a[0] + other[0]) / 2 - box.left, (a[1] + other[1]) / 2 - box.top];
+    const from = middleOf(before);
+    const to = middleOf(now);
     this.panBy(to[0] - from[0], to[1] - from[1]);
-    this.zoomBy(apart(now) / apart(before), to);
+    this.zoomBy(distanceFrom(now) / distanceFrom(before), to);
   }
 
+  /** A pointer is released ("up"), or the browser takes it for something else ("cancel"). */
   _end(event, how) {
     if (!this._pointers.delete(event.pointerId)) return;
     this._cursor = "";
-    if (this._taken !== event.pointerId) return;
-    this._taken = null;
+    if (this._toolPointer !== event.pointerId) return;
+    this._toolPointer = null;
     this.tool?.[how]?.(event, this.toImage(event));
   }
 }
 
+/** Draw from now on in css pixels from the corner of the container, which is at `offset` of the canvas. */
+const toContainer = (ctx, ratio, offset) => ctx.setTransform(ratio, 0, 0, ratio, ratio * offset[0], ratio * offset[1]);
+
+const isWhole = (pixels) => Math.abs(pixels - Math.round(pixels)) < 1e-6; // the rest is rounding
+
 /** Move what is drawn by whole pixels; return the strips [x, y, width, height] that have become free. */
-function shifted(ctx, /** @type {number[]} */ [dx, dy]) {
+function shifted(ctx, dx, dy) {
   const { canvas } = ctx;
   const { width, height } = canvas;
   ctx.globalCompositeOperation = "copy";
   ctx.drawImage(canvas, dx, dy);
   ctx.globalCompositeOperation = "source-over";
-  const [across, down] = [Math.abs(dx), Math.abs(dy)];
-  return [[dx > 0 ? 0 : width - across, 0, across, height], [0, dy > 0 ? 0 : height - down, width, down]];
+  const across = Math.abs(dx);
+  const down = Math.abs(dy);
+  return [
+    [dx > 0 ? 0 : width - across, 0, across, height],
+    [0, dy > 0 ? 0 : height - down, width, down],
+  ];
 }
