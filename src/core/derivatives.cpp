@@ -103,18 +103,19 @@ struct ModeSums {
     }
 };
 
-// Adds J'A of a triangle to the rows of its vertices.
+// Adds J'A of a triangle, of the codes of the modes, to the rows of its vertices.
+template <class Lines>
 void add_triangle_modes(const Mesh& mesh, std::span<const std::int64_t> triangle, Range pixels, std::size_t k,
-                        Floats transposed_modes, const std::vector<float>& fours, Matrix& sums_of_all) {
+                        const Lines& lines, const std::vector<float>& fours, Matrix& sums_of_all) {
     const std::size_t width = sums_of_all.columns();
     for (std::size_t column = 0; column < width; column += kEight) {
         ModeSums sums;
         const float* four = fours.data();
-        const float* modes = transposed_modes.data() + pixels.begin * k * width + column;
+        std::size_t at = pixels.begin * k * width + column;
         for (std::size_t i = pixels.begin; i < pixels.end; ++i) {
             Eight x{}, y{};
-            for (std::size_t r = 0; r < k; ++r, four += 4, modes += width) {
-                const Eight own = load(modes);
+            for (std::size_t r = 0; r < k; ++r, four += 4, at += width) {
+                const Eight own = lines.at(at);
                 x += four[0] * own;
                 y += four[1] * own;
             }
@@ -129,8 +130,8 @@ void add_triangle_modes(const Mesh& mesh, std::span<const std::int64_t> triangle
     }
 }
 
-// E'J, E'r and E' times an angle column, for x and y of each vertex; and J'A, with the first column. Triangle by
-// triangle, so that what is summed stays in the cache.
+// E'J, E'r and E' times an angle column, for x and y of each vertex; and J'A, with the first column, of the codes of the
+// modes. Triangle by triangle, so that what is summed stays in the cache.
 void sum_by_vertex(const Objective& objective, const Samples& samples, const FittedAppearance& fitted, Floats of_j,
                    Floats of_e, std::size_t f, LinearisationRoom& room) {
     const Mesh& mesh = objective.model.mesh;
@@ -151,9 +152,10 @@ void sum_by_vertex(const Objective& objective, const Samples& samples, const Fit
         for (std::size_t i = pixels.begin; i < pixels.end; ++i, fours += 4 * k)
             pairs.add(mesh.beta[i].data(), pixel_products(fours, of_e.data() + 2 * i * k, k));
         add_triangle(mesh, mesh.triangles[t], pairs, room.by_vertex);
-        if (f == 0)
-            add_triangle_modes(mesh, mesh.triangles[t], pixels, k, samples.modes.transposed, room.fours,
-                               room.modes_by_vertex);
+        if (f > 0) continue;
+        with_lines(samples.modes, [&](const auto& lines) {
+            add_triangle_modes(mesh, mesh.triangles[t], pixels, k, lines, room.fours, room.modes_by_vertex);
+        });
     }
 }
 
@@ -175,13 +177,12 @@ void differentiate_angle(const Objective& objective, std::size_t f, const Sample
     }
     if (!objective.model.theta_1_is_free()) return;
     const auto along = static_cast<float>(by_model * std::cos(theta)), across = static_cast<float>(by_model * std::sin(theta));
-    const auto& parts = objective.model.mode_parts;
-    for (std::size_t j = 0; j < parts[0].n_rows; ++j) {
-        const float scale = j == 0 ? 1.0f : static_cast<float>(fitted.lam[j - 1]);
-        const float *by_cos = parts[1][j].data(), *by_sin = parts[2][j].data();
+    const auto& [mean, modes] = objective.model.appearance;
+    const float *by_cosine = mean[1].data(), *by_sine = mean[2].data();
 #pragma omp simd
-        for (std::size_t e = 0; e < out.size(); ++e) out[e] -= scale * (along * by_sin[e] - across * by_cos[e]);
-    }
+    for (std::size_t e = 0; e < out.size(); ++e) out[e] -= along * by_sine[e] - across * by_cosine[e];
+    add_modes({{modes.parts[1]}, modes.scales}, fitted.lam, across, out);
+    add_modes({{modes.parts[2]}, modes.scales}, fitted.lam, -along, out);
 }
 
 // Products of the angles' columns with each other, with the modes and with the residual.
@@ -190,7 +191,7 @@ void sum_angle_products(const Objective& objective, const Samples& samples, cons
     const std::size_t n_p = objective.n_p(), n_free = room.columns.size(), m = objective.m();
     room.mode_products.resize(m);
     for (std::size_t f = 0; f < n_free; ++f) {
-        multiply_modes(samples.modes.values, fitted.sqrt_weights, room.columns[f], room.block, room.mode_products);
+        multiply_modes(samples.modes, fitted.sqrt_weights, room.columns[f], room.mode_products);
         for (std::size_t j = 0; j < m; ++j) room.aj[j][n_p + f] = room.mode_products[j];
         for (std::size_t g = 0; g < n_free; ++g)
             room.equations.hessian[n_p + f][n_p + g] =
@@ -225,9 +226,8 @@ void begin_equations(const Objective& objective, NormalEquations& equations) {
 const std::vector<float>& expected_gradient(const Objective& objective, const Samples& samples, Doubles lam,
                                             LinearisationRoom& room) {
     std::vector<float>& own = room.appearance_gradients;
-    const auto mean = samples.modes.gradients[0];
-    own.assign(mean.begin(), mean.end());
-    add_modes(samples.modes.gradients, lam, 1.0, own);
+    own.assign(samples.mean_gradients.begin(), samples.mean_gradients.end());
+    add_modes(samples.mode_gradients, lam, 1.0, own);
     room.expected.resize(own.size());
     pull_gradients(objective.model.mesh, samples.vertices, own, room.expected);
     return room.expected;
@@ -256,7 +256,7 @@ void multiply_derivatives(const Objective& objective, const Samples& samples, co
     for (std::size_t i = 0; i < n_p; ++i) {
         room.equations.gradient[i] = room.carried[i][width];
         std::copy_n(room.carried[i], n_p, hessian[i]);
-        for (std::size_t j = 0; j < m; ++j) room.aj[j][i] = room.carried_modes[i][j];
+        for (std::size_t j = 0; j < m; ++j) room.aj[j][i] = samples.modes.scales[j] * room.carried_modes[i][j];
     }
     eliminate_appearance(fitted, room);
 }

@@ -34,7 +34,6 @@ struct LinearisationRoom {
     Matrix whitened, product;                 // L^-1 A'J, and its square
     std::vector<double> whitened_slope;       // L^-1 A'r
     std::vector<double> mode_products;
-    std::vector<float> block;
 };
 
 // Sets the expected Hessian to 0, until there is one.

@@ -8,6 +8,8 @@ namespace liaam {
 
 namespace {
 
+constexpr std::size_t kAhead = 8;  // pixels that are fetched before they are needed, which lie scattered in the image
+
 // P(theta_2) (eq 7 and 8) and its derivative.
 void set_metric(const Method& method, double theta_2, Samples& samples) {
     const auto c = static_cast<float>(std::cos(theta_2));
@@ -20,30 +22,55 @@ void set_metric(const Method& method, double theta_2, Samples& samples) {
     }
 }
 
-// Combines constant, cos and sin parts at an angle.
-void combine_parts(const std::array<MatrixView<const float>, 3>& parts, double theta, std::vector<float>& out) {
-    const auto c = static_cast<float>(std::cos(theta)), s = static_cast<float>(std::sin(theta));
-    const float *constant = parts[0].data, *by_cos = parts[1].data, *by_sin = parts[2].data;
-    out.resize(parts[0].n_rows * parts[0].n_columns);
+// The mean at theta_1, from its constant, cos and sin part where that is free.
+Floats mean_at(const MatrixView<const float>& parts, double theta_1, std::vector<float>& room) {
+    if (parts.n_rows == 1) return parts[0];
+    const auto c = static_cast<float>(std::cos(theta_1)), s = static_cast<float>(std::sin(theta_1));
+    const float *constant = parts[0].data(), *by_cosine = parts[1].data(), *by_sine = parts[2].data();
+    room.resize(parts.n_columns);
 #pragma omp simd
-    for (std::size_t i = 0; i < out.size(); ++i) out[i] = constant[i] + c * by_cos[i] + s * by_sin[i];
+    for (std::size_t e = 0; e < room.size(); ++e) room[e] = constant[e] + c * by_cosine[e] + s * by_sine[e];
+    return room;
 }
 
-// Mean, modes and their gradients, projected by P(theta_1); those of the model where theta_1 is fixed.
-Modes modes_at(const Objective& objective, double theta_1, SamplingRoom& room) {
-    const Model& model = objective.model;
-    if (!model.theta_1_is_free()) return model.modes;
-    const std::size_t width = objective.width(), n_rows = model.modes.values.n_rows;
-    const std::size_t n_columns = model.modes.values.n_columns;
-    combine_parts(model.mode_parts, theta_1, room.modes);
-    combine_parts(model.gradient_parts, theta_1, room.mode_gradients);
-    room.transposed_modes.assign(width * n_columns, 0.0f);
-    for (std::size_t e = 0; e < n_columns; ++e)
-        for (std::size_t j = 1; j < n_rows; ++j) room.transposed_modes[e * width + j - 1] = room.modes[j * n_columns + e];
-    return {{room.modes.data(), n_rows, n_columns},
-            room.transposed_modes,
-            {room.mode_gradients.data(), n_rows, model.modes.gradients.n_columns}};
+Modes modes_at(Modes modes, double theta_1) {
+    modes.cosine = static_cast<float>(std::cos(theta_1));
+    modes.sine = static_cast<float>(std::sin(theta_1));
+    return modes;
 }
+
+// Mean, modes and their gradients, projected by P(theta_1).
+void set_appearance(const Model& model, double theta_1, SamplingRoom& room) {
+    Samples& samples = room.samples;
+    samples.mean = mean_at(model.appearance.mean, theta_1, room.mean);
+    samples.mean_gradients = mean_at(model.gradients.mean, theta_1, room.mean_gradients);
+    samples.modes = modes_at(model.appearance.modes, theta_1);
+    samples.mode_gradients = modes_at(model.gradients.modes, theta_1);
+}
+
+// Products with P(theta_2), all rows at once: the sum of its columns, each times a channel. The products of one row with
+// the channels would have to be summed across a vector.
+class Projection {
+  public:
+    Projection(const std::vector<float>& metric, std::size_t k) {
+        for (std::size_t c = 0; c < kChannels; ++c) {
+            float column[kEight]{};
+            for (std::size_t r = 0; r < k; ++r) column[r] = metric[kChannels * r + c];
+            if (std::any_of(column, column + k, [](float each) { return each != 0.0f; })) n_channels_ = c + 1;
+            columns_[c] = load(column);
+        }
+    }
+
+    Eight operator()(Eight channels) const {
+        Eight rows{};
+        for (std::size_t c = 0; c < n_channels_; ++c) rows += channels[c] * columns_[c];
+        return rows;
+    }
+
+  private:
+    Eight columns_[kChannels];
+    std::size_t n_channels_ = 0;
+};
 
 // Samples the image bilinearly, and projects samples and gradients by P(theta_2). The gradient is the derivative of the
 // interpolant, so that the Jacobian is that of the cost; on a line of pixels it is the one from the right or below.
@@ -53,13 +80,18 @@ void sample_image(const EncodedImage& image, const SamplePoints& points, std::si
     const std::size_t below = kChannels * image.width;
     const auto xx = static_cast<float>(image.from_model.xx), xy = static_cast<float>(image.from_model.xy);
     const auto yx = static_cast<float>(image.from_model.yx), yy = static_cast<float>(image.from_model.yy);
-    const float* metric = samples.metric.data();
+    const Projection project(samples.metric, k);
     samples.values.resize(kChannels * n);
     samples.projected.resize(k * n);
     samples.gradients.resize(2 * k * n);
     samples.usable.resize(n);
     for (std::size_t i = 0; i < n; ++i) {
         const float* at = pixels + kChannels * points.corner[i];
+        const float* next = pixels + kChannels * points.corner[std::min(i + kAhead, n - 1)];
+        prefetch(next);
+        prefetch(next + 2 * kChannels - 1);
+        prefetch(next + below);
+        prefetch(next + below + 2 * kChannels - 1);
         const float u = points.across[i], v = points.down[i], keep = points.inside[i];
         const Eight c00 = load(at), c10 = load(at + kChannels);
         const Eight c01 = load(at + below), c11 = load(at + below + kChannels);
@@ -69,13 +101,14 @@ void sample_image(const EncodedImage& image, const SamplePoints& points, std::si
         store(samples.values.data() + kChannels * i, value);
         const bool usable = c00[7] > 0.0f && c10[7] > 0.0f && c01[7] > 0.0f && c11[7] > 0.0f;
         samples.usable[i] = usable ? keep : 0.0f;
-        const Eight by_x = xx * by_column + yx * by_row, by_y = xy * by_column + yy * by_row;
+        const Eight of_value = project(value);
+        const Eight by_x = project(xx * by_column + yx * by_row), by_y = project(xy * by_column + yy * by_row);
+        float* projected = samples.projected.data() + i * k;
+        float* gradients = samples.gradients.data() + 2 * i * k;
         for (std::size_t r = 0; r < k; ++r) {
-            const Eight row = load(metric + kChannels * r);
-            const std::size_t e = i * k + r;
-            samples.projected[e] = sum(row * value);
-            samples.gradients[2 * e] = sum(row * by_x);
-            samples.gradients[2 * e + 1] = sum(row * by_y);
+            projected[r] = of_value[r];
+            gradients[2 * r] = by_x[r];
+            gradients[2 * r + 1] = by_y[r];
         }
     }
 }
@@ -86,7 +119,7 @@ const Samples& sample(const Objective& objective, const EncodedImage& image, con
     Samples& samples = room.samples;
     samples.angles = state.angles;
     set_metric(objective.method, state.angles[1], samples);
-    samples.modes = modes_at(objective, state.angles[0], room);
+    set_appearance(objective.model, state.angles[0], room);
     vertices_at(objective.model.mesh, state.p, samples.vertices);
     warp_pixels(objective.model.mesh, samples.vertices, image.from_model, image.width, image.height, room.points);
     sample_image(image, room.points, objective.k(), samples);
