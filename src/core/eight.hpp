@@ -137,12 +137,21 @@ inline float sum(Eight a) {
 
 // The sums of each of eight.
 inline Eight sums_of(const Eight (&rows)[kEight]) {
-    float columns[kEight * kEight];
-    for (std::size_t i = 0; i < kEight; ++i) store(columns + i * kEight, rows[i]);
-    transpose(columns, kEight, columns);
-    Eight total = load(columns);
-    for (std::size_t i = 1; i < kEight; ++i) total += load(columns + i * kEight);
+#if defined(__GNUC__) || defined(__clang__)
+    Eight twos[4], fours[2];
+    for (std::size_t i = 0; i < 4; ++i)
+        twos[i] = __builtin_shufflevector(rows[2 * i], rows[2 * i + 1], 0, 2, 8, 10, 4, 6, 12, 14) +
+                  __builtin_shufflevector(rows[2 * i], rows[2 * i + 1], 1, 3, 9, 11, 5, 7, 13, 15);
+    for (std::size_t i = 0; i < 2; ++i)
+        fours[i] = __builtin_shufflevector(twos[2 * i], twos[2 * i + 1], 0, 2, 8, 10, 4, 6, 12, 14) +
+                   __builtin_shufflevector(twos[2 * i], twos[2 * i + 1], 1, 3, 9, 11, 5, 7, 13, 15);
+    return __builtin_shufflevector(fours[0], fours[1], 0, 1, 2, 3, 8, 9, 10, 11) +
+           __builtin_shufflevector(fours[0], fours[1], 4, 5, 6, 7, 12, 13, 14, 15);
+#else
+    Eight total{};
+    for (std::size_t i = 0; i < kEight; ++i) total.lane[i] = sum(rows[i]);
     return total;
+#endif
 }
 
 }  // namespace liaam

@@ -48,30 +48,6 @@ void set_appearance(const Model& model, double theta_1, SamplingRoom& room) {
     samples.mode_gradients = modes_at(model.gradients.modes, theta_1);
 }
 
-// Products with P(theta_2), all rows at once: the sum of its columns, each times a channel. The products of one row with
-// the channels would have to be summed across a vector.
-class Projection {
-  public:
-    Projection(const std::vector<float>& metric, std::size_t k) {
-        for (std::size_t c = 0; c < kChannels; ++c) {
-            float column[kEight]{};
-            for (std::size_t r = 0; r < k; ++r) column[r] = metric[kChannels * r + c];
-            if (std::any_of(column, column + k, [](float each) { return each != 0.0f; })) n_channels_ = c + 1;
-            columns_[c] = load(column);
-        }
-    }
-
-    Eight operator()(Eight channels) const {
-        Eight rows{};
-        for (std::size_t c = 0; c < n_channels_; ++c) rows += channels[c] * columns_[c];
-        return rows;
-    }
-
-  private:
-    Eight columns_[kChannels];
-    std::size_t n_channels_ = 0;
-};
-
 // Samples the image bilinearly, and projects samples and gradients by P(theta_2). The gradient is the derivative of the
 // interpolant, so that the Jacobian is that of the cost; on a line of pixels it is the one from the right or below.
 void sample_image(const EncodedImage& image, const SamplePoints& points, std::size_t k, Samples& samples) {
@@ -80,7 +56,7 @@ void sample_image(const EncodedImage& image, const SamplePoints& points, std::si
     const std::size_t below = kChannels * image.width;
     const auto xx = static_cast<float>(image.from_model.xx), xy = static_cast<float>(image.from_model.xy);
     const auto yx = static_cast<float>(image.from_model.yx), yy = static_cast<float>(image.from_model.yy);
-    const Projection project(samples.metric, k);
+    const float* metric = samples.metric.data();
     samples.values.resize(kChannels * n);
     samples.projected.resize(k * n);
     samples.gradients.resize(2 * k * n);
@@ -101,14 +77,13 @@ void sample_image(const EncodedImage& image, const SamplePoints& points, std::si
         store(samples.values.data() + kChannels * i, value);
         const bool usable = c00[7] > 0.0f && c10[7] > 0.0f && c01[7] > 0.0f && c11[7] > 0.0f;
         samples.usable[i] = usable ? keep : 0.0f;
-        const Eight of_value = project(value);
-        const Eight by_x = project(xx * by_column + yx * by_row), by_y = project(xy * by_column + yy * by_row);
-        float* projected = samples.projected.data() + i * k;
-        float* gradients = samples.gradients.data() + 2 * i * k;
+        const Eight by_x = xx * by_column + yx * by_row, by_y = xy * by_column + yy * by_row;
         for (std::size_t r = 0; r < k; ++r) {
-            projected[r] = of_value[r];
-            gradients[2 * r] = by_x[r];
-            gradients[2 * r + 1] = by_y[r];
+            const Eight row = load(metric + kChannels * r);
+            const std::size_t e = i * k + r;
+            samples.projected[e] = sum(row * value);
+            samples.gradients[2 * e] = sum(row * by_x);
+            samples.gradients[2 * e + 1] = sum(row * by_y);
         }
     }
 }
