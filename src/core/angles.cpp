@@ -56,17 +56,17 @@ double best_image_angle(const Objective& objective, const EncodedImage& image, c
         const float* value = samples.values.data() + kChannels * i;
         columns[0][i] = value[0] - value[2];
         columns[1][i] = value[1] - value[2];
-        columns[2][i] = samples.modes.values[0][i];
+        columns[2][i] = samples.mean[i];
     }
     std::vector<float> block;
     Matrix gram(m, m), cross(m, 3);
-    weighted_gram(samples.modes.values, sqrt_weights, block, gram);
+    weighted_gram(samples.modes, sqrt_weights, block, gram);
     double largest = 1e-300;
     for (std::size_t j = 0; j < m; ++j) largest = std::max(largest, gram[j][j]);
     for (std::size_t j = 0; j < m; ++j) gram[j][j] += kRidge * largest;
     std::vector<double> products(m);
     for (std::size_t c = 0; c < 3; ++c) {
-        multiply_modes(samples.modes.values, sqrt_weights, columns[c], block, products);
+        multiply_modes(samples.modes, sqrt_weights, columns[c], products);
         for (std::size_t j = 0; j < m; ++j) cross[j][c] = products[j];
     }
     if (!cholesky(gram)) return state.angles[1];

@@ -9,17 +9,19 @@ namespace liaam {
 
 namespace {
 
+constexpr std::size_t kSummed = 2048;  // residuals that are summed in float32 before they are added in float64
+
 // Subtracts the appearance of a lambda (eq 4) from the samples.
 void subtract_appearance(const Samples& samples, Doubles lam, FittedAppearance& fitted) {
     fitted.lam.assign(lam.begin(), lam.end());
     fitted.residual.resize(samples.projected.size());
-    const float* mean = samples.modes.values[0].data();
+    const float* mean = samples.mean.data();
     const float* projected = samples.projected.data();
     float* residual = fitted.residual.data();
 #pragma omp simd
     for (std::size_t e = 0; e < fitted.residual.size(); ++e) residual[e] = projected[e] - mean[e];
     if (std::any_of(lam.begin(), lam.end(), [](double each) { return each != 0.0; }))
-        add_modes(samples.modes.values, lam, -1.0, fitted.residual);
+        add_modes(samples.modes, lam, -1.0, fitted.residual);
 }
 
 // The square root of the weights at the usable pixels; returns the number of the others.
@@ -34,12 +36,14 @@ std::size_t mask_weights(const Samples& samples, const Weights& weights, std::si
 }
 
 // Takes the products of unusable pixels out of A'A, whose lower triangle is given.
-void remove_hidden(const Objective& objective, const Samples& samples, const Weights& weights, Matrix& gram) {
-    const std::size_t k = objective.k(), width = objective.width(), m = objective.m();
+void remove_hidden(const Objective& objective, const Samples& samples, const Weights& weights, std::vector<float>& line,
+                   Matrix& gram) {
+    const std::size_t k = objective.k(), m = objective.m();
+    line.resize(objective.width());
     for (std::size_t i = 0; i < samples.usable.size(); ++i) {
         if (samples.usable[i] > 0.0f) continue;
         for (std::size_t e = i * k; e < (i + 1) * k; ++e) {
-            const float* line = samples.modes.transposed.data() + e * width;
+            modes_at_residual(samples.modes, e, line);
             const double square = static_cast<double>(weights.sqrt_weights[e]) * weights.sqrt_weights[e];
             for (std::size_t a = 0; a < m; ++a) {
                 const double scale = square * line[a];
@@ -53,10 +57,10 @@ void remove_hidden(const Objective& objective, const Samples& samples, const Wei
 
 // The Cholesky factor of A'A plus the ridge, over the usable pixels.
 void factorise(const Objective& objective, const Samples& samples, const Weights& weights, std::size_t hidden,
-               Matrix& factor) {
+               std::vector<float>& line, Matrix& factor) {
     const Doubles ridge = objective.model.ridge;
     factor = weights.gram;
-    if (hidden) remove_hidden(objective, samples, weights, factor);
+    if (hidden) remove_hidden(objective, samples, weights, line, factor);
     for (std::size_t a = 0; a < ridge.size(); ++a) factor[a][a] += ridge[a];
     if (cholesky(factor)) return;
     factor.fill(0.0);  // not positive definite, by rounding: use the diagonal, for small steps of lambda
@@ -66,10 +70,10 @@ void factorise(const Objective& objective, const Samples& samples, const Weights
 
 // Subtracts the step of lambda from the residual, and sums the squares that are left and the weights.
 void subtract_modes(const Samples& samples, Doubles step, FittedAppearance& fitted) {
-    add_modes(samples.modes.values, step, -1.0, fitted.residual);
+    add_modes(samples.modes, step, -1.0, fitted.residual);
     fitted.squares = fitted.weight = 0.0;
-    for (std::size_t begin = 0; begin < fitted.residual.size(); begin += kBlock) {
-        const std::size_t size = std::min(kBlock, fitted.residual.size() - begin);
+    for (std::size_t begin = 0; begin < fitted.residual.size(); begin += kSummed) {
+        const std::size_t size = std::min(kSummed, fitted.residual.size() - begin);
         const float *left = fitted.residual.data() + begin, *own = fitted.sqrt_weights.data() + begin;
         float squares = 0.0f, weight = 0.0f;
 #pragma omp simd reduction(+ : squares, weight)
@@ -88,9 +92,9 @@ const FittedAppearance& solve_appearance(const Objective& objective, const Sampl
                                          bool solves, AppearanceRoom& room) {
     FittedAppearance& fitted = room.fitted;
     const std::size_t hidden = mask_weights(samples, weights, objective.k(), fitted.sqrt_weights);
-    factorise(objective, samples, weights, hidden, fitted.factor);
+    factorise(objective, samples, weights, hidden, room.line, fitted.factor);
     fitted.slope.resize(objective.m());
-    multiply_modes(samples.modes.values, fitted.sqrt_weights, fitted.residual, room.block, fitted.slope);
+    multiply_modes(samples.modes, fitted.sqrt_weights, fitted.residual, fitted.slope);
     for (std::size_t j = 0; j < fitted.lam.size(); ++j) fitted.slope[j] -= objective.model.ridge[j] * fitted.lam[j];
     room.step.assign(objective.m(), 0.0);
     if (solves) {

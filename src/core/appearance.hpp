@@ -20,7 +20,7 @@ struct FittedAppearance {
 struct AppearanceRoom {
     FittedAppearance fitted;
     std::vector<double> step;
-    std::vector<float> block;
+    std::vector<float> line;  // the modes at a residual
 };
 
 // The appearance of the best lambda under the weights (eq 9 and 10). It is in the room until the next.

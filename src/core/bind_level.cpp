@@ -52,27 +52,28 @@ void check_mesh(const Mesh& mesh, std::size_t n_p) {
                 "a triangle names a vertex that does not exist");
 }
 
+// Mean and modes at a number of residuals, as constant part or as three parts.
+void check_modes(const MeanAndModes& given, std::size_t size, std::size_t m, const char* fault) {
+    const bool free = given.mean.n_rows == 3;
+    require((free || given.mean.n_rows == 1) && given.mean.n_columns == size && given.modes.width() >= m, fault);
+    for (std::size_t i = 0; i < (free ? 3 : 1); ++i)
+        require(given.modes.parts[i].n_rows == size && given.modes.parts[i].n_columns == given.modes.width(), fault);
+    require(free || !given.modes.turn(), fault);
+}
+
 void check_objective(const Objective& objective) {
     const Model& model = objective.model;
     const std::size_t n = objective.n(), k = objective.k(), m = objective.m(), e = n * k;
     check_mesh(model.mesh, objective.n_p());
     require(n > 0 && k > 0 && k <= kChannels && objective.method.metric[0].size() == k * kChannels, "the metric is damaged");
-    require(model.modes.values.n_rows == m + 1 && model.modes.values.n_columns == e, "modes differ in size");
-    require(model.modes.transposed.size() == e * objective.width() && objective.width() >= m && objective.width() % 8 == 0,
-            "transposed modes differ in size");
-    require(model.modes.gradients.n_rows == m + 1 &&
-                (model.modes.gradients.n_columns == 2 * e || objective.method.step == StepKind::own),
-            "gradients of modes differ in size");
+    check_modes(model.appearance, e, m, "modes differ in size");
+    check_modes(model.gradients, objective.method.step == StepKind::own ? 0 : 2 * e, m, "gradients of modes differ in size");
+    require(model.gradients.mean.n_rows == model.appearance.mean.n_rows, "gradients of modes differ in size");
     require(model.sqrt_weights.size() == e && model.gram.n_rows == m && model.gram.n_columns == m &&
                 model.errors.size() == n,
             "weights or errors differ in size");
     require(objective.method.directions.n_rows == 2 && objective.method.n_free() <= 2, "there are at most two angles");
     require(objective.method.weighting != Weighting::rows || k >= 2, "weights by rows need the two rows of gradients");
-    for (const auto& parts : model.mode_parts)
-        require(!model.theta_1_is_free() || (parts.n_rows == m + 1 && parts.n_columns == e), "parts differ in size");
-    for (const auto& parts : model.gradient_parts)
-        require(!model.theta_1_is_free() || (parts.n_rows == m + 1 && parts.n_columns == model.modes.gradients.n_columns),
-                "parts differ in size");
 }
 
 std::unique_ptr<HeldObjective> make_objective(const nb::dict& given) {
@@ -82,11 +83,8 @@ std::unique_ptr<HeldObjective> make_objective(const nb::dict& given) {
     Method& method = held->objective.method;
     model.mesh = {fields.matrix<float>("beta"), fields.numbers<std::int64_t>("starts"), fields.matrix<std::int64_t>("triangles"),
                   fields.matrix<double>("rest"), fields.matrix<double>("basis"), fields.value<double>("movement")};
-    model.modes.values = fields.matrix<float>("modes");
-    model.modes.transposed = fields.numbers<float>("transposed_modes");
-    model.modes.gradients = fields.matrix<float>("mode_gradients");
-    model.mode_parts = fields.parts("mode_parts");
-    model.gradient_parts = fields.parts("mode_gradient_parts");
+    model.appearance = {fields.matrix<float>("mean"), fields.modes("modes", "mode_scales")};
+    model.gradients = {fields.matrix<float>("mean_gradients"), fields.modes("mode_gradients", "mode_gradient_scales")};
     model.sqrt_weights = fields.numbers<float>("sqrt_weights");
     model.gram = fields.matrix<double>("gram");
     model.ridge = fields.numbers<double>("ridge");
@@ -260,6 +258,18 @@ class Problem {
     Reached reached_ = Reached::nothing;
 };
 
+// The mean and the modes in float32, (1 + m, n k).
+std::vector<float> mean_and_modes(const Samples& samples, std::size_t m) {
+    const std::size_t size = samples.mean.size();
+    std::vector<float> all(samples.mean.begin(), samples.mean.end()), line(samples.modes.width());
+    all.resize((1 + m) * size);
+    for (std::size_t e = 0; e < size; ++e) {
+        modes_at_residual(samples.modes, e, line);
+        for (std::size_t j = 0; j < m; ++j) all[(1 + j) * size + e] = line[j];
+    }
+    return all;
+}
+
 nb::dict arrays_of(const Problem& problem) {
     const LevelRoom& room = problem.evaluated();
     const Samples& samples = room.sampling.samples;
@@ -268,13 +278,12 @@ nb::dict arrays_of(const Problem& problem) {
     const LinearisationRoom& linearisation = room.linearisation;
     const Objective& objective = problem.objective();
     const std::size_t n = objective.n(), k = objective.k();
-    const MatrixView<const float>& modes = samples.modes.values;
     nb::dict all;
     all["values"] = copied(samples.values, {n, kChannels});
     all["residual"] = copied(fitted.residual, {n * k});
     all["gradients"] = copied(samples.gradients, {n * k, 2});
     all["usable"] = copied(samples.usable, {n});
-    all["modes"] = owned(std::vector<float>(modes.data, modes.data + modes.n_rows * n * k), {modes.n_rows, n * k});
+    all["modes"] = owned(mean_and_modes(samples, objective.m()), {1 + objective.m(), n * k});
     all["metric"] = copied(samples.metric, {k, kChannels});
     all["base_sqrt_weights"] = copied(weights.base_sqrt_weights, {n * k});
     all["sqrt_weights"] = copied(weights.sqrt_weights, {n * k});

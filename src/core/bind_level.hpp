@@ -61,13 +61,16 @@ class Fields {
     liaam::MatrixView<const T> matrix(const char* name) {
         return view_of(array<T, 2>(name));
     }
-    std::array<liaam::MatrixView<const float>, 3> parts(const char* name) {
-        const auto all = array<float, 3>(name);
-        if (all.shape(0) == 0) return {};
-        const std::size_t rows = all.shape(1), columns = all.shape(2), size = rows * columns;
-        require(all.shape(0) == 3, "parts are constant, cos and sin");
-        const float* numbers = data_of(all);
-        return {{{numbers, rows, columns}, {numbers + size, rows, columns}, {numbers + 2 * size, rows, columns}}};
+    // Codes (parts, n k, w) of modes, and their scales (w).
+    liaam::Modes modes(const char* codes, const char* scales) {
+        const auto all = array<std::int16_t, 3>(codes);
+        const std::size_t n_parts = all.shape(0), rows = all.shape(1), columns = all.shape(2);
+        require(n_parts == 1 || n_parts == 3, "parts are constant, or constant, cos and sin");
+        liaam::Modes found;
+        for (std::size_t i = 0; i < n_parts; ++i) found.parts[i] = {data_of(all) + i * rows * columns, rows, columns};
+        found.scales = numbers<float>(scales);
+        require(columns % liaam::kEight == 0 && found.scales.size() == columns, "modes and their scales differ in size");
+        return found;
     }
     template <class T>
     T value(const char* name) {

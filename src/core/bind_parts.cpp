@@ -84,11 +84,14 @@ auto solve_clamped_of(const Array<double, 2>& matrix, double least, const Array<
     return std::make_pair(found, owned(std::move(solution), {right.size()}));
 }
 
-auto gram_of(const Array<float, 2>& modes, const Array<float, 1>& sqrt_weights) {
-    require(modes.shape(0) >= 1 && modes.shape(1) == sqrt_weights.size(), "modes and weights differ in size");
+auto gram_of(const Array<std::int16_t, 2>& codes, const Array<float, 1>& scales, std::size_t m,
+             const Array<float, 1>& sqrt_weights) {
+    require(codes.shape(0) == sqrt_weights.size() && codes.shape(1) == scales.size() && m <= scales.size() &&
+                scales.size() % kEight == 0,
+            "modes and weights differ in size");
     std::vector<float> block;
-    Matrix gram(modes.shape(0) - 1, modes.shape(0) - 1);
-    weighted_gram(view_of(modes), span_of(sqrt_weights), block, gram);
+    Matrix gram(m, m);
+    weighted_gram({{view_of(codes)}, span_of(scales)}, span_of(sqrt_weights), block, gram);
     return copied(gram);
 }
 
@@ -112,7 +115,7 @@ void bind_parts(nb::module_& module) {
                "observable"_a);
     module.def("cholesky", factor_of, "matrix"_a);
     module.def("solve_clamped", solve_clamped_of, "matrix"_a, "least"_a, "right"_a);
-    module.def("weighted_gram", gram_of, "modes"_a, "sqrt_weights"_a);
+    module.def("weighted_gram", gram_of, "codes"_a, "scales"_a, "m"_a, "sqrt_weights"_a);
     module.def("loss_weight", weight_of, "loss"_a, "u"_a);
     module.def("median", median_of, "numbers"_a);
     module.def("minimise_on_arc", minimise_on_arc, "s"_a, "b"_a, "centre"_a, "reach"_a);

@@ -56,9 +56,10 @@ inline Eight pixel_products(const float* fours, const float* expected, std::size
     return lower_halves(by_x, by_y);
 }
 
-// Adds the products of a triangle to the rows of its vertices: with the six coordinates that move its pixels, carried to
-// the warp's parameters; with the residual; and with the angle column.
-void add_triangle(const Mesh& mesh, std::span<const std::int64_t> triangle, const CornerPairs& pairs, Matrix& sums) {
+// Adds the products of a triangle to the rows of its vertices: with the six coordinates that move its pixels, symmetrised
+// and carried to the warp's parameters; and with the residual and the angle column.
+void add_triangle(const Mesh& mesh, std::span<const std::int64_t> triangle, const CornerPairs& pairs, Matrix& sums,
+                  Matrix& right) {
     const std::size_t width = mesh.basis.n_columns;
     const Eight* of_corner[3][3] = {
         {&pairs.aa, &pairs.ab, &pairs.ac}, {&pairs.ab, &pairs.bb, &pairs.bc}, {&pairs.ac, &pairs.bc, &pairs.cc}};
@@ -72,8 +73,9 @@ void add_triangle(const Mesh& mesh, std::span<const std::int64_t> triangle, cons
             double weights[6], by_residual = 0.0, by_angle = 0.0;
             for (std::size_t c = 0; c < 3; ++c) {
                 const Eight& pair = *of_corner[corner][c];
-                weights[2 * c] = pair[4 * axis];
-                weights[2 * c + 1] = pair[4 * axis + 1];
+                const double own = pair[5 * axis], mixed = 0.5 * (pair[1] + pair[4]);  // xx or yy; xy and yx
+                weights[2 * c] = axis == 0 ? own : mixed;
+                weights[2 * c + 1] = axis == 0 ? mixed : own;
                 by_residual += pair[4 * axis + 2];  // barycentric weights sum to 1
                 by_angle += pair[4 * axis + 3];
             }
@@ -83,8 +85,8 @@ void add_triangle(const Mesh& mesh, std::span<const std::int64_t> triangle, cons
                 own[j] += ((weights[0] * rows[0][j] + weights[1] * rows[1][j]) +
                            (weights[2] * rows[2][j] + weights[3] * rows[3][j])) +
                           (weights[4] * rows[4][j] + weights[5] * rows[5][j]);
-            own[width] += by_residual;
-            own[width + 1] += by_angle;
+            right[2 * triangle[corner] + axis][0] += by_residual;
+            right[2 * triangle[corner] + axis][1] += by_angle;
         }
     }
 }
@@ -103,18 +105,19 @@ struct ModeSums {
     }
 };
 
-// Adds J'A of a triangle to the rows of its vertices.
+// Adds J'A of a triangle, of the codes of the modes, to the rows of its vertices.
+template <class Lines>
 void add_triangle_modes(const Mesh& mesh, std::span<const std::int64_t> triangle, Range pixels, std::size_t k,
-                        Floats transposed_modes, const std::vector<float>& fours, Matrix& sums_of_all) {
+                        const Lines& lines, const std::vector<float>& fours, Matrix& sums_of_all) {
     const std::size_t width = sums_of_all.columns();
     for (std::size_t column = 0; column < width; column += kEight) {
         ModeSums sums;
         const float* four = fours.data();
-        const float* modes = transposed_modes.data() + pixels.begin * k * width + column;
+        std::size_t at = pixels.begin * k * width + column;
         for (std::size_t i = pixels.begin; i < pixels.end; ++i) {
             Eight x{}, y{};
-            for (std::size_t r = 0; r < k; ++r, four += 4, modes += width) {
-                const Eight own = load(modes);
+            for (std::size_t r = 0; r < k; ++r, four += 4, at += width) {
+                const Eight own = lines.at(at);
                 x += four[0] * own;
                 y += four[1] * own;
             }
@@ -129,15 +132,17 @@ void add_triangle_modes(const Mesh& mesh, std::span<const std::int64_t> triangle
     }
 }
 
-// E'J, E'r and E' times an angle column, for x and y of each vertex; and J'A, with the first column. Triangle by
-// triangle, so that what is summed stays in the cache.
+// E'J, E'r and E' times an angle column, for x and y of each vertex; and J'A, with the first column, of the codes of the
+// modes. Triangle by triangle, so that what is summed stays in the cache.
 void sum_by_vertex(const Objective& objective, const Samples& samples, const FittedAppearance& fitted, Floats of_j,
                    Floats of_e, std::size_t f, LinearisationRoom& room) {
     const Mesh& mesh = objective.model.mesh;
     const std::size_t k = objective.k();
     const float* column = room.columns.empty() ? nullptr : room.columns[f].data();
-    room.by_vertex.resize(2 * mesh.n_vertices(), mesh.basis.n_columns + kEight);
+    room.by_vertex.resize(2 * mesh.n_vertices(), mesh.basis.n_columns);
     room.by_vertex.fill(0.0);
+    room.right_by_vertex.resize(2 * mesh.n_vertices(), kEight);
+    room.right_by_vertex.fill(0.0);
     if (f == 0) {
         room.modes_by_vertex.resize(2 * mesh.n_vertices(), objective.width());
         room.modes_by_vertex.fill(0.0);
@@ -150,10 +155,11 @@ void sum_by_vertex(const Objective& objective, const Samples& samples, const Fit
         const float* fours = room.fours.data();
         for (std::size_t i = pixels.begin; i < pixels.end; ++i, fours += 4 * k)
             pairs.add(mesh.beta[i].data(), pixel_products(fours, of_e.data() + 2 * i * k, k));
-        add_triangle(mesh, mesh.triangles[t], pairs, room.by_vertex);
-        if (f == 0)
-            add_triangle_modes(mesh, mesh.triangles[t], pixels, k, samples.modes.transposed, room.fours,
-                               room.modes_by_vertex);
+        add_triangle(mesh, mesh.triangles[t], pairs, room.by_vertex, room.right_by_vertex);
+        if (f > 0) continue;
+        with_lines(samples.modes, [&](const auto& lines) {
+            add_triangle_modes(mesh, mesh.triangles[t], pixels, k, lines, room.fours, room.modes_by_vertex);
+        });
     }
 }
 
@@ -175,13 +181,12 @@ void differentiate_angle(const Objective& objective, std::size_t f, const Sample
     }
     if (!objective.model.theta_1_is_free()) return;
     const auto along = static_cast<float>(by_model * std::cos(theta)), across = static_cast<float>(by_model * std::sin(theta));
-    const auto& parts = objective.model.mode_parts;
-    for (std::size_t j = 0; j < parts[0].n_rows; ++j) {
-        const float scale = j == 0 ? 1.0f : static_cast<float>(fitted.lam[j - 1]);
-        const float *by_cos = parts[1][j].data(), *by_sin = parts[2][j].data();
+    const auto& [mean, modes] = objective.model.appearance;
+    const float *by_cosine = mean[1].data(), *by_sine = mean[2].data();
 #pragma omp simd
-        for (std::size_t e = 0; e < out.size(); ++e) out[e] -= scale * (along * by_sin[e] - across * by_cos[e]);
-    }
+    for (std::size_t e = 0; e < out.size(); ++e) out[e] -= along * by_sine[e] - across * by_cosine[e];
+    add_modes({{modes.parts[1]}, modes.scales}, fitted.lam, across, out);
+    add_modes({{modes.parts[2]}, modes.scales}, fitted.lam, -along, out);
 }
 
 // Products of the angles' columns with each other, with the modes and with the residual.
@@ -190,7 +195,7 @@ void sum_angle_products(const Objective& objective, const Samples& samples, cons
     const std::size_t n_p = objective.n_p(), n_free = room.columns.size(), m = objective.m();
     room.mode_products.resize(m);
     for (std::size_t f = 0; f < n_free; ++f) {
-        multiply_modes(samples.modes.values, fitted.sqrt_weights, room.columns[f], room.block, room.mode_products);
+        multiply_modes(samples.modes, fitted.sqrt_weights, room.columns[f], room.mode_products);
         for (std::size_t j = 0; j < m; ++j) room.aj[j][n_p + f] = room.mode_products[j];
         for (std::size_t g = 0; g < n_free; ++g)
             room.equations.hessian[n_p + f][n_p + g] =
@@ -199,7 +204,7 @@ void sum_angle_products(const Objective& objective, const Samples& samples, cons
     }
 }
 
-// Replaces J'J and J'r by the symmetrised Hessian J'QJ and the gradient J'Qr.
+// Replaces the symmetrised E'J and E'r by the Hessian E'QJ and the gradient E'Qr.
 void eliminate_appearance(const FittedAppearance& fitted, LinearisationRoom& room) {
     auto& [hessian, expected, gradient] = room.equations;
     const std::size_t n = gradient.size();
@@ -209,10 +214,9 @@ void eliminate_appearance(const FittedAppearance& fitted, LinearisationRoom& roo
     solve_lower(fitted.factor, room.whitened_slope);
     for (std::size_t i = 0; i < room.whitened_slope.size(); ++i)
         for (std::size_t a = 0; a < n; ++a) gradient[a] -= room.whitened_slope[i] * room.whitened[i][a];
-    multiply_transposed(room.whitened.view(), room.whitened.view(), n, room.product);
+    multiply_symmetric(room.whitened.view(), room.whitened.view(), n, room.product);
     for (std::size_t a = 0; a < n; ++a)
-        for (std::size_t b = 0; b <= a; ++b)
-            hessian[a][b] = hessian[b][a] = 0.5 * (hessian[a][b] + hessian[b][a]) - room.product[a][b];
+        for (std::size_t b = 0; b < n; ++b) hessian[a][b] -= room.product[a][b];
 }
 
 }  // namespace
@@ -225,9 +229,8 @@ void begin_equations(const Objective& objective, NormalEquations& equations) {
 const std::vector<float>& expected_gradient(const Objective& objective, const Samples& samples, Doubles lam,
                                             LinearisationRoom& room) {
     std::vector<float>& own = room.appearance_gradients;
-    const auto mean = samples.modes.gradients[0];
-    own.assign(mean.begin(), mean.end());
-    add_modes(samples.modes.gradients, lam, 1.0, own);
+    own.assign(samples.mean_gradients.begin(), samples.mean_gradients.end());
+    add_modes(samples.mode_gradients, lam, 1.0, own);
     room.expected.resize(own.size());
     pull_gradients(objective.model.mesh, samples.vertices, own, room.expected);
     return room.expected;
@@ -236,7 +239,7 @@ const std::vector<float>& expected_gradient(const Objective& objective, const Sa
 void multiply_derivatives(const Objective& objective, const Samples& samples, const FittedAppearance& fitted,
                           const Weights& weights, Floats of_j, Floats of_e, LinearisationRoom& room) {
     const Mesh& mesh = objective.model.mesh;
-    const std::size_t n_p = objective.n_p(), n_q = objective.n_q(), m = objective.m(), width = mesh.basis.n_columns;
+    const std::size_t n_p = objective.n_p(), n_q = objective.n_q(), m = objective.m();
     const std::size_t n_free = objective.method.n_free();
     Matrix& hessian = room.equations.hessian;
     hessian.resize(n_q, n_q);
@@ -248,15 +251,16 @@ void multiply_derivatives(const Objective& objective, const Samples& samples, co
     sum_angle_products(objective, samples, fitted, room);
     for (std::size_t f = 0; f < std::max<std::size_t>(n_free, 1); ++f) {
         sum_by_vertex(objective, samples, fitted, of_j, of_e, f, room);
-        multiply_transposed(mesh.basis, room.by_vertex.view(), n_p, room.carried);
+        multiply_symmetric(mesh.basis, room.by_vertex.view(), n_p, room.carried);
+        multiply_transposed(mesh.basis, room.right_by_vertex.view(), n_p, room.carried_right);
         for (std::size_t i = 0; i < n_p && n_free; ++i)
-            hessian[i][n_p + f] = hessian[n_p + f][i] = room.carried[i][width + 1];
+            hessian[i][n_p + f] = hessian[n_p + f][i] = room.carried_right[i][1];
     }
     multiply_transposed(mesh.basis, room.modes_by_vertex.view(), n_p, room.carried_modes);
     for (std::size_t i = 0; i < n_p; ++i) {
-        room.equations.gradient[i] = room.carried[i][width];
+        room.equations.gradient[i] = room.carried_right[i][0];
         std::copy_n(room.carried[i], n_p, hessian[i]);
-        for (std::size_t j = 0; j < m; ++j) room.aj[j][i] = room.carried_modes[i][j];
+        for (std::size_t j = 0; j < m; ++j) room.aj[j][i] = samples.modes.scales[j] * room.carried_modes[i][j];
     }
     eliminate_appearance(fitted, room);
 }

@@ -28,13 +28,13 @@ struct LinearisationRoom {
     std::vector<float> expected;              // (2 n k): the gradient that the model expects, by x and y
     std::vector<std::vector<float>> columns;  // (n k) each: derivatives by the free angles
     std::vector<float> fours;                 // of the pixels of a triangle
-    Matrix by_vertex, modes_by_vertex;        // E'J and J'A, by the coordinates of the vertices
-    Matrix carried, carried_modes;            // the same by p
+    Matrix by_vertex, modes_by_vertex;        // E'J, symmetrised, and J'A, by the coordinates of the vertices
+    Matrix right_by_vertex;                   // E'r, E' times an angle column, and zeros up to the width of a vector
+    Matrix carried, carried_modes, carried_right;  // the same by p
     Matrix aj;                                // A'J
     Matrix whitened, product;                 // L^-1 A'J, and its square
     std::vector<double> whitened_slope;       // L^-1 A'r
     std::vector<double> mode_products;
-    std::vector<float> block;
 };
 
 // Sets the expected Hessian to 0, until there is one.

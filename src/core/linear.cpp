@@ -22,6 +22,14 @@ void multiply_tile(MatrixView<const double> left, MatrixView<const double> right
     for (std::size_t t = 0; t < kTall; ++t) std::copy_n(sums[t], kWide, out[i + t] + j);
 }
 
+// As many rows and columns of L'R as there are, fewer than those of a tile.
+void multiply_small(MatrixView<const double> left, MatrixView<const double> right, Matrix& out) {
+    out.fill(0.0);
+    for (std::size_t k = 0; k < left.n_rows; ++k)
+        for (std::size_t i = 0; i < out.rows(); ++i)
+            for (std::size_t j = 0; j < out.columns(); ++j) out[i][j] += left[k][i] * right[k][j];
+}
+
 // Replaces r by (I - f v v') r; v begins at index `first`.
 void reflect(const double* v, std::size_t first, double factor, std::span<double> right) {
     double along = 0.0;
@@ -190,16 +198,22 @@ void solve(const Matrix& factor, std::span<double> right) {
 void multiply_transposed(MatrixView<const double> left, MatrixView<const double> right, std::size_t rows, Matrix& out) {
     const std::size_t width = right.n_columns;
     out.resize(rows, width);
-    if (rows >= kTall && width >= kWide) {
-        for (std::size_t i = 0; i < rows; i += kTall)  // the last tiles overlap those before them
-            for (std::size_t j = 0; j < width; j += kWide)
-                multiply_tile(left, right, std::min(i, rows - kTall), std::min(j, width - kWide), out);
-        return;
+    if (rows < kTall || width < kWide) return multiply_small(left, right, out);
+    for (std::size_t i = 0; i < rows; i += kTall)  // the last tiles overlap those before them
+        for (std::size_t j = 0; j < width; j += kWide)
+            multiply_tile(left, right, std::min(i, rows - kTall), std::min(j, width - kWide), out);
+}
+
+void multiply_symmetric(MatrixView<const double> left, MatrixView<const double> right, std::size_t rows, Matrix& out) {
+    out.resize(rows, rows);
+    if (rows < kWide) return multiply_small(left, right, out);
+    for (std::size_t i = 0; i < rows; i += kTall) {
+        const std::size_t top = std::min(i, rows - kTall);
+        for (std::size_t j = 0; j < top + kTall; j += kWide)
+            multiply_tile(left, right, top, std::min(j, rows - kWide), out);
     }
-    out.fill(0.0);
-    for (std::size_t k = 0; k < left.n_rows; ++k)
-        for (std::size_t i = 0; i < rows; ++i)
-            for (std::size_t j = 0; j < width; ++j) out[i][j] += left[k][i] * right[k][j];
+    for (std::size_t i = 0; i < rows; ++i)
+        for (std::size_t j = 0; j < i; ++j) out[j][i] = out[i][j];
 }
 
 bool solve_clamped(Matrix& matrix, double least, Spectrum& spectrum, std::span<double> right) {

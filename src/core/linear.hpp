@@ -22,6 +22,9 @@ void solve(const Matrix& factor, std::span<double> right);
 // Writes the first `rows` rows of L'R, of L (n, a) and R (n, b).
 void multiply_transposed(MatrixView<const double> left, MatrixView<const double> right, std::size_t rows, Matrix& out);
 
+// Writes the first `rows` rows and columns of an L'R that is symmetric there: only half of them are multiplied.
+void multiply_symmetric(MatrixView<const double> left, MatrixView<const double> right, std::size_t rows, Matrix& out);
+
 // Room for the eigensolver, reused between calls.
 struct Spectrum {
     std::vector<double> diagonal, beside, factors, moved;

@@ -1,74 +1,93 @@
 #include "modes.hpp"
 
-#include "eight.hpp"
-
 namespace liaam {
 
 namespace {
 
-constexpr std::size_t kTall = 4, kWide = 3;  // products summed together: twelve sums and four factors fill 16 registers
+constexpr std::size_t kTall = 6, kWide = 2;  // a tile of A'A: twelve vectors of sums, and their factors, fill 16 registers
+constexpr std::size_t kVectors = 4;          // vectors of modes that are summed together, so that none waits for its last sum
 
-// Adds the products of four modes from i on with three from j on, of a block of weighted modes, below the diagonal.
-void add_tile(const float* block, std::size_t size, std::size_t m, std::size_t i, std::size_t j, Matrix& gram) {
-    const float *a[kTall], *b[kWide];  // beyond the last mode: that one again
-    for (std::size_t t = 0; t < kTall; ++t) a[t] = block + std::min(i + t, m - 1) * kBlock;
-    for (std::size_t u = 0; u < kWide; ++u) b[u] = block + std::min(j + u, m - 1) * kBlock;
+// Adds the products of six modes from i on with sixteen from j on, of a block of weighted modes.
+void add_tile(const float* block, std::size_t size, std::size_t width, std::size_t i, std::size_t j, Matrix& gram) {
+    const std::size_t m = gram.rows();
+    std::size_t rows[kTall], columns[kWide];  // beyond the last: that one again
+    for (std::size_t t = 0; t < kTall; ++t) rows[t] = std::min(i + t, m - 1);
+    for (std::size_t u = 0; u < kWide; ++u) columns[u] = std::min(j + u * kEight, width - kEight);
     Eight sums[kTall][kWide]{};
-    for (std::size_t e = 0; e < size; e += kEight) {
-        const Eight b0 = load(b[0] + e), b1 = load(b[1] + e), b2 = load(b[2] + e);
+    for (std::size_t e = 0; e < size; ++e, block += width) {
+        const Eight first = load(block + columns[0]), second = load(block + columns[1]);
         for (std::size_t t = 0; t < kTall; ++t) {
-            const Eight own = load(a[t] + e);
-            sums[t][0] += own * b0;
-            sums[t][1] += own * b1;
-            sums[t][2] += own * b2;
+            sums[t][0] += block[rows[t]] * first;
+            sums[t][1] += block[rows[t]] * second;
         }
     }
     for (std::size_t t = 0; t < kTall && i + t < m; ++t)
-        for (std::size_t u = 0; u < kWide && j + u <= i + t; ++u) gram[i + t][j + u] += sum(sums[t][u]);
+        for (std::size_t u = 0; u < kWide; ++u)
+            for (std::size_t c = 0, at = j + u * kEight; c < kEight && at + c <= i + t; ++c) gram[i + t][at + c] += sums[t][u][c];
+}
+
+// Multiplies the codes of residuals by their weights.
+template <class Lines>
+void weigh_block(const Lines& lines, std::size_t begin, std::size_t size, std::size_t width, const float* sqrt_weights,
+                 float* block) {
+    for (std::size_t e = 0; e < size; ++e)
+        for (std::size_t j = 0; j < width; j += kEight)
+            store(block + e * width + j, sqrt_weights[e] * lines.at((begin + e) * width + j));
+}
+
+// Adds the products of a block of a column with 32 modes from j on.
+template <class Lines>
+void multiply_block(const Lines& lines, std::size_t begin, std::size_t size, std::size_t width, std::size_t j,
+                    const float* column, std::span<double> out) {
+    std::size_t columns[kVectors];  // beyond the last: that one again
+    for (std::size_t v = 0; v < kVectors; ++v) columns[v] = std::min(j + v * kEight, width - kEight);
+    Eight sums[kVectors]{};
+    for (std::size_t e = 0, line = begin * width; e < size; ++e, line += width)
+        for (std::size_t v = 0; v < kVectors; ++v) sums[v] += column[e] * lines.at(line + columns[v]);
+    for (std::size_t v = 0; v < kVectors; ++v)
+        for (std::size_t c = 0, at = j + v * kEight; c < kEight && at + c < out.size(); ++c) out[at + c] += sums[v][c];
 }
 
 }  // namespace
 
-void weighted_gram(MatrixView<const float> modes, Floats sqrt_weights, std::vector<float>& block, Matrix& gram) {
-    const std::size_t m = gram.rows();
-    gram.fill(0.0);
-    block.resize(m * kBlock);
-    for (std::size_t begin = 0; begin < sqrt_weights.size(); begin += kBlock) {
-        const std::size_t size = std::min(kBlock, sqrt_weights.size() - begin);
-        const std::size_t padded = (size + kEight - 1) / kEight * kEight;
-        const float* own = sqrt_weights.data() + begin;
-        for (std::size_t j = 0; j < m; ++j) {
-            const float* mode = modes[1 + j].data() + begin;
-            float* weighted = block.data() + j * kBlock;
-#pragma omp simd
-            for (std::size_t e = 0; e < size; ++e) weighted[e] = mode[e] * own[e];
-            std::fill(weighted + size, weighted + padded, 0.0f);
-        }
-        for (std::size_t i = 0; i < m; i += kTall)
-            for (std::size_t j = 0; j < std::min(i + kTall, m); j += kWide) add_tile(block.data(), padded, m, i, j, gram);
-    }
-    for (std::size_t i = 0; i < m; ++i)
-        for (std::size_t j = 0; j < i; ++j) gram[j][i] = gram[i][j];
+void modes_at_residual(const Modes& modes, std::size_t e, std::span<float> out) {
+    with_lines(modes, [&](const auto& lines) {
+        for (std::size_t j = 0; j < out.size(); j += kEight)
+            store(out.data() + j, load(modes.scales.data() + j) * lines.at(e * out.size() + j));
+    });
 }
 
-void multiply_modes(MatrixView<const float> modes, Floats sqrt_weights, Floats column, std::vector<float>& block,
-                    std::span<double> out) {
+void weighted_gram(const Modes& modes, Floats sqrt_weights, std::vector<float>& block, Matrix& gram) {
+    const std::size_t m = gram.rows(), width = modes.width();
+    gram.fill(0.0);
+    block.resize(kBlock * width);
+    for (std::size_t begin = 0; begin < sqrt_weights.size(); begin += kBlock) {
+        const std::size_t size = std::min(kBlock, sqrt_weights.size() - begin);
+        with_lines(modes, [&](const auto& lines) {
+            weigh_block(lines, begin, size, width, sqrt_weights.data() + begin, block.data());
+        });
+        for (std::size_t i = 0; i < m; i += kTall)
+            for (std::size_t j = 0; j < std::min(i + kTall, m); j += kWide * kEight)
+                add_tile(block.data(), size, width, i, j, gram);
+    }
+    for (std::size_t i = 0; i < m; ++i)
+        for (std::size_t j = 0; j <= i; ++j) gram[j][i] = gram[i][j] *= static_cast<double>(modes.scales[i]) * modes.scales[j];
+}
+
+void multiply_modes(const Modes& modes, Floats sqrt_weights, Floats column, std::span<double> out) {
+    float weighted[kBlock];
     std::fill(out.begin(), out.end(), 0.0);
-    block.resize(std::max(block.size(), kBlock));
-    float* weighted = block.data();
     for (std::size_t begin = 0; begin < column.size(); begin += kBlock) {
         const std::size_t size = std::min(kBlock, column.size() - begin);
         const float *own = sqrt_weights.data() + begin, *values = column.data() + begin;
 #pragma omp simd
         for (std::size_t e = 0; e < size; ++e) weighted[e] = own[e] * own[e] * values[e];
-        for (std::size_t j = 0; j < out.size(); ++j) {
-            const float* mode = modes[1 + j].data() + begin;
-            float product = 0.0f;
-#pragma omp simd reduction(+ : product)
-            for (std::size_t e = 0; e < size; ++e) product += mode[e] * weighted[e];
-            out[j] += product;
-        }
+        with_lines(modes, [&](const auto& lines) {
+            for (std::size_t j = 0; j < out.size(); j += kVectors * kEight)
+                multiply_block(lines, begin, size, modes.width(), j, weighted, out);
+        });
     }
+    for (std::size_t j = 0; j < out.size(); ++j) out[j] *= modes.scales[j];
 }
 
 double weighted_product(Floats sqrt_weights, Floats a, Floats b) {
@@ -79,25 +98,25 @@ double weighted_product(Floats sqrt_weights, Floats a, Floats b) {
     return product;
 }
 
-void add_modes(MatrixView<const float> modes, Doubles lam, double scale, std::span<float> out) {
-    const auto factor = [&](std::size_t j) { return static_cast<float>(scale * lam[j]); };
-    for (std::size_t begin = 0; begin < out.size(); begin += kBlock) {
-        const std::size_t size = std::min(kBlock, out.size() - begin);
-        float* sums = out.data() + begin;
-        const auto mode = [&](std::size_t j) { return modes[1 + j].data() + begin; };
-        std::size_t j = 0;
-        for (; j + 4 <= lam.size(); j += 4) {  // each sum is loaded and stored once for four modes
-            const float *a = mode(j), *b = mode(j + 1), *c = mode(j + 2), *d = mode(j + 3);
-            const float wa = factor(j), wb = factor(j + 1), wc = factor(j + 2), wd = factor(j + 3);
-#pragma omp simd
-            for (std::size_t e = 0; e < size; ++e) sums[e] += (wa * a[e] + wb * b[e]) + (wc * c[e] + wd * d[e]);
+void add_modes(const Modes& modes, Doubles lam, double scale, std::span<float> out) {
+    const std::size_t width = modes.width(), whole = out.size() / kEight * kEight;
+    std::vector<float> factors(width, 0.0f);  // of the codes
+    for (std::size_t j = 0; j < lam.size(); ++j) factors[j] = static_cast<float>(scale * lam[j] * modes.scales[j]);
+    with_lines(modes, [&](const auto& lines) {
+        for (std::size_t e = 0; e < whole; e += kEight) {
+            Eight sums[kEight]{};
+            for (std::size_t j = 0; j < width; j += kEight) {
+                const Eight own = load(factors.data() + j);
+                for (std::size_t i = 0; i < kEight; ++i) sums[i] += own * lines.at((e + i) * width + j);
+            }
+            store(out.data() + e, load(out.data() + e) + sums_of(sums));
         }
-        for (; j < lam.size(); ++j) {
-            const float *a = mode(j), wa = factor(j);
-#pragma omp simd
-            for (std::size_t e = 0; e < size; ++e) sums[e] += wa * a[e];
+        for (std::size_t e = whole; e < out.size(); ++e) {
+            Eight total{};
+            for (std::size_t j = 0; j < width; j += kEight) total += load(factors.data() + j) * lines.at(e * width + j);
+            out[e] += sum(total);
         }
-    }
+    });
 }
 
 }  // namespace liaam

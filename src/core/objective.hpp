@@ -10,32 +10,31 @@
 #include "encoding.hpp"
 #include "linear.hpp"
 #include "mesh.hpp"
+#include "modes.hpp"
 
 namespace liaam {
 
-// The mean appearance A_0 and the modes A_i (eq 4), projected by P(theta_1).
-struct Modes {
-    MatrixView<const float> values;     // (1 + m, n k): P(theta_1) A_0 and P(theta_1) A_i
-    Floats transposed;                  // (n k, w): those of the modes, without the mean, padded with zeros
-    MatrixView<const float> gradients;  // (1 + m, 2 n k): spatial gradients of all, per pixel k by x, then k by y
+// The mean appearance A_0 and the modes A_i (eq 4), projected by P(theta_1), at a number of residuals.
+struct MeanAndModes {
+    MatrixView<const float> mean;  // (1, n k), or (3, n k) where theta_1 is free: constant, cos and sin part
+    Modes modes;
 };
 
 // The model's side of the residual of eq 10, at one level.
 struct Model {
     Mesh mesh;
-    Modes modes;                                            // at the training camera's angle
-    std::array<MatrixView<const float>, 3> mode_parts;      // constant, cos, sin; empty if theta_1 is fixed
-    std::array<MatrixView<const float>, 3> gradient_parts;  // the same of the gradients
-    Floats sqrt_weights;                                    // (n k): of the model's weights
-    MatrixView<const double> gram;                          // (m, m): A'A under these weights
-    Doubles ridge;                                          // (m): precision of lambda, in units of squared residuals
-    Doubles errors;                                         // (n): variance of the model's errors, mean over the rows
-    Doubles prior;                                          // (n_p): precision of a Gaussian prior on p; 0 for none
-    double correlated = 1.0;                                // pixels per independent residual
-    double dof = 0.0;                                       // freedom of the prior's scale; infinite if fixed
-    bool colours = true;                                    // the model was trained on colour images
+    MeanAndModes appearance;        // at the training camera's angle, or at any
+    MeanAndModes gradients;         // spatial gradients of the same, (2 n k): per pixel k by x, then k by y
+    Floats sqrt_weights;            // (n k): of the model's weights
+    MatrixView<const double> gram;  // (m, m): A'A under these weights
+    Doubles ridge;                  // (m): precision of lambda, in units of squared residuals
+    Doubles errors;                 // (n): variance of the model's errors, mean over the rows
+    Doubles prior;                  // (n_p): precision of a Gaussian prior on p; 0 for none
+    double correlated = 1.0;        // pixels per independent residual
+    double dof = 0.0;               // freedom of the prior's scale; infinite if fixed
+    bool colours = true;            // the model was trained on colour images
 
-    bool theta_1_is_free() const { return !mode_parts[0].empty(); }
+    bool theta_1_is_free() const { return appearance.mean.n_rows == 3; }
 };
 
 enum class Weighting { model, noise, rows };
@@ -65,7 +64,7 @@ struct Objective {
     std::size_t m() const { return model.ridge.size(); }
     std::size_t n_p() const { return model.prior.size(); }
     std::size_t n_q() const { return n_p() + method.n_free(); }
-    std::size_t width() const { return n() ? model.modes.transposed.size() / (n() * k()) : 0; }  // of transposed modes
+    std::size_t width() const { return model.appearance.modes.width(); }  // m, padded
 };
 
 // An encoded image, and the map from model pixels to its pixels.

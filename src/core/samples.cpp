@@ -8,6 +8,8 @@ namespace liaam {
 
 namespace {
 
+constexpr std::size_t kAhead = 8;  // pixels that are fetched before they are needed, which lie scattered in the image
+
 // P(theta_2) (eq 7 and 8) and its derivative.
 void set_metric(const Method& method, double theta_2, Samples& samples) {
     const auto c = static_cast<float>(std::cos(theta_2));
@@ -20,29 +22,30 @@ void set_metric(const Method& method, double theta_2, Samples& samples) {
     }
 }
 
-// Combines constant, cos and sin parts at an angle.
-void combine_parts(const std::array<MatrixView<const float>, 3>& parts, double theta, std::vector<float>& out) {
-    const auto c = static_cast<float>(std::cos(theta)), s = static_cast<float>(std::sin(theta));
-    const float *constant = parts[0].data, *by_cos = parts[1].data, *by_sin = parts[2].data;
-    out.resize(parts[0].n_rows * parts[0].n_columns);
+// The mean at theta_1, from its constant, cos and sin part where that is free.
+Floats mean_at(const MatrixView<const float>& parts, double theta_1, std::vector<float>& room) {
+    if (parts.n_rows == 1) return parts[0];
+    const auto c = static_cast<float>(std::cos(theta_1)), s = static_cast<float>(std::sin(theta_1));
+    const float *constant = parts[0].data(), *by_cosine = parts[1].data(), *by_sine = parts[2].data();
+    room.resize(parts.n_columns);
 #pragma omp simd
-    for (std::size_t i = 0; i < out.size(); ++i) out[i] = constant[i] + c * by_cos[i] + s * by_sin[i];
+    for (std::size_t e = 0; e < room.size(); ++e) room[e] = constant[e] + c * by_cosine[e] + s * by_sine[e];
+    return room;
 }
 
-// Mean, modes and their gradients, projected by P(theta_1); those of the model where theta_1 is fixed.
-Modes modes_at(const Objective& objective, double theta_1, SamplingRoom& room) {
-    const Model& model = objective.model;
-    if (!model.theta_1_is_free()) return model.modes;
-    const std::size_t width = objective.width(), n_rows = model.modes.values.n_rows;
-    const std::size_t n_columns = model.modes.values.n_columns;
-    combine_parts(model.mode_parts, theta_1, room.modes);
-    combine_parts(model.gradient_parts, theta_1, room.mode_gradients);
-    room.transposed_modes.assign(width * n_columns, 0.0f);
-    for (std::size_t e = 0; e < n_columns; ++e)
-        for (std::size_t j = 1; j < n_rows; ++j) room.transposed_modes[e * width + j - 1] = room.modes[j * n_columns + e];
-    return {{room.modes.data(), n_rows, n_columns},
-            room.transposed_modes,
-            {room.mode_gradients.data(), n_rows, model.modes.gradients.n_columns}};
+Modes modes_at(Modes modes, double theta_1) {
+    modes.cosine = static_cast<float>(std::cos(theta_1));
+    modes.sine = static_cast<float>(std::sin(theta_1));
+    return modes;
+}
+
+// Mean, modes and their gradients, projected by P(theta_1).
+void set_appearance(const Model& model, double theta_1, SamplingRoom& room) {
+    Samples& samples = room.samples;
+    samples.mean = mean_at(model.appearance.mean, theta_1, room.mean);
+    samples.mean_gradients = mean_at(model.gradients.mean, theta_1, room.mean_gradients);
+    samples.modes = modes_at(model.appearance.modes, theta_1);
+    samples.mode_gradients = modes_at(model.gradients.modes, theta_1);
 }
 
 // Samples the image bilinearly, and projects samples and gradients by P(theta_2). The gradient is the derivative of the
@@ -60,6 +63,11 @@ void sample_image(const EncodedImage& image, const SamplePoints& points, std::si
     samples.usable.resize(n);
     for (std::size_t i = 0; i < n; ++i) {
         const float* at = pixels + kChannels * points.corner[i];
+        const float* next = pixels + kChannels * points.corner[std::min(i + kAhead, n - 1)];
+        prefetch(next);
+        prefetch(next + 2 * kChannels - 1);
+        prefetch(next + below);
+        prefetch(next + below + 2 * kChannels - 1);
         const float u = points.across[i], v = points.down[i], keep = points.inside[i];
         const Eight c00 = load(at), c10 = load(at + kChannels);
         const Eight c01 = load(at + below), c11 = load(at + below + kChannels);
@@ -86,7 +94,7 @@ const Samples& sample(const Objective& objective, const EncodedImage& image, con
     Samples& samples = room.samples;
     samples.angles = state.angles;
     set_metric(objective.method, state.angles[1], samples);
-    samples.modes = modes_at(objective, state.angles[0], room);
+    set_appearance(objective.model, state.angles[0], room);
     vertices_at(objective.model.mesh, state.p, samples.vertices);
     warp_pixels(objective.model.mesh, samples.vertices, image.from_model, image.width, image.height, room.points);
     sample_image(image, room.points, objective.k(), samples);

@@ -9,7 +9,8 @@ namespace liaam {
 struct Samples {
     std::array<double, 2> angles{};           // theta_1 and theta_2
     std::vector<float> metric, metric_slope;  // (k, 8): P(theta_2) and dP/dtheta_2
-    Modes modes;                              // at theta_1
+    Floats mean, mean_gradients;              // P(theta_1) A_0 (n k) and its spatial gradients (2 n k)
+    Modes modes, mode_gradients;              // P(theta_1) A_i and theirs
     std::vector<double> vertices;             // (v, 2): s(p)
     std::vector<float> values;                // (n, 8): the image's channels, E(I(W(x; p)))
     std::vector<float> projected;             // (n k): P(theta_2) E(I(W(x; p)))
@@ -21,7 +22,7 @@ struct Samples {
 struct SamplingRoom {
     Samples samples;
     SamplePoints points;
-    std::vector<float> modes, transposed_modes, mode_gradients;  // at theta_1, where it is free
+    std::vector<float> mean, mean_gradients;  // at theta_1, where it is free
 };
 
 // Samples the image at a state. They are in the room until the next.

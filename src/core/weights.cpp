@@ -409,7 +409,7 @@ void turn_weights(const Objective& objective, const Samples& samples, Weights& w
     const bool by_noise = objective.method.weighting == Weighting::noise;
     if (by_noise) weigh_at_angle(samples, weights);
     if (by_noise || objective.model.theta_1_is_free())
-        weighted_gram(samples.modes.values, weights.sqrt_weights, room.block, weights.gram);
+        weighted_gram(samples.modes, weights.sqrt_weights, room.block, weights.gram);
 }
 
 bool update_weights(const Objective& objective, const EncodedImage& image, const Samples& samples, Floats residual,
@@ -422,7 +422,7 @@ bool update_weights(const Objective& objective, const EncodedImage& image, const
     if (objective.method.loss != Loss::none) weigh_by_loss(objective, samples, residual, weights, room);
     if (weighting == Weighting::noise) weigh_at_angle(samples, weights);
     else weights.sqrt_weights = weights.base_sqrt_weights;
-    weighted_gram(samples.modes.values, weights.sqrt_weights, room.block, weights.gram);
+    weighted_gram(samples.modes, weights.sqrt_weights, room.block, weights.gram);
     return true;
 }
 

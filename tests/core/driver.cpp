@@ -84,7 +84,8 @@ class Digest {
 // The arrays of a random objective. The mesh is a square of two triangles; the shape moves its corners.
 struct Arrays {
     int side, k, m, n_modes, n_free;
-    std::vector<float> beta, rows, lines, slopes, row_parts, slope_parts, sqrt_weights, metric;
+    std::vector<float> beta, mean, mean_gradients, scales, sqrt_weights, metric;
+    std::vector<std::int16_t> codes, gradient_codes;
     std::vector<std::int64_t> starts, triangles{0, 1, 2, 2, 1, 3};
     std::vector<double> rest, basis, gram, ridge, errors, prior, directions, shape_basis;
     Objective objective;
@@ -132,16 +133,12 @@ struct Arrays {
     }
 
     void make_appearance(Rng& rng, int kind) {
-        const std::size_t e = n() * k, width = (m + 7) / 8 * 8;
-        rows = normals<float>(rng, (1 + m) * e);
-        lines.assign(e * width, 0.0f);
-        for (int j = 0; j < m; ++j)
-            for (std::size_t i = 0; i < e; ++i) lines[i * width + j] = rows[(1 + j) * e + i];
-        slopes = normals<float>(rng, (1 + m) * 2 * e);
-        if (n_free == 2) {
-            row_parts = normals<float>(rng, 3 * rows.size());
-            slope_parts = normals<float>(rng, 3 * slopes.size());
-        }
+        const std::size_t e = n() * k, n_parts = n_free == 2 ? 3 : 1;
+        mean = normals<float>(rng, n_parts * e);
+        mean_gradients = normals<float>(rng, n_parts * 2 * e);
+        codes = random_codes(rng, n_parts * e);
+        gradient_codes = random_codes(rng, n_parts * 2 * e);
+        scales.assign(width(), 1e-3f);
         sqrt_weights.assign(e, 1.0f);
         for (std::size_t i = 0; i < n(); ++i)
             if (!integer(rng, 0, 9)) std::fill_n(sqrt_weights.begin() + i * k, k, 0.0f);
@@ -149,7 +146,7 @@ struct Arrays {
         for (int a = 0; a < m; ++a)
             for (int b = 0; b < m; ++b)
                 for (std::size_t i = 0; i < e; ++i)
-                    gram[a * m + b] += static_cast<double>(rows[(1 + a) * e + i]) * rows[(1 + b) * e + i] * sqrt_weights[i];
+                    gram[a * m + b] += 1e-6 * codes[i * width() + a] * codes[i * width() + b] * sqrt_weights[i];
         ridge.assign(m, 1e-4);
         errors.assign(n(), kind == 1 ? 0.0 : uniform(rng, 0.0, 0.1));
         metric = normals<float>(rng, 3 * 8 * k);
@@ -157,15 +154,30 @@ struct Arrays {
         directions = n_free == 0 ? std::vector<double>{} : n_free == 1 ? std::vector<double>{0, 1} : std::vector<double>{1, 0, 0, 1};
     }
 
+    std::size_t width() const { return (static_cast<std::size_t>(m) + 7) / 8 * 8; }
+
+    // Lines of modes of about unit variance, padded with zeros.
+    std::vector<std::int16_t> random_codes(Rng& rng, std::size_t lines) const {
+        std::vector<std::int16_t> all(lines * width(), 0);
+        for (std::size_t e = 0; e < lines; ++e)
+            for (int j = 0; j < m; ++j) all[e * width() + j] = static_cast<std::int16_t>(1000.0 * normal(rng));
+        return all;
+    }
+
+    // The mean and the modes at a number of residuals, of one part or three.
+    MeanAndModes appearance(const std::vector<float>& of_mean, const std::vector<std::int16_t>& of_modes, std::size_t size) const {
+        MeanAndModes found{{of_mean.data(), of_mean.size() / size, size}, {{}, scales}};
+        for (std::size_t i = 0; i < found.mean.n_rows; ++i)
+            found.modes.parts[i] = {of_modes.data() + i * size * width(), size, width()};
+        return found;
+    }
+
     void set_method(Rng& rng, int kind) {
         const std::size_t e = n() * k, free = static_cast<std::size_t>(n_free), modes = static_cast<std::size_t>(m);
         Model& model = objective.model;
         model.mesh = {{beta.data(), n(), 3}, starts, {triangles.data(), 2, 3}, {rest.data(), 4, 2}, {basis.data(), 8, 8}, 0.5};
-        model.modes = {{rows.data(), 1 + modes, e}, lines, {slopes.data(), 1 + modes, 2 * e}};
-        for (std::size_t i = 0; i < 3 && n_free == 2; ++i) {
-            model.mode_parts[i] = {row_parts.data() + i * rows.size(), 1 + modes, e};
-            model.gradient_parts[i] = {slope_parts.data() + i * slopes.size(), 1 + modes, 2 * e};
-        }
+        model.appearance = appearance(mean, codes, e);
+        model.gradients = appearance(mean_gradients, gradient_codes, 2 * e);
         model.sqrt_weights = sqrt_weights;
         model.gram = {gram.data(), modes, modes};
         model.ridge = ridge;

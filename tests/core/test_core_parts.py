@@ -14,6 +14,7 @@ from liaam.encoding_constants import ENCODINGS, TABLE
 from liaam.fitting import METHODS
 from liaam.fitting.loop.angles import SEARCH, _minimise_on_arc
 from liaam.fitting.loop.encoded_image import NEAR
+from liaam.fitting.loop.objective import CodedModes
 from liaam.fitting.methods import CORRELATED, GRADIENT_ROWS, LOSSES, gaussian_median
 from liaam.fitting.reference import loop as reference_loop, problem as reference
 from liaam.fitting.thresholds import THRESHOLDS
@@ -125,16 +126,33 @@ def test_clamped_systems_are_solved_by_their_eigenvalues(n, rank, negative, seed
 @given(n=st.sampled_from([1, 7, 2047, 2048, 2049, 4101]), m=st.integers(0, 10), seed=st.integers(0, 9))
 def test_gram_matrices_are_those_of_float64(n, m, seed):
     rng = np.random.default_rng(seed)
-    rows, root = rng.normal(3, 1, (1 + m, n)).astype(np.float32), rng.normal(3, 1, n).astype(np.float32)
-    exact = rows[1:].astype(np.float64) * root
-    np.testing.assert_allclose(_core.weighted_gram(rows, root), exact @ exact.T, rtol=1e-5)
+    modes, root = CodedModes.of(rng.normal(3, 1, (1, m, n))), rng.normal(3, 1, n).astype(np.float32)
+    exact = modes.decoded(m)[0].astype(np.float64) * root
+    np.testing.assert_allclose(_core.weighted_gram(modes.codes[0], modes.scales, m, root), exact @ exact.T, rtol=1e-5)
 
 
 @built
 def test_sums_keep_what_float32_would_lose():
-    row = np.ones((2, 10 * 2048 + 1), np.float32)
-    row[1, :2048] = 128.0  # reaches 2**25, where a float32 sum does not feel a one
-    assert _core.weighted_gram(row, np.ones_like(row[0]))[0, 0] == 2048 * 2**14 + 9 * 2048 + 1
+    codes = np.zeros((10 * 2048 + 1, 8), np.int16)
+    codes[:, 0] = 1
+    codes[:2048, 0] = 128  # reaches 2**25, where a float32 sum does not feel a one
+    scales = np.ones(8, np.float32)
+    assert _core.weighted_gram(codes, scales, 1, np.ones(len(codes), np.float32))[0, 0] == 2048 * 2**14 + 9 * 2048 + 1
+
+
+@pytest.mark.parametrize(("n_parts", "m"), [(1, 0), (1, 7), (3, 8), (3, 9)])
+def test_modes_are_stored_to_half_a_step_of_their_codes(rng, n_parts, m):
+    """Codes of 16 bits: a step is the largest value of a mode, over all its parts, divided by 2^15 - 1."""
+    parts = rng.normal(size=(n_parts, m, 50)) * 10.0 ** rng.uniform(-6, 6, (1, m, 1))
+    modes = CodedModes.of(parts)
+    largest = np.abs(parts).max(axis=(0, 2), initial=0.0)
+    assert modes.codes.dtype == np.int16 and not modes.codes[:, :, m:].any()
+    error = np.abs(modes.decoded(m) - parts).max(axis=(0, 2), initial=0.0)
+    assert (error <= 0.501 * largest / 32767).all()
+
+
+def test_a_mode_of_zeros_stays_zero():
+    assert not CodedModes.of(np.zeros((1, 3, 5))).decoded(3).any()
 
 
 # Steps

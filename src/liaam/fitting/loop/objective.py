@@ -31,6 +31,32 @@ RIDGE = 1e-6
 """Ridge on A'A relative to the mode's squared norm before projection by the metric. It keeps modes that the metric
 cannot observe, such as pure shading under L(theta), at the mean; otherwise rounding errors determine them."""
 
+MOST_CODE = 32767
+"""Largest code of a mode in 16 bits, as in the files of models."""
+
+
+class CodedModes(NamedTuple):
+    """Modes in 16 bits: each is its scale times its codes."""
+
+    codes: np.ndarray  # (parts, n, w) int16, w = m padded with zeros to a multiple of eight
+    scales: np.ndarray  # (w,) float32
+
+    @classmethod
+    def of(cls, parts: np.ndarray) -> "CodedModes":
+        """Round modes (parts, m, n): a constant part, or that and those by cos and sin of an angle."""
+        n_parts, m, n = parts.shape
+        largest = np.abs(parts).max(axis=(0, 2), initial=0.0)
+        scales = (largest / MOST_CODE).astype(np.float32)
+        scales[scales < np.finfo(np.float32).tiny] = 1.0  # its codes are 0
+        codes = np.zeros((n_parts, n, padded(m)), np.int16)
+        for part, rounded in zip(parts, codes, strict=True):
+            rounded[:, :m] = np.rint(part / scales[:, None]).T
+        return cls(codes, np.pad(scales, (0, padded(m) - m)))
+
+    def decoded(self, m: int) -> np.ndarray:
+        """Return the modes, (parts, m, n) float32."""
+        return (self.codes * self.scales)[:, :, :m].swapaxes(1, 2)
+
 
 class State(NamedTuple):
     """The unknowns of a fit."""
@@ -80,7 +106,7 @@ class Objective:
     @property
     def n_lambda(self) -> int:
         """Number of appearance modes plus extra modes."""
-        return len(self.fields["modes"]) - 1
+        return len(self.fields["ridge"])
 
     @property
     def n_usable(self) -> float:
@@ -104,31 +130,25 @@ class Objective:
     def fields(self) -> dict[str, Any]:
         """Arrays and numbers of the objective, as ``src/core/objective.hpp`` names and describes them.
 
-        ``modes`` (1 + m, n k) are P(theta_1) A_0 and P(theta_1) A_i, and ``mode_parts`` their constant, cos and sin
-        parts where theta_1 is free.
+        ``mean`` and ``modes`` are P(theta_1) A_0 and P(theta_1) A_i: one part, or where theta_1 is free the constant,
+        cos and sin part.
         """
-        n = len(self.appearance.mean)
-        k = self.method.n_rows
         method = self.method
-        parts = self._modes_of(self.appearance, self.illumination)
-        modes = at_angle(parts, self.theta_model).reshape(-1, n * k)
-        gradient_parts = self._mode_gradient_parts
-        m = len(modes) - 1
-        none = np.zeros((0, 0, 0), np.float32)
-        transposed = np.zeros((n * k, padded(m)), np.float32)
-        transposed[:, :m] = modes[1:].T
+        mean, modes = self._coded(self._modes_of(self.appearance, self.illumination))
+        mean_gradients, mode_gradients = self._coded(self._mode_gradient_parts)
         root_weights = self._root_weights()
-        weighted = modes[1:].astype(np.float64) * root_weights
+        ridge = self._ridge()
         return {
             **(self.warp.mesh()._asdict() if isinstance(self.warp, PiecewiseAffineWarp) else {}),
-            "modes": modes,
-            "transposed_modes": transposed.ravel(),
-            "mode_gradients": at_angle(gradient_parts, self.theta_model) if self._turns else gradient_parts[0],
-            "mode_parts": parts.reshape(3, -1, n * k) if self._turns else none,
-            "mode_gradient_parts": gradient_parts if self._turns else none,
+            "mean": mean,
+            "modes": modes.codes,
+            "mode_scales": modes.scales,
+            "mean_gradients": mean_gradients,
+            "mode_gradients": mode_gradients.codes,
+            "mode_gradient_scales": mode_gradients.scales,
             "sqrt_weights": root_weights,
-            "gram": weighted @ weighted.T,
-            "ridge": self._ridge(),
+            "gram": self._gram(modes, root_weights, len(ridge)),
+            "ridge": ridge,
             "errors": self._errors(),
             "prior": self.weighted_prior,
             "correlated": float(self.correlated),
@@ -142,6 +162,40 @@ class Objective:
             "step": STEPS.index(method.step),
         }
 
+    def _coded(self, parts: np.ndarray) -> tuple[np.ndarray, CodedModes]:
+        """Return the mean (parts, n k), and the modes in 16 bits, of those projected by the parts of P.
+
+        ``parts`` (3, 1 + m, ...) are constant, cos and sin. Where theta_1 is fixed, one part is
+        returned, at the model's angle.
+        """
+        if not self._turns and len(parts) > 1:
+            parts = at_angle(parts, self.theta_model)[None]
+        flat = parts.reshape(*parts.shape[:2], -1)
+        return np.ascontiguousarray(flat[:, 0]), CodedModes.of(flat[:, 1:])
+
+    def _gram(self, modes: CodedModes, root_weights: np.ndarray, m: int) -> np.ndarray:
+        """A'A under weights, (m, m) float64, at the model's angle."""
+        if len(modes.codes) == 1 and self.is_compiled:
+            return _core.weighted_gram(modes.codes[0], modes.scales, m, root_weights)
+        parts = modes.decoded(m)
+        own = at_angle(parts, self.theta_model) if len(parts) > 1 else parts[0]
+        weighted = own.astype(np.float64) * root_weights
+        return weighted @ weighted.T
+
+    @property
+    def mean_and_modes(self) -> np.ndarray:
+        """P(theta_1) A_0 and P(theta_1) A_i as fits use them, (parts, 1 + m, n k) float32."""
+        return self._decoded("mean", "modes", "mode_scales")
+
+    @property
+    def gradients_of_modes(self) -> np.ndarray:
+        """Spatial gradients of the same, (parts, 1 + m, 2 n k) float32."""
+        return self._decoded("mean_gradients", "mode_gradients", "mode_gradient_scales")
+
+    def _decoded(self, mean: str, codes: str, scales: str) -> np.ndarray:
+        modes = CodedModes(self.fields[codes], self.fields[scales]).decoded(self.n_lambda)
+        return np.concatenate([self.fields[mean][:, None], modes], axis=1)
+
     def _root_weights(self) -> np.ndarray:
         """Square roots of the model's weights, (n k,) float32."""
         return np.repeat(np.sqrt(self.appearance.usable), self.method.n_rows).astype(np.float32)
@@ -154,11 +208,7 @@ class Objective:
         usable = (self.appearance.usable * weights).astype(self.appearance.usable.dtype)
         other = replace(self, appearance=replace(self.appearance, usable=usable), n_usable_of_all=self.n_usable)
         root_weights = other._root_weights()
-        if self.is_compiled:
-            gram = _core.weighted_gram(self.fields["modes"], root_weights)
-        else:
-            weighted = self.fields["modes"][1:].astype(np.float64) * root_weights
-            gram = weighted @ weighted.T
+        gram = self._gram(CodedModes(self.fields["modes"], self.fields["mode_scales"]), root_weights, self.n_lambda)
         # The other fields are the same, and take long to make.
         other.__dict__["fields"] = {**self.fields, "sqrt_weights": root_weights, "gram": gram}
         return other
@@ -250,9 +300,8 @@ class Objective:
 
     def mean_at(self, theta: float) -> np.ndarray:
         """Return P(theta_1) A_0, (n k,)."""
-        if not self._turns:
-            return self.fields["modes"][0]
-        return np.array([1.0, np.cos(theta), np.sin(theta)]) @ self.fields["mode_parts"][:, 0]
+        mean = self.fields["mean"]
+        return mean[0] if len(mean) == 1 else np.array([1.0, np.cos(theta), np.sin(theta)]) @ mean
 
     def problem(self, image: EncodedImage) -> Any:
         """Return the objective at an image, in the parts that the loop calls (:class:`Problem`)."""

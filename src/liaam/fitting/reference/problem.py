@@ -48,8 +48,9 @@ class Problem:
         self.normalise = objective.method.normalise
         self.n = len(self.fields["errors"])
         self.k = len(self.fields["metric"][0]) // CHANNELS
-        self.modes = self.fields["modes"].astype(np.float64)  # (1 + m, n k): P(theta_1) A_0 and P(theta_1) A_i
-        self.mode_gradients = self.fields["mode_gradients"]
+        # P(theta_1) A_0 and P(theta_1) A_i (eq 4), and their gradients: constant, or constant, cos and sin part.
+        self.mode_parts = objective.mean_and_modes.astype(np.float64)  # (1 or 3, 1 + m, n k)
+        self.mode_gradient_parts = objective.gradients_of_modes
 
     def begin(self, p: np.ndarray, angles, lam: np.ndarray) -> None:
         """Set a state, and the model's weights."""
@@ -105,10 +106,9 @@ class Problem:
 
     def _project_model(self) -> None:
         """P(theta_1) A_0 and P(theta_1) A_i, and their gradients, where theta_1 is free."""
-        if self.fields["mode_parts"].size:
-            factors = np.array([1.0, np.cos(self.angles[0]), np.sin(self.angles[0])])
-            self.modes = np.tensordot(factors, self.fields["mode_parts"].astype(np.float64), axes=1)
-            self.mode_gradients = np.tensordot(factors, self.fields["mode_gradient_parts"], axes=1)
+        factors = np.array([1.0, np.cos(self.angles[0]), np.sin(self.angles[0])])[: len(self.mode_parts)]
+        self.modes = np.tensordot(factors, self.mode_parts, axes=1)
+        self.mode_gradients = np.tensordot(factors, self.mode_gradient_parts, axes=1)
 
     def _subtract_appearance(self) -> None:
         """Samples minus the appearance (eq 4)."""
@@ -193,8 +193,8 @@ class Problem:
         columns = []
         for d_theta_1, d_theta_2 in self.fields["directions"].T:  # by a free angle
             column = d_theta_2 * of_image.ravel()
-            if self.fields["mode_parts"].size:
-                _, by_cos, by_sin = self.fields["mode_parts"].astype(np.float64)
+            if len(self.mode_parts) == 3:
+                _, by_cos, by_sin = self.mode_parts
                 c = np.cos(self.angles[0])
                 s = np.sin(self.angles[0])
                 column = column - d_theta_1 * self._combined(c * by_sin - s * by_cos)
