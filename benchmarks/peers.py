@@ -210,7 +210,8 @@ def floor_bytes(objective: Objective, image: EncodedImage) -> int:
     seen = round(n * abs(np.linalg.det(image.from_model.matrix)))
     points = (12 + 16) * n
     sample = 4 * (c + 1) * seen + 4 * (c + 3 * k + 1) * n
-    return points + sample + 4 * m * k * n + (4 * m + 12) * k * n
+    modes = 2 * m * k * n  # in 16 bits; once for the residual and once for the products
+    return points + sample + 2 * modes + 12 * k * n
 
 
 def floor_rows() -> list[PeerRow]:

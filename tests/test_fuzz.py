@@ -12,6 +12,7 @@ from fuzz.parent import run
 from fuzz.target import MODULES, Target, targets_of
 from fuzz.worker import GIGABYTES, SECONDS, Job, Limits, outcome_of
 from liaam.errors import LiaamError, ModelFileError
+from liaam.io.landmarks import LANDMARK_SUFFIXES
 from liaam.model import load_model
 
 pytestmark = pytest.mark.skipif(sys.platform != "linux", reason="the fuzzer runs on Linux only")
@@ -122,6 +123,10 @@ def test_forged_models_are_of_all_kinds():
     assert any(header.get("others") for header in headers)
     assert any(len(header["views"]) == 1 for header in headers)
     assert any(set(view["blurs"]) == {0.0} for header in headers for view in header["views"].values())
+
+
+def test_every_suffix_of_landmark_files_has_a_target():
+    assert {f"landmarks{suffix}" for suffix in LANDMARK_SUFFIXES} <= TARGETS.keys()
 
 
 def test_no_two_targets_have_one_name():

@@ -66,24 +66,47 @@ void decode_row(const Stored<T>& image, std::ptrdiff_t y, const LightTable& tabl
     }
 }
 
-void add_scaled(std::vector<float>& sums, float scale, const float* row, std::size_t n) {
+// A sum of rows, each times a share; what lies beyond their n numbers stays 0.
+class RowSum {
+  public:
+    RowSum(std::size_t n, std::size_t beyond) : sums_(n + beyond), n_(n) {}
+
+    void begin() { is_empty_ = true; }
+    void add(float share, const float* row) {
+        float* sums = sums_.data();
+        if (is_empty_) {
 #pragma omp simd
-    for (std::size_t x = 0; x < n; ++x) sums[x] += scale * row[x];
-}
+            for (std::size_t x = 0; x < n_; ++x) sums[x] = share * row[x];
+        } else {
+#pragma omp simd
+            for (std::size_t x = 0; x < n_; ++x) sums[x] += share * row[x];
+        }
+        is_empty_ = false;
+    }
+    const std::vector<float>& total() {
+        if (is_empty_) std::fill_n(sums_.begin(), n_, 0.0f);
+        return sums_;
+    }
+
+  private:
+    std::vector<float> sums_;
+    std::size_t n_;
+    bool is_empty_ = true;
+};
 
 // Means of the blocks of an image (h, w, depth).
 void mean_blocks(const float* values, std::ptrdiff_t width, std::ptrdiff_t depth, const Taps& down, const Taps& across,
                  float* means) {
     const std::size_t n = depth * width, columns = across.first.size();
-    std::vector<float> sums(n + depth * across.n_taps);  // blocks at the border read beyond, with weight 0
+    RowSum sum(n, depth * across.n_taps);  // blocks at the border read beyond, with weight 0
     for (std::size_t i = 0; i < down.first.size(); ++i, means += depth * columns) {
-        std::fill(sums.begin(), sums.end(), 0.0f);
+        sum.begin();
         for (std::size_t k = 0; k < down.n_taps; ++k) {
             const float share = down.of(i)[k];
-            if (share > 0.0f) add_scaled(sums, share, values + (down.first[i] + k) * n, n);
+            if (share > 0.0f) sum.add(share, values + (down.first[i] + k) * n);
         }
-        if (depth == 4) cut_light(sums, across, columns, means);
-        else cut_row(sums, across, columns, depth, means);
+        if (depth == 4) cut_light(sum.total(), across, columns, means);
+        else cut_row(sum.total(), across, columns, depth, means);
     }
 }
 
@@ -95,20 +118,21 @@ void stored_means(const Stored<T>& image, const LightTable& table, const BlockGr
     const Taps across(image.width, blocks.x, blocks.size, blocks.columns);
     const Taps down(image.height, blocks.y, blocks.size, blocks.rows);
     const std::size_t n = 4 * image.width;
-    std::vector<float> sums(n + 4 * across.n_taps), light(n);  // see mean_blocks
+    RowSum sum(n, 4 * across.n_taps);  // see mean_blocks
+    std::vector<float> light(n);
     means.resize(4 * blocks.rows * blocks.columns);
     std::ptrdiff_t decoded = -1;
     for (std::ptrdiff_t i = 0; i < blocks.rows; ++i) {
-        std::fill(sums.begin(), sums.end(), 0.0f);
+        sum.begin();
         for (std::size_t k = 0; k < down.n_taps; ++k) {
             const float share = down.of(i)[k];
             if (share <= 0.0f) continue;
             const auto y = down.first[i] + static_cast<std::ptrdiff_t>(k);
             if (y != decoded) decode_row(image, y, table, light.data());  // blocks that cut through pixels share a row
             decoded = y;
-            add_scaled(sums, share, light.data(), n);
+            sum.add(share, light.data());
         }
-        cut_light(sums, across, blocks.columns, means.data() + 4 * blocks.columns * i);
+        cut_light(sum.total(), across, blocks.columns, means.data() + 4 * blocks.columns * i);
     }
 }
 

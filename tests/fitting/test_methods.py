@@ -1,6 +1,8 @@
 """The table of methods, and what it refuses."""
 
+import re
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -8,6 +10,7 @@ import pytest
 import liaam
 from liaam.errors import MethodError, OptionError
 from liaam.fitting import METHODS, Fitter, Method, fit, get_method
+from liaam.fitting.methods import LOSSES
 from liaam.model.appearance import CHANNELS
 from liaam.photometry import invariant_row
 
@@ -16,8 +19,17 @@ ROUNDING = 16 * np.finfo(float).eps
 
 
 def test_an_unknown_method_lists_those_that_exist():
-    with pytest.raises(MethodError, match="'sift'; choose from soft-li, grey, rgb, li, li-lit, li-pc"):
+    with pytest.raises(
+        MethodError, match=re.escape(f"'sift'; choose from {', '.join(METHODS)} (see 'liaam fit --help')")
+    ):
         get_method("sift")
+
+
+def test_the_reference_lists_all_methods_and_losses():
+    text = (Path(__file__).parents[2] / "docs/reference/methods.md").read_text(encoding="utf-8")
+    names = re.findall(r"`([^`]+)`", text)
+    assert METHODS.keys() <= set(names)
+    assert {f"+{loss}" for loss in LOSSES} <= {part for name in names for part in re.findall(r"\+[a-z0-9-]+", name)}
 
 
 def test_a_method_of_ones_own_passes_through():

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 from hypothesis import HealthCheck, assume, given, settings, strategies as st
 
+from fuzz.landmarks import corpus
 from liaam.error_measures import point_error
 from liaam.errors import LandmarkError, LiaamError
 from liaam.io import (
@@ -734,24 +735,15 @@ def test_junk_raises_only_landmark_errors(tmp_path: Path, suffix: str, junk: byt
         assert "junk" in str(error)
 
 
-WHOLE = {".asf": ASF, ".xml": DLIB, ".json": json.dumps(COCO), ".tem": "2\n1 1\n2 2\n1\n0\n2\n0 1\n"}
-WHOLE |= {".pts": "version: 1\nn_points: 2\n{\n1 1\n2 2\n}\n", ".csv": "x,y\n1,2\n3,4\n"}
-WHOLE |= {".tps": "LM=2\n1 1\n2 2\nCURVES=1\nPOINTS=2\n3 3\n4 4\nIMAGE=a.jpg\nID=0\nSCALE=0.5\n"}
-WHOLE |= {".tsv": "id\tx\ty\n1\t1,5\t2\n2\t3\t4\n", ".nts": "1 2L 4 0 DIM=2\na b\n1 2 3 4\n5 6 7 8\n"}
-WHOLE |= {".txt": "3 1 9 9 0 0 1 1 0 0 1 0 1 0 a.png\n3 1 9 9 0 0 1 1 0 0 1 0 1 0 b.png\n"}
-WHOLE |= {".geojson": '{"features": [{"geometry": {"type": "Point", "coordinates": [1, 2]}}]}'}
-WHOLE |= {".fcsv": "# CoordinateSystem = LPS\n# columns = id,x,y,z\na,1,2,0\nb,3,4,0\n"}
-WHOLE |= {".ljson": json.dumps(ljson([[1, 2], [3, 4]], connectivity=[[0, 1]]))}
-
-
 BINARY = (".roi", ".zip", ".xlsx")  # test_exports.py damages these
 
 
+@pytest.mark.filterwarnings("ignore::UserWarning")  # of lines that are left out
 @pytest.mark.parametrize("suffix", [suffix for suffix in LANDMARK_SUFFIXES if suffix not in BINARY])
 @given(data=st.data())
 @SOME
 def test_damaged_files_raise_only_landmark_errors(tmp_path: Path, suffix: str, data: st.DataObject) -> None:
-    text = WHOLE[suffix]
+    text = data.draw(st.sampled_from(corpus(suffix))).decode()
     place = data.draw(st.integers(0, len(text) - 1))
     patch = data.draw(st.text(st.sampled_from("0123456789-.,[]{}<>/'\"\\ \n\txyn&!#"), max_size=3))
     path = save(tmp_path, f"junk{suffix}", text[:place] + patch + text[place + data.draw(st.integers(0, 5)) :])
@@ -766,7 +758,7 @@ def test_damaged_files_raise_only_landmark_errors(tmp_path: Path, suffix: str, d
 @given(cut=st.integers(0, 50))
 @SOME
 def test_a_pts_file_cut_anywhere_is_refused(tmp_path: Path, cut: int) -> None:
-    whole = WHOLE[".pts"]
+    whole = "version: 1\nn_points: 2\n{\n1 1\n2 2\n}\n"
     assume(cut < whole.index("}"))
     with pytest.raises(LandmarkError):
         read_landmarks(save(tmp_path, "a.pts", whole[:cut]))

@@ -112,3 +112,16 @@ def test_small_pictures_show_absent_landmarks_as_rings(fitted):
     assert is_there(thumbnail(image, damaged, 256), ABSENT, 40) and not is_there(
         thumbnail(image, whole, 256), ABSENT, 40
     )
+
+
+@pytest.mark.parametrize("status", [FitStatus.CONVERGED, FitStatus.DOUBTFUL, FitStatus.DIVERGED])
+def test_small_pictures_show_the_colour_of_the_status_more_than_its_dark_edges(fitted, status):
+    image, result = fitted
+    contours = tuple((contour.indices, contour.closed) for contour in load_heads()[1][0].landmarks.contours)
+    fit = replace(result, status=status, present=None, contours=contours)
+    drawn = thumbnail(np.full_like(image, 255), fit, 256).astype(float)
+    marked = 255.0 - drawn[drawn.min(axis=2) < 200]
+    # Each pixel is white with shares of the colour and of the dark edge, which least squares estimate.
+    paints = 255.0 - np.array([rgb(status.colour), (0, 0, 0)])
+    colour, dark = np.linalg.lstsq(paints.T, marked.T, rcond=None)[0].mean(axis=1)
+    assert colour > dark

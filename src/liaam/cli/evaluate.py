@@ -58,7 +58,7 @@ def evaluate(
         Path | None,
         typer.Option(
             help="Landmarks of the same images by another person, or by the same person again: a file or a folder. "
-            "Errors of people then do not count as variance of shape."
+            "The variance of shape is then estimated without the errors of people."
         ),
     ] = None,
     groups: Annotated[

@@ -154,8 +154,8 @@ def measure(
     plot: Annotated[
         Path | None,
         typer.Option(
-            help="Figure of all shapes on each other and of their principal components, or with --symmetry of the "
-            "asymmetry: .png, .pdf, .svg."
+            help="Figure of all shapes, drawn over each other, and of their principal components, or with --symmetry "
+            "of the asymmetry: .png, .pdf, .svg."
         ),
     ] = None,
     strict: StrictOption = False,

@@ -86,8 +86,8 @@ def train(
     regressor: Annotated[
         str,
         typer.Option(
-            help="Also learn to predict the landmarks by regression. Fits then start from the prediction, and take it "
-            "into account: 'always', 'none', or 'auto' if fewer fits to left-out images fail with it."
+            help="Whether to learn to predict the landmarks by regression, too: 'always', 'none', or 'auto' (only if "
+            "fewer fits to left-out images fail with it). Fits then start from the prediction and take it into account."
         ),
     ] = inputs.AUTO,
     leave_out: Annotated[

@@ -28,6 +28,7 @@ LARGE_FRAME = 700  # That of frames of a video, which take longer to write
 FRACTION_BITS = 4
 ONE = 2**FRACTION_BITS  # A pixel in these numbers
 FARTHEST = 1e6  # Largest coordinate in pixels that is drawn, so that these numbers do not overflow
+SMALLEST_RADIUS = 1.2  # Of a dot beside lines of one pixel, in pixels
 SMALLEST_LETTERS = 11  # Size of the smallest letters in pixels
 OPACITY = 0.75  # Of ellipses and meshes, which are less important than the landmarks below them
 NEIGHBOURS = 4  # Nearest landmarks of a landmark, from which its label is moved away
@@ -135,19 +136,21 @@ def draw_shape(
     covariances: np.ndarray | None = None,
     colour: str = LANDMARK,
     absent: np.ndarray | None = None,
+    thinnest: int = 1,
 ) -> None:
     """Draw landmarks (n, 2) with their contours and 95 % ellipses on a picture (h, w, 3) uint8, in place.
 
-    Of ``absent`` ones, (n,) bool, rings are drawn.
+    Of ``absent`` ones, (n,) bool, rings are drawn. Lines are at least ``thinnest`` pixels thick, and dots as
+    much larger.
     """
     points = _within_reach(points)
-    thick = _thickness(picture, points)
+    thick = max(thinnest, _thickness(picture, points))
     if covariances is not None:
         rings = outlines_of(points, np.asarray(covariances))
         closed_rings = list(np.concatenate([rings, rings[:, :1]], axis=1))
         _draw_faintly(picture, closed_rings, ELLIPSE, max(1, thick // 2))
     draw_lines(picture, [line_of(points, indices, closed) for indices, closed in contours], colour, thick)
-    radius = _radius(picture, points)
+    radius = max(_radius(picture, points), thinnest * SMALLEST_RADIUS)
     is_absent = np.zeros(len(points), bool) if absent is None else absent
     draw_dots(picture, points[~is_absent], colour, radius)
     draw_rings(picture, points[is_absent], ABSENT, 2.0 * radius, thick)
@@ -171,7 +174,7 @@ def _thickness(picture: np.ndarray, points: np.ndarray) -> int:
 def _radius(picture: np.ndarray, points: np.ndarray) -> float:
     """Return the radius of dots in pixels. They are as thick lines are, but must not merge."""
     wanted = max(_extent(picture, points) / 180, max(picture.shape[:2]) / 400)
-    return max(1.2, min(wanted, 0.4 * _spacing(points)))
+    return max(SMALLEST_RADIUS, min(wanted, 0.4 * _spacing(points)))
 
 
 def _spacing(points: np.ndarray) -> float:
@@ -303,13 +306,14 @@ def thumbnail(image: np.ndarray, result: "FitResult", size: int) -> np.ndarray:
         margin = 0.4 * float(np.ptp(points, axis=0).max(initial=0.0)) + 4
         low = np.clip(np.floor(points.min(axis=0) - margin), 0, whole - 1).astype(int)
         high = np.clip(np.ceil(points.max(axis=0) + margin), low + 1, whole).astype(int)
-    scale = size / float((high - low).max())
-    width, height = np.maximum(np.rint((high - low) * scale), 1).astype(int).tolist()
+    # Drawn at twice the size, since lines of one pixel would be hidden by their dark edges, which are not thinner.
+    scale = 2 * size / float((high - low).max())
+    width, height = np.maximum(np.rint((high - low) * scale), 2).astype(int).tolist()
     part = as_picture(image[low[1] : high[1], low[0] : high[0]])
     picture = cv2.resize(part, (width, height), interpolation=cv2.INTER_AREA if scale < 1 else cv2.INTER_CUBIC)
     shape = (points - low + 0.5) * scale - 0.5
-    draw_shape(picture, shape, result.contours, colour=result.status.colour, absent=result.absent)
-    return picture
+    draw_shape(picture, shape, result.contours, colour=result.status.colour, absent=result.absent, thinnest=2)
+    return cv2.resize(picture, (width // 2, height // 2), interpolation=cv2.INTER_AREA)
 
 
 def overlay_of_faults(image: np.ndarray, points: np.ndarray, faults: Sequence[LabelFault]) -> np.ndarray:

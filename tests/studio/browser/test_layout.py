@@ -122,6 +122,8 @@ def test_axe_finds_no_violation(sized):
     theme = "light" if sized.viewport_size["width"] > NARROW else "dark"
     sized.emulate_media(color_scheme=theme, reduced_motion="reduce")
     found = {tab: violations(sized) for tab in tabs(sized)}
+    names = sized.evaluate("() => [...document.querySelectorAll('[role=tab]')].map((tab) => tab.dataset.testid)")
+    assert {name.removeprefix("tab-") for name in names} <= found.keys()
     sized.keyboard.press("?")
     sized.locator("dialog").wait_for()
     found["keys"] = violations(sized)
