@@ -128,7 +128,7 @@ def one_at_a_time(path: Path) -> Iterator[None]:
     A database holds the lock, because the system lets go of it when its process is killed, which a lock made of a file
     would not survive. Nothing is written to it.
     """
-    with closing(sqlite3.connect(path.with_name(f"{path.name}.lock"), timeout=600, isolation_level=None)) as lock:
+    with closing(sqlite3.connect(path.with_name(f"{path.name}.lock"), timeout=3600, isolation_level=None)) as lock:
         lock.execute("BEGIN EXCLUSIVE")
         yield
 
