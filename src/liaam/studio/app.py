@@ -35,6 +35,7 @@ from liaam.studio.agreement import model_agreement
 from liaam.studio.background import Background
 from liaam.studio.fits import LAYER_SIZE, Fits, truth_of
 from liaam.studio.folder import Folder, checked_folder, plain_name, status_of
+from liaam.studio.found_scale import found_scale
 from liaam.studio.live import LiveVideos
 from liaam.studio.model_store import ModelStore, load_dropped_model, load_studio_model, model_json
 from liaam.studio.pictures import Pictures, PictureSource, Uploads, jpeg_bytes
@@ -156,6 +157,7 @@ class Studio:
             route("GET", "/api/measurements", self._measurements),
             route("GET", "/api/shapes", lambda asked: shapes.shapes(project, asked.query_params)),
             route("PUT", "/api/groups", self._save_groups, read_json),
+            route("GET", of_picture + "scale", self._found_scale, limiter=fits),
             route("GET", of_picture + "others", lambda asked: others(project, asked.path_params["name"])),
             route("POST", "/api/sets", lambda _, data: make_set(project, data), read_json, status=201),
             route("GET", "/api/agreement", lambda _: agreement(project)),
@@ -230,6 +232,11 @@ class Studio:
         self.events.publish("landmarks", changed)
         self.background.woken.set()
         return answer
+
+    def _found_scale(self, request: Request) -> contract.FoundScale:
+        source = self.project.source(request.path_params["name"])
+        with self.pictures.at_work(source) as pixels:
+            return found_scale(pixels, source.size, request.query_params)
 
     def _review(self, request: Request, data: Any) -> dict[str, Any]:
         answer = self.project.review(data)
