@@ -67,6 +67,13 @@ def test_two_rows_are_one_bar(n: int, rng: np.random.Generator) -> None:
     assert abs(bar.length - 40 * n) < max(3 * bar.length_se, 0.5)
 
 
+def test_blocks_that_are_not_seen_alone_count(rng: np.random.Generator) -> None:
+    image = photograph(9, 40.0, 14.0, rng)
+    cv2.line(image, (240, 188), (236, 60), 15, 3)  # a hair joins a dark block to the ground
+    bar = find_bar(image)
+    assert abs(bar.length - 360) < max(3 * bar.length_se, 0.5)
+
+
 def test_squares_of_a_chessboard_are_no_bar(rng: np.random.Generator) -> None:
     board = np.kron(np.indices((8, 8)).sum(axis=0) % 2, np.ones((30, 30))) * 200 + 20
     with pytest.raises(LiaamError):

@@ -6,7 +6,7 @@ import pytest
 
 from liaam.errors import LiaamError
 from liaam.scale import Length, find_ruler, parse_length
-from liaam.scale.hierarchy import BINARY, DECIMAL, expected
+from liaam.scale.hierarchy import expected, may_be
 
 FINE = 4
 MILLIMETRES = {10: 1.8, 5: 1.4}  # lengths of every tenth and fifth tick
@@ -34,27 +34,35 @@ def blank() -> np.ndarray:
 
 
 @pytest.mark.parametrize(
-    "tick, kind",
+    "tick, longest",
     [
-        ("1 mm", DECIMAL),
-        ("0.5 mm", DECIMAL),
-        ("0.1 in", DECIMAL),
-        ("0.0625 in", BINARY),
-        ("1.5875 mm", BINARY),
-        ("0.01 mm", DECIMAL),
-        ("1 in", ""),
-        ("0.7 mm", ""),
+        ("1 mm", 10),
+        ("0.5 mm", 20),
+        ("0.1 in", 10),
+        ("0.0625 in", 16),
+        ("1.5875 mm", 16),
+        ("3.175 mm", 8),
+        ("0.01 mm", 10),
+        ("1 in", 10),
+        ("0.7 mm", 0),
     ],
 )
-def test_the_length_says_which_ticks_are_longer(tick: str, kind: str) -> None:
-    assert expected(parse_length(tick)) == kind
+def test_the_length_says_which_ticks_are_the_longest(tick: str, longest: int) -> None:
+    assert expected(parse_length(tick)) == longest
 
 
-@pytest.mark.parametrize("longer, kind", [(MILLIMETRES, DECIMAL), (SIXTEENTHS, BINARY), (ALIKE, "")])
-def test_longer_ticks_are_seen(longer: dict[int, float], kind: str, rng: np.random.Generator) -> None:
+def test_longest_ticks_that_contradict_the_length_are_told() -> None:
+    assert may_be(10, 100, 10) and may_be(16, 100, 0) and may_be(5, 100, 10)
+    assert not may_be(16, 100, 10) and not may_be(10, 100, 16)  # inches and millimetres
+    assert not may_be(10, 100, 20) and not may_be(20, 100, 10)  # some are not seen, or not meant
+    assert may_be(8, 40, 16) and not may_be(8, 80, 16)  # too few inches are seen
+
+
+@pytest.mark.parametrize("longer, longest", [(MILLIMETRES, 10), ({10: 1.8}, 10), (SIXTEENTHS, 16), (ALIKE, 0)])
+def test_longer_ticks_are_seen(longer: dict[int, float], longest: int, rng: np.random.Generator) -> None:
     canvas = blank()
-    ticks(canvas, 100, 8.0, longer)
-    assert find_ruler(photograph(canvas, rng)).longer == kind
+    ticks(canvas, 100, 9.0, longer, n=66)
+    assert find_ruler(photograph(canvas, rng)).longest == longest
 
 
 def test_a_comb_beside_a_ruler_is_none(rng: np.random.Generator) -> None:
@@ -78,7 +86,7 @@ def test_the_length_of_a_tick_chooses_the_side_of_a_ruler(tick: Length, period: 
 def test_a_length_that_the_longer_ticks_contradict_is_refused(rng: np.random.Generator) -> None:
     canvas = blank()
     ticks(canvas, 100, 12.7, SIXTEENTHS, n=45)
-    message = r"ticks are found every 12\.7 pixels, of which halves and quarters are longer, and not fifths and tenths"
+    message = r"ticks are found every 12\.7 pixels, of which every (8|16)th is the longest, and not every 10th as where"
     with pytest.raises(LiaamError, match=message):
         find_ruler(photograph(canvas, rng), Length(1, "mm"))
 

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Sequence
+from dataclasses import replace
 
 import cv2
 import numpy as np
@@ -34,6 +35,7 @@ _CHANGE = 0.12  # standard error of the place of a change from one block to the 
 _AROUND = 10.0  # greatest distance from a change that is looked at, pixels
 _LEVEL = 0.35  # greatest difference of the level of a block from the others of its kind, of the contrast
 _STEP_OUT = 0.04  # least step from a light block at an end to the ground, or to its outline, of the contrast
+_MOST = 60  # further blocks at either end of those that were seen
 _NOISE = 4.0  # and the least in levels, above the noise of a mean
 _OFF = 0.2  # greatest distance of such a step from the side of a block, of its length or half its thickness
 
@@ -59,10 +61,43 @@ def is_part(bar: Bar, whole: Bar, reach: float) -> bool:
 
 
 def _by_dark_blocks(levels: np.ndarray) -> Iterator[tuple[Bar, float]]:
-    for chain in find_chains(levels[..., 0]):
+    for part in find_chains(levels[..., 0]):
+        chain = _whole(levels[..., 0], part)
         bar = _of_chain(levels, chain)
         if bar is not None:
             yield bar, chain.rows * chain.thickness / 2
+
+
+def _whole(grey: np.ndarray, chain: Chain) -> Chain:
+    """Return a chain of one row with the further blocks that go on in its steps, some of which may not have been seen.
+
+    A further dark block has light beside it, across the chain, as the ground beyond a card has not.
+    """
+    if chain.rows > 1:
+        return chain
+    n = round((chain.end - chain.begin) / chain.pitch)
+    levels = _levels_at(grey, chain, chain.begin + (np.arange(n) + 0.5) * chain.pitch)
+    dark, light = float(np.median(levels[::2])), float(np.median(levels[1::2]))
+    limit = (dark + light) / 2
+    for side in (-1, 1):
+        for _ in range(_MOST):
+            last = chain.end if side > 0 else chain.begin
+            places = last + side * np.array([0.5, 1.5]) * chain.pitch
+            gap, block = _levels_at(grey, chain, places).tolist()
+            beside = [_levels_at(grey, chain, places[1:], way * chain.thickness)[0] for way in (-1, 1)]
+            if gap < limit or block > limit or min(beside) < limit:
+                break
+            further = last + 2 * side * chain.pitch
+            chain = replace(chain, end=further) if side > 0 else replace(chain, begin=further)
+    return chain
+
+
+def _levels_at(grey: np.ndarray, chain: Chain, middles: np.ndarray, across: float = 0.0) -> np.ndarray:
+    """Return the median levels around places (n,) along a chain, and so far across it."""
+    places = middles[:, None] + np.linspace(-0.25, 0.25, 9) * chain.pitch
+    rows = across + np.linspace(-0.2, 0.2, 3) * chain.thickness
+    levels = sampled(grey, chain.middle, chain.axis, places.ravel(), rows)
+    return np.median(levels.reshape(len(middles), -1), axis=1)
 
 
 def _of_chain(levels: np.ndarray, chain: Chain) -> Bar | None:

@@ -1,6 +1,7 @@
 """Which ticks of a ruler are longer: every fifth and tenth, as of millimetres, or every second, fourth and eighth.
 
-Longer ticks tell a ruler from a comb, a fabric or graph paper, and a scale of millimetres from one of inches.
+Longer ticks tell a ruler from a comb, a fabric or graph paper, a scale of millimetres from one of inches, and one whose
+smallest ticks are too fine to be seen: of half millimetres every twentieth is the longest, of millimetres every tenth.
 """
 
 from __future__ import annotations
@@ -12,10 +13,9 @@ import numpy as np
 
 from liaam.scale.lengths import Length
 
-DECIMAL = "fifths and tenths"
-BINARY = "halves and quarters"
-STEPS = {10: DECIMAL, 5: DECIMAL, 20: DECIMAL, 8: BINARY, 4: BINARY, 16: BINARY}
-"""From one longer tick to the next, and what that shows. Every second tick may be longer on both."""
+DECIMAL = (5, 10, 20)
+BINARY = (4, 8, 16, 32)
+"""From one longer tick to the next on scales of millimetres or tenths, and of inches. On both, every second may be."""
 
 _REACH = (30.0, 160.0)  # least and greatest distance from the ticks' middle that is looked at, pixels
 _OF_PERIOD = 8.0  # and usually, of the period
@@ -26,11 +26,12 @@ _FEWEST = 3  # longer ticks
 _OF_LONG = 0.75  # least share of longer ticks, and greatest of the others, that reach a distance
 _OF_OTHERS = 0.2
 _CLEAR = 5.0  # least difference of these shares, in standard errors
+_AS_CLEAR = 0.8  # least of that of the clearest step. Every second one of its ticks has 0.7 of it
 _ROWS = 3  # at so many distances in turn
 
 
-def longer_ticks(grey: np.ndarray, ends: np.ndarray, n_ticks: int) -> str:
-    """Return which ticks of a ruler are longer, `DECIMAL` or `BINARY`, or "" if none clearly are.
+def longest_ticks(grey: np.ndarray, ends: np.ndarray, n_ticks: int) -> int:
+    """Return from which tick to which one the longest ticks of a ruler are, such as 10; 0 if none clearly are longer.
 
     Parameters
     ----------
@@ -43,11 +44,14 @@ def longer_ticks(grey: np.ndarray, ends: np.ndarray, n_ticks: int) -> str:
     middle = len(contrast) // 2
     usual = float(np.median(contrast[middle - 1 : middle + 2]))
     if usual == 0:
-        return ""
+        return 0
     is_there = contrast / usual > _PRESENT
-    clearest = {step: _clearness(is_there, step) for step in STEPS if step * _FEWEST <= n_ticks + step}
-    best = max(clearest, key=lambda step: clearest[step], default=0)
-    return STEPS[best] if best and clearest[best] > _CLEAR else ""
+    clearness = {step: _clearness(is_there, step) for step in (*DECIMAL, *BINARY)}
+    best = max(clearness, key=lambda step: clearness[step])
+    if clearness[best] < _CLEAR:
+        return 0
+    family = DECIMAL if best in DECIMAL else BINARY
+    return max(step for step in family if clearness[step] > max(_CLEAR, _AS_CLEAR * clearness[best]))
 
 
 def _contrasts(grey: np.ndarray, ends: np.ndarray, n_ticks: int) -> np.ndarray:
@@ -88,17 +92,29 @@ def _clearness(is_there: np.ndarray, step: int) -> float:
     return best
 
 
-def expected(tick: Length) -> str:
-    """Return which ticks are longer on a ruler whose smallest ticks are this far apart, or "" if that is not known."""
+def expected(tick: Length) -> int:
+    """Return from which tick to which one the longest are, of ticks that are this far apart; 0 if that is not known."""
     inches = tick.within("in").value if tick.unit else 0.0
     millimetres = tick.within("mm").value if tick.unit else 0.0
     if inches <= 0:
-        return ""
-    if _is_near_whole(math.log2(inches)):
-        return BINARY if inches < 1 else ""
-    powers = (math.log10(millimetres / each) for each in (1, 2, 5))
-    tenths = math.log10(inches)
-    return DECIMAL if any(map(_is_near_whole, powers)) or _is_near_whole(tenths) else ""
+        return 0
+    times = round(1 / inches)
+    if times in BINARY and math.isclose(times * inches, 1, rel_tol=1e-3):
+        return times
+    if math.isclose(millimetres, 0.5, rel_tol=1e-3):
+        return 20
+    return 10 if _is_near_whole(math.log10(millimetres)) or _is_near_whole(math.log10(inches)) else 0
+
+
+def may_be(longest: int, n_ticks: int, wanted: int) -> bool:
+    """Whether ticks of which the longest are so far apart may be those of a ruler, as :func:`expected` has it.
+
+    Those of a whole are seen only if there are three; and on some rulers halves are as long.
+    """
+    if not wanted or longest == wanted:
+        return True
+    is_alike = any(longest in family and wanted in family for family in (DECIMAL, BINARY))
+    return is_alike and longest < wanted and (n_ticks < (_FEWEST + 1) * wanted or (longest, wanted) == (5, 10))
 
 
 def _is_near_whole(value: float) -> bool:

@@ -19,7 +19,7 @@ import numpy as np
 
 from liaam.errors import LiaamError
 from liaam.formatting import short_repr
-from liaam.scale.hierarchy import expected, longer_ticks
+from liaam.scale.hierarchy import expected, longest_ticks, may_be
 from liaam.scale.lengths import Length
 
 TILES = (96, 192, 384)
@@ -89,15 +89,15 @@ class Ruler:
         x and y of the first and the last tick, in pixels.
     n_ticks : int
         Ticks from the first to the last.
-    longer : str
-        Which ticks are longer than the others, one of :mod:`liaam.scale.hierarchy`; empty if none clearly are.
+    longest : int
+        From one of the longest ticks to the next, in ticks, such as 10; 0 if none clearly are longer than others.
     """
 
     period: float
     period_se: float
     ends: np.ndarray
     n_ticks: int
-    longer: str = ""
+    longest: int = 0
 
     __repr__ = short_repr
 
@@ -140,26 +140,27 @@ def find_ruler(image: np.ndarray, tick: Length | None = None) -> Ruler:
     for zoom in _ZOOMS:
         for ruler in _rulers_in(grey, zoom):
             if not any(_are_one(ruler, other) for other in found):
-                found.append(replace(ruler, longer=longer_ticks(grey, ruler.ends, ruler.n_ticks)))
-        if any(ruler.longer for ruler in found):
+                found.append(replace(ruler, longest=longest_ticks(grey, ruler.ends, ruler.n_ticks)))
+        if any(ruler.longest for ruler in found):
             break
     found = [_enlarged(ruler, 1 / factor) for ruler in found]
-    marked = [ruler for ruler in found if ruler.longer]
+    marked = [ruler for ruler in found if ruler.longest]
     if marked:
         return _only(_of_kind(marked, tick))
     return _only([ruler for ruler in found if ruler.n_ticks >= FEWEST_ALIKE])
 
 
 def _of_kind(rulers: Sequence[Ruler], tick: Length | None) -> list[Ruler]:
-    """Return the rulers whose longer ticks are those of the length from tick to tick."""
-    kind = expected(tick) if tick is not None else ""
-    fitting = [ruler for ruler in rulers if not kind or ruler.longer == kind]
+    """Return the rulers whose longest ticks are those of the length from tick to tick."""
+    wanted = expected(tick) if tick is not None else 0
+    fitting = [ruler for ruler in rulers if may_be(ruler.longest, ruler.n_ticks, wanted)]
     if fitting:
         return fitting
     best = max(rulers, key=_length)
     raise LiaamError(
-        f"ticks are found every {best.period:.4g} pixels, of which {best.longer} are longer, and not {kind} as on a "
-        f"ruler with ticks every {tick}: give the length from one smallest tick to the next of this ruler"
+        f"ticks are found every {best.period:.4g} pixels, of which every {best.longest}th is the longest, and not "
+        f"every {wanted}th as where ticks are {tick} apart: give the length from one smallest tick to the next, or "
+        "crop the image to the ruler; ticks of less than 4 pixels are not resolved"
     )
 
 
