@@ -96,3 +96,17 @@ def test_half_millimetres_at_the_other_side_are_the_smallest_ticks(rng: np.rando
     ticks(canvas, 100, 16.0, MILLIMETRES, n=35)
     ticks(canvas, 200, 8.0, {20: 2.2, 10: 1.9, 2: 1.4}, n=70, up=True)
     assert find_ruler(photograph(canvas, rng), Length(0.5, "mm")).period == pytest.approx(8, rel=1e-3)
+
+
+@pytest.mark.parametrize("width, length, is_ruler", [(0.5, 60, False), (0.15, 40, True), (0.5, 12, True)])
+def test_teeth_are_wide_and_long_and_ticks_are_not(width: float, length: int, is_ruler: bool, rng) -> None:
+    canvas = blank()
+    for i in range(40):
+        left, right = (round((60 + 12 * i + shift * 12) * FINE) for shift in (0, width))
+        canvas[100 * FINE : (100 + length) * FINE, left:right] = 20
+    image = photograph(canvas, rng)
+    if is_ruler:
+        assert find_ruler(image).period == pytest.approx(12, rel=1e-3)
+        return
+    with pytest.raises(LiaamError, match="no ruler"):
+        find_ruler(image)

@@ -17,6 +17,11 @@ DECIMAL = (5, 10, 20)
 BINARY = (4, 8, 16, 32)
 """From one longer tick to the next on scales of millimetres or tenths, and of inches. On both, every second may be."""
 
+_TEETH = (
+    0.35,
+    3.0,
+)  # least width of teeth and threads, of their period, and least length: ticks are thin, blocks short
+_PHASES = 16  # of a period at which ticks are looked at
 _REACH = (30.0, 160.0)  # least and greatest distance from the ticks' middle that is looked at, pixels
 _OF_PERIOD = 8.0  # and usually, of the period
 _ON = np.array([-0.12, 0.0, 0.12])  # where ticks are, of the period
@@ -54,23 +59,46 @@ def longest_ticks(grey: np.ndarray, ends: np.ndarray, n_ticks: int) -> int:
     return max(step for step in family if clearness[step] > max(_CLEAR, _AS_CLEAR * clearness[best]))
 
 
+def are_teeth(grey: np.ndarray, ends: np.ndarray, n_ticks: int) -> bool:
+    """Whether ticks are both wide and long, as the teeth of a comb and threads are, and neither ticks nor blocks."""
+    phases = np.arange(_PHASES) / _PHASES - 0.5
+    values = _sampled(grey, ends, n_ticks, phases)
+    middle = len(values) // 2
+    waves = values.mean(axis=1)  # of the rows
+    usual = waves[middle - 1 : middle + 2].mean(axis=0)
+    span = float(np.ptp(usual))
+    if span == 0:
+        return False
+    is_there = (waves - waves.mean(axis=1, keepdims=True)) @ (usual - usual.mean()) > _PRESENT * float(
+        np.square(usual - usual.mean()).sum()
+    )
+    ends_of = [np.flatnonzero(~rows) for rows in (is_there[middle:], is_there[middle::-1])]
+    length = sum(float(each[0]) if len(each) else middle for each in ends_of)
+    inward = usual if abs(usual[_PHASES // 2] - usual.min()) > abs(usual[_PHASES // 2] - usual.max()) else -usual
+    width = float(np.mean(inward - inward.min() > 0.5 * span))
+    period = float(np.hypot(*(ends[1] - ends[0]))) / (n_ticks - 1)
+    return width > _TEETH[0] and length > _TEETH[1] * period
+
+
 def _contrasts(grey: np.ndarray, ends: np.ndarray, n_ticks: int) -> np.ndarray:
     """Return by how much each tick differs from the gaps beside it, (rows, n_ticks); rows are distances across."""
+    values = _sampled(grey, ends, n_ticks, np.concatenate([_ON, _OFF]))
+    return values[..., : len(_ON)].mean(axis=2) - values[..., len(_ON) :].mean(axis=2)
+
+
+def _sampled(grey: np.ndarray, ends: np.ndarray, n_ticks: int, phases: np.ndarray) -> np.ndarray:
+    """Return the levels at distances across a ruler, at places around each tick: (rows, n_ticks, len(phases))."""
     axis = (ends[1] - ends[0]) / (n_ticks - 1)
     period = float(np.hypot(*axis))
     reach = round(min(max(_OF_PERIOD * period, _REACH[0]), _REACH[1]))
     normal = np.array([-axis[1], axis[0]]) / period
-    along = np.arange(n_ticks)[:, None] + np.concatenate([_ON, _OFF])
+    along = np.arange(n_ticks)[:, None] + phases
     across = np.arange(-reach, reach + 1.0)[:, None, None]
     x = (ends[0][0] + along * axis[0] + across * normal[0]).astype(np.float32)
     y = (ends[0][1] + along * axis[1] + across * normal[1]).astype(np.float32)
-    rows = len(across)
-    shape = (rows, along.size)
-    values = cv2.remap(
-        grey, x.reshape(shape), y.reshape(shape), cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE
-    ).reshape(rows, n_ticks, -1)
-    values = cv2.blur(values.reshape(shape), (1, 3)).reshape(values.shape)
-    return values[..., : len(_ON)].mean(axis=2) - values[..., len(_ON) :].mean(axis=2)
+    shape = (len(across), along.size)
+    values = cv2.remap(grey, x.reshape(shape), y.reshape(shape), cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
+    return cv2.blur(values, (1, 3)).reshape(len(across), n_ticks, len(phases))
 
 
 def _clearness(is_there: np.ndarray, step: int) -> float:

@@ -19,7 +19,7 @@ import numpy as np
 
 from liaam.errors import LiaamError
 from liaam.formatting import short_repr
-from liaam.scale.hierarchy import expected, longest_ticks, may_be
+from liaam.scale.hierarchy import are_teeth, expected, longest_ticks, may_be
 from liaam.scale.lengths import Length
 
 TILES = (96, 192, 384)
@@ -147,7 +147,10 @@ def find_ruler(image: np.ndarray, tick: Length | None = None) -> Ruler:
     marked = [ruler for ruler in found if ruler.longest]
     if marked:
         return _only(_of_kind(marked, tick))
-    return _only([ruler for ruler in found if ruler.n_ticks >= FEWEST_ALIKE])
+    alike = _only([ruler for ruler in found if ruler.n_ticks >= FEWEST_ALIKE])
+    if are_teeth(grey, _enlarged(alike, factor).ends, alike.n_ticks):
+        raise LiaamError(_NOT_FOUND)
+    return alike
 
 
 def _of_kind(rulers: Sequence[Ruler], tick: Length | None) -> list[Ruler]:
