@@ -134,15 +134,13 @@ def expected(tick: Length) -> int:
     return 10 if _is_near_whole(math.log10(millimetres)) or _is_near_whole(math.log10(inches)) else 0
 
 
-def may_be(longest: int, n_ticks: int, wanted: int) -> bool:
+def may_be(longest: int, wanted: int) -> bool:
     """Whether ticks of which the longest are so far apart may be those of a ruler, as :func:`expected` has it.
 
-    Those of a whole are seen only if there are three; and on some rulers halves are as long.
+    Where fewer ticks lie between the longest than should, half of the ticks may be too fine to be seen. On some rulers
+    of millimetres, the halves of a centimetre are as long as the whole ones.
     """
-    if not wanted or longest == wanted:
-        return True
-    is_alike = any(longest in family and wanted in family for family in (DECIMAL, BINARY))
-    return is_alike and longest < wanted and (n_ticks < (_FEWEST + 1) * wanted or (longest, wanted) == (5, 10))
+    return not wanted or longest == wanted or (longest, wanted) == (5, 10)
 
 
 def _is_near_whole(value: float) -> bool:

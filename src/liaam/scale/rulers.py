@@ -156,7 +156,7 @@ def find_ruler(image: np.ndarray, tick: Length | None = None) -> Ruler:
 def _of_kind(rulers: Sequence[Ruler], tick: Length | None) -> list[Ruler]:
     """Return the rulers whose longest ticks are those of the length from tick to tick."""
     wanted = expected(tick) if tick is not None else 0
-    fitting = [ruler for ruler in rulers if may_be(ruler.longest, ruler.n_ticks, wanted)]
+    fitting = [ruler for ruler in rulers if may_be(ruler.longest, wanted)]
     if fitting:
         return fitting
     best = max(rulers, key=_length)
