@@ -1,6 +1,7 @@
 """Rulers and scale bars of known period or length, on several grounds, tilted and blurred.
 
-A scene is drawn at four times its size and reduced by averaging, so that edges lie at fractions of pixels.
+A scene is drawn at four times its size and reduced by averaging, so that edges lie at fractions of pixels. It is
+blurred in linear light, as by a camera, or after it was encoded, as by a program.
 """
 
 from __future__ import annotations
@@ -9,6 +10,8 @@ from dataclasses import dataclass
 
 import cv2
 import numpy as np
+
+from liaam.photometry import linear_to_srgb, srgb_to_linear
 
 FINE = 4
 """Pixels that are drawn for one of the scene, along each side."""
@@ -56,6 +59,7 @@ def draw(
     noise: float = 2.0,
     shape: tuple[int, int] = (480, 640),
     number: str = "5 mm",
+    encoded: bool = False,
 ) -> RulerScene:
     """Draw a scene.
 
@@ -78,6 +82,8 @@ def draw(
         Height and width, pixels.
     number : str
         Printed beside a bar; "" for none.
+    encoded : bool
+        Whether it is reduced and blurred after it was encoded as sRGB.
     """
     height, width = shape
     canvas = _ground(ground, (height * FINE, width * FINE), rng)
@@ -88,9 +94,12 @@ def draw(
         _draw_bar(canvas, kind, size * FINE, centre, np.deg2rad(angle), rng, number)
     elif kind != "none":
         _draw_ruler(canvas, kind, size * FINE, centre, np.deg2rad(angle), rng)
-    small = cv2.resize(canvas.astype(np.float32), (width, height), interpolation=cv2.INTER_AREA)
+    light = canvas.astype(np.float32) / 255
+    light = light if encoded else srgb_to_linear(light).astype(np.float32)
+    small = cv2.resize(light, (width, height), interpolation=cv2.INTER_AREA)
     if blur > 0:
         small = cv2.GaussianBlur(small, (0, 0), blur)
+    small = 255 * (small if encoded else linear_to_srgb(small))
     tinted = small[:, :, None] * np.array([1.0, 0.98, 0.95]) + rng.normal(0, noise, (height, width, 3))
     image = np.clip(np.rint(tinted), 0, 255).astype(np.uint8)
     return RulerScene(image, kind, ground, size if kind != "none" else float("nan"), angle)

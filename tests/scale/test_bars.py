@@ -13,11 +13,13 @@ from scenes.ruler import BARS, GROUNDS, draw, fill, write
 
 @pytest.mark.parametrize("kind", BARS)
 @pytest.mark.parametrize("ground", ["paper", "cloudy", "gradient"])
-def test_bars_of_all_kinds_are_found(kind: str, ground: str, rng: np.random.Generator) -> None:
-    scene = draw(kind, rng, ground=ground, size=181.3, angle=float(rng.uniform(-80, 80)), blur=0.8)
+@pytest.mark.parametrize("encoded", [False, True])
+def test_bars_of_all_kinds_are_found(kind: str, ground: str, encoded: bool, rng: np.random.Generator) -> None:
+    angle = float(rng.uniform(-80, 80))
+    scene = draw(kind, rng, ground=ground, size=181.3, angle=angle, blur=0.8, encoded=encoded)
     bar = find_bar(scene.image)
-    assert abs(bar.length - scene.size) < 4 * bar.length_se
-    assert bar.length_se < (2.0 if kind == "ended" else 0.3)
+    assert abs(bar.length - scene.size) < 3 * bar.length_se
+    assert bar.length_se < (2.0 if kind == "ended" else 0.6)
     assert abs((bar.angle - scene.angle + 90) % 180 - 90) < 1
     assert np.hypot(*(bar.ends[1] - bar.ends[0])) == pytest.approx(bar.length)
 
@@ -30,13 +32,16 @@ def test_no_bar_is_found_where_there_is_none(ground: str, rng: np.random.Generat
 
 def test_two_bars_that_disagree_are_refused_and_one_printed_twice_is_not(rng: np.random.Generator) -> None:
     above = draw("black", rng, size=150.0, shape=(200, 640)).image
-    with pytest.raises(LiaamError, match=r"several strokes may be the scale bar, of 150\.\d and 90\.\d pixels: crop"):
+    with pytest.raises(
+        LiaamError, match=r"several strokes may be the scale bar, of (149|150)\.\d and (89|90)\.\d pixels: crop"
+    ):
         find_bar(np.concatenate([above, draw("black", rng, size=90.0, shape=(200, 640)).image]))
-    assert find_bar(np.concatenate([above, above])).length == pytest.approx(150, abs=0.3)
+    twice = find_bar(np.concatenate([above, above]))
+    assert abs(twice.length - 150) < 3 * twice.length_se
 
 
 def test_a_bar_without_a_number_is_refused_with_its_length(rng: np.random.Generator) -> None:
-    with pytest.raises(LiaamError, match=r"strokes of 150\.\d pixels could be a scale bar, but none has a"):
+    with pytest.raises(LiaamError, match=r"strokes of (149|150)\.\d pixels could be a scale bar, but none has a"):
         find_bar(draw("black", rng, size=150.0, angle=3.0, number="").image)
 
 

@@ -19,9 +19,11 @@ from liaam.errors import MethodError
 from liaam.fitting import FitStatus, Fitter
 from liaam.fitting.methods import DEFAULT_METHOD
 from liaam.fitting.solution import residual_at
+from liaam.fitting.specimens import FittedSpecimens
 from liaam.io import Landmarks, decode_image, read_landmarks, write_image, write_landmarks
 from liaam.model import AAM, SURROUNDINGS
 from liaam.model.shape import diagonal_of
+from liaam.morphometry import read_specimens
 from liaam.photometry import to_linear
 from liaam.relighting import Lamp
 from liaam.relighting.lamp import AMBIENT
@@ -35,6 +37,7 @@ from liaam.studio.refusal import Refusal
 from liaam.studio.routes import attachment, light_of, parse_start
 from liaam.studio.settings import StudioSettings
 from liaam.tracking.motion import rescaled
+from liaam.trays import Named, crop_box
 from scenes import Scene
 from setups import moving_scene
 
@@ -136,6 +139,40 @@ class TestFit:
         assert seen["n_found"] == 2
         assert first == pytest.approx([*result.landmarks.min(axis=0), *result.landmarks.max(axis=0)], abs=0.06)
         assert np.subtract(second, first) == pytest.approx(500.0, abs=0.11)
+
+    def test_all_specimens_are_named_cropped_and_in_one_table(self, head_model, scene, fitted, tmp_path, monkeypatch):
+        """What the library fits is given, since the small model also finds a third head between the two."""
+        tray = tmp_path / "tray"
+        tray.mkdir()
+        write_image(tray / "tray.png", np.concatenate([scene.image, scene.image], axis=1))
+        there = fitted.result.landmarks + np.array([120.0, 0.0])
+        results = [fitted.result, replace(fitted.result, landmarks=there)]
+        named = [Named("tray#1"), Named("tray#2", fault="it touches tray#1")]
+        given = FittedSpecimens(results, named, ["both touch"])
+        monkeypatch.setattr("liaam.studio.fits.fit_specimens", lambda *_, **options: given)
+        fits = make_fits(tray, head_model)
+        both, faults = fits.fit_all(source_of(tray / "tray.png", 10**6), ("picture", "tray.png"), DEFAULT_METHOD)
+        assert [fit.as_json()["specimen"] for fit in both] == [
+            {"number": 1, "name": "tray#1", "fault": ""},
+            {"number": 2, "name": "tray#2", "fault": "it touches tray#1"},
+        ]
+        assert faults == ["both touch"]
+        assert fits.get(both[1].id) is both[1]  # as layers and files of it are asked for
+        name, _, data = fits.export(both[1], "crop", (FRONT, 0.3))
+        left, top, right, bottom = crop_box(there, (240, 160))
+        assert name == "tray_2_crop.png"
+        assert np.array_equal(decode_image(data), fits.pictures.pixels(both[1].source)[top:bottom, left:right])
+        assert fits.export(both[0], "pts", (FRONT, 0.3))[0] == "tray_1.pts"
+
+        (tray / "table.csv").write_bytes(fits.table(both, (0.05, "mm")))
+        specimens = read_specimens(tray / "table.csv")
+        assert [each.name for each in specimens] == ["tray#1", "tray#2"]
+        assert np.asarray(specimens[1].points) == pytest.approx(there, abs=1e-3)
+        assert {each.scale for each in specimens} == {0.05}
+
+    def test_where_no_specimen_is_found_it_is_said(self, fits, folder):
+        with pytest.raises(Refusal, match=r"no object was found .*\. Draw a box around each"):
+            fits.fit_all(source_of(folder / "dark.png", 10**6), ("picture", "dark.png"), DEFAULT_METHOD)
 
     def test_is_json_whatever_happens(self, fits, fitted):
         lost = fit(fits, start=(-20.0, -20.0, 60.0, 40.0), method="grey-plain")

@@ -54,6 +54,24 @@ def test_numbers_after_a_fit_that_may_not_be_used_may_be_too_high(status):
     assert fit_specimens(fitter(fit_at(0), fit_at(100, status)), PAPER).faults == []  # it is the last
 
 
+def test_a_doubtful_fit_beside_the_rows_comes_last_and_one_among_them_does_not():
+    size = float(np.ptp(SQUARE[:, 0]))
+
+    def at(column, row, status=FitStatus.CONVERGED):
+        fit = fit_at(0, status)
+        fit.landmarks = fit.place = SQUARE + 2.5 * size * np.array([column, row])
+        return fit
+
+    fits = [at(0.5, -0.6, FitStatus.DOUBTFUL), at(0, 0), at(1, 0, FitStatus.DIVERGED), at(2, 0), at(0, 1), at(1, 1)]
+    fitted = fit_specimens(fitter(*fits), PAPER, stem="tray")
+    assert [[result is fit for fit in fits].index(True) for result in fitted.results] == [1, 2, 3, 4, 5, 0]
+    assert fitted.faults == [
+        "fits that may not be used: tray#2; if these are no specimens, the numbers after them are too high",
+        "fits that may not be used, in no row and column of the others, come last: tray#6; if one is a specimen, the "
+        "numbers after its place are too low",
+    ]
+
+
 def test_messages_are_whole_sentences():
     width = float(np.ptp(SQUARE[:, 0]))
     fitted = fit_specimens(fitter(fit_at(0), fit_at(width)), PAPER, stem="tray")

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from liaam.trays import reading_order, touching
+from liaam.trays import reading_order, touching, unplaced
 from liaam.trays.order import gap, is_inside
 
 SQUARE = np.array([[0.0, 0.0], [1.0, 0.0], [1.0, 1.0], [0.0, 1.0]])
@@ -57,3 +57,21 @@ def test_half_of_a_shape_inside():
     assert not is_inside(SQUARE, SQUARE + np.array([0.6, 0]))
     assert not is_inside(3 * SQUARE - 1, SQUARE)
     assert not is_inside(np.full((4, 2), np.nan), SQUARE)
+
+
+@pytest.mark.parametrize(
+    "place, is_placed",
+    [((1, 0), True), ((2, 1), True), ((0.5, 0.5), False), ((3, 0), False), ((0, 2), False)],
+)
+def test_an_uncertain_object_has_a_place_in_a_row_and_a_column(place, is_placed) -> None:
+    certain = [(0, 0), (2, 0), (0, 1), (1, 1)]
+    shapes = [SQUARE + 300.0 * np.array(each) for each in [*certain, place]]
+    assert unplaced(shapes, [True] * 4 + [False]) == ([] if is_placed else [4])
+    assert unplaced([*shapes[:4], 5 * SQUARE + 300.0 * np.array(place)], [True] * 4 + [False]) == [4]  # of another size
+
+
+def test_in_a_single_row_steps_are_even() -> None:
+    shapes = [SQUARE + 300.0 * np.array([along, 0]) for along in (0, 1, 3, 2)]
+    assert unplaced(shapes, [True] * 3 + [False]) == []
+    assert unplaced([*shapes[:3], SQUARE + 300.0 * np.array([1.5, 0])], [True] * 3 + [False]) == [3]
+    assert unplaced(shapes[2:], [True, False]) == []  # nothing is known

@@ -2,6 +2,7 @@
 
 import math
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -52,7 +53,7 @@ def scale(
     if output.suffix.lower() != ".csv":
         raise LiaamError(f"{output}: the table is written as CSV; give a name that ends in .csv")
     known = _known_length(ruler or scale_bar, "--ruler" if ruler else "--scale-bar")
-    find = None if known is None else _finder(is_ruler=ruler is not None)
+    find = None if known is None else _finder(known if ruler is not None else None)
     folder = output.with_suffix("")
     if find is not None:
         make_folder(folder)
@@ -86,12 +87,12 @@ def _known_length(text: str | None, option: str) -> Length | None:
     return length
 
 
-def _finder(is_ruler: bool) -> Callable[[np.ndarray], Any]:
-    """Return the function that finds a ruler or a scale bar."""
+def _finder(tick: Length | None) -> Callable[[np.ndarray], Any]:
+    """Return the function that finds a ruler with ticks of a length, or else a scale bar."""
     from liaam.scale.bars import find_bar
     from liaam.scale.rulers import find_ruler
 
-    return find_ruler if is_ruler else find_bar
+    return find_bar if tick is None else partial(find_ruler, tick=tick)
 
 
 def _names_of(images: list[Path]) -> list[str]:

@@ -18,7 +18,7 @@ from liaam.scale.choice import length_for
 from liaam.scale.lengths import Length
 from liaam.trays.codes import read_codes
 from liaam.trays.naming import POSITION, Named, check_name_by, in_sentences, name_specimens
-from liaam.trays.order import diagonal, is_inside, touching
+from liaam.trays.order import diagonal, is_inside, touching, unplaced
 
 SMALL = 0.7
 """Size, of the median of fits that are not lost, below which a place with a lost fit is no specimen."""
@@ -145,23 +145,35 @@ def fit_specimens(
     else:
         fits = [fitter.fit(pixels, init, name)]
     results = without_small_lost(fits)
+    last = unplaced([result.place for result in results], [result.status.ok for result in results]) if every else []
+    results = [result for i, result in enumerate(results) if i not in last] + [results[i] for i in last]
     shapes = [np.empty((0, 2)) if result.status.lost else result.landmarks for result in results]
     named, faults = name_specimens(shapes, codes, stem, name_by, single=not every)
     named, of_touching = with_touching(named, touching(shapes))
-    return FittedSpecimens(results, named, [*faults, *of_touching, *_about_lost(fits, results, named)])
+    about = _about_lost(fits, results, named, len(results) - len(last))
+    return FittedSpecimens(results, named, [*faults, *of_touching, *about])
 
 
-def _about_lost(fits: list[FitResult], kept: list[FitResult], named: list[Named]) -> list[str]:
-    """Return what is to be said of places left out, and of fits that may not be used: they may be no specimens."""
+def _about_lost(fits: list[FitResult], kept: list[FitResult], named: list[Named], n_placed: int) -> list[str]:
+    """Return what is to be said of places left out, and of fits that may not be used: they may be no specimens.
+
+    Those after the first ``n_placed`` are at no place of the tray's rows and columns.
+    """
     n_left_out = len(fits) - len(kept)
     where = f"{count_of(n_left_out, 'place')} much smaller than the specimens"
     lines = [f"{where}, where the fit was lost, left out"] if n_left_out else []
     numbered = [i for i, each in enumerate(named) if not each.code]
-    unsure = [i for i in numbered if not kept[i].status.ok]
-    if unsure and len(kept) > 1 and unsure[0] < numbered[-1]:
+    unsure = [i for i in numbered if i < n_placed and not kept[i].status.ok]
+    if unsure and n_placed > 1 and unsure[0] < numbered[-1]:
         names = some_names([named[i].name for i in unsure])
         lines.append(
             f"fits that may not be used: {names}; if these are no specimens, the numbers after them are too high"
+        )
+    last = [named[i].name for i in numbered if i >= n_placed]
+    if last:
+        lines.append(
+            f"fits that may not be used, in no row and column of the others, come last: {some_names(last)}; if one is "
+            "a specimen, the numbers after its place are too low"
         )
     return lines
 

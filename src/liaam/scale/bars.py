@@ -15,6 +15,7 @@ from liaam.errors import LiaamError
 from liaam.io.files import some_names
 from liaam.scale.bar import SHORTEST, Bar, axes_of, profile_at, sampled
 from liaam.scale.blocks import find_blocks
+from liaam.scale.edges import OF_SHIFT, Edge, edge_of, levels_of
 from liaam.scale.numbers import has_number
 
 SLENDER = 5.0
@@ -33,9 +34,8 @@ _BEYOND = (6, 14)  # pixels beyond an end, whose mean is the level of the ground
 _SHARP = 8.0  # greatest width of the edge at an end, pixels, between 20 and 80 % of the contrast
 _STEP = 0.25  # pixels between samples along a bar
 _MARKED = 0.1  # least share by which an end mark is darker than the bar, which is blurred more
-_OF_MARK = 0.25  # standard error of the outer edge of an end mark, of its width: thin ones are widened by the blur
+_OF_MARK = 0.25  # from the outer edge of an end mark to where the bar ends, of its width: some count from its middle
 _SHARED = 0.06  # standard error of the place of an edge by the shape of pixels and the ground, pixels
-_MOST_LEVEL = 1e9  # of an image
 _NOT_FOUND = (
     "no even, straight stroke with sharp ends is found that could be a scale bar: give the scale with --scale, or crop "
     "the image to its bar"
@@ -45,8 +45,8 @@ _WITHOUT_NUMBER = (
     "divided by these pixels with --scale"
 )
 _IN_LINE = 3.0  # greatest distance in pixels of one half of a bar from the line of the other
-_BESIDE = 12.0  # greatest distance in pixels of a stroke in a bar of blocks from its middle line and its ends
-_MOST_ALIKE = 2  # strokes of one length and direction: one bar that is printed twice
+_MOST_ALIKE = 2  # strokes side by side: one bar that is printed twice
+_OF_COMB = 0.15  # greatest difference of the logarithms of their lengths
 _HEAD = 0.5  # greatest share of a bar that its two arrowheads take
 _HEAD_WIDER = 1.6  # least width of an arrowhead, of the shaft's
 _POINTED = 0.3  # standard error of a tip in pixels: a line around an arrowhead moves it by more than its own width
@@ -71,13 +71,14 @@ def find_bar(image: np.ndarray) -> Bar:
     LiaamError
         If there is no such bar, or several of different lengths; the message says what to do.
     """
-    grey = _levels(image)
-    strokes = [stroke for sign in (1.0, -1.0) for stroke in _bars_in(sign * grey)]
-    bars = [bar for bar, has_number in strokes if has_number]
-    bars = [bar for bar in bars if sum(_are_alike(bar, other) for other in bars) <= _MOST_ALIKE]
-    bars = _joined(bars)
-    blocks = find_blocks(grey)
-    bars = [bar for bar in bars if not any(_is_part(bar, whole) for whole in blocks)] + blocks
+    levels = levels_of(image)
+    if levels is None:
+        raise LiaamError(_NOT_FOUND)
+    strokes = [stroke for sign in (1.0, -1.0) for stroke in _bars_in(sign * levels)]
+    blocks = _without_combs([bar for bar, _ in find_blocks(levels)])
+    numbered = [bar for bar, has_number in strokes if has_number]
+    # Even blocks are less often there by chance than strokes.
+    bars = blocks or _joined(_without_combs(numbered, [bar for bar, _ in strokes]))
     if not bars:
         lengths = sorted({f"{bar.length:.1f}" for bar, _ in strokes})
         raise LiaamError(_WITHOUT_NUMBER.format(some_names(lengths)) if lengths else _NOT_FOUND)
@@ -89,29 +90,25 @@ def find_bar(image: np.ndarray) -> Bar:
     return bars[0]
 
 
-def _levels(image: np.ndarray) -> np.ndarray:
-    """Return an image as (h, w) float32 from 0 to 255 between its extreme levels; what is not a usual number is 0."""
-    grey = np.asarray(image, np.float64)
-    grey = grey.mean(axis=2) if grey.ndim == 3 else grey
-    grey = np.where(np.abs(grey) < _MOST_LEVEL, grey, 0.0)
-    span = float(np.ptp(grey)) if grey.size else 0.0
-    if span == 0:
-        raise LiaamError(_NOT_FOUND)
-    return ((grey - grey.min()) * (255 / span)).astype(np.float32)
-
-
-def _bars_in(grey: np.ndarray) -> Iterator[tuple[Bar, bool]]:
-    """Yield the dark bars of an image, and whether each has a number; a negative image has the light ones."""
+def _bars_in(levels: np.ndarray) -> Iterator[tuple[Bar, bool]]:
+    """Yield the dark bars of levels (h, w, 2), and whether each has a number; negative levels have the light ones."""
+    grey = levels[..., 0]
     shifted = grey - float(grey.min())
     ground = cv2.medianBlur(np.rint(shifted).astype(np.uint8), _GROUND).astype(np.float32)
     depth = ground - shifted
     found: list[Bar] = []
     for contrast in _CONTRASTS:
-        for bar in _bars_above(shifted, depth, contrast):
+        for bar in _bars_above(levels, depth, contrast):
             if not any(_are_one(bar, other) for other in found):
                 found.append(bar)
     for bar in found:
         yield bar, has_number(depth, bar.ends)
+
+
+def _without_combs(bars: Sequence[Bar], among: Sequence[Bar] | None = None) -> list[Bar]:
+    """Return bars without those that have several alike at their sides, as in a comb, a bar code, or a chessboard."""
+    others = bars if among is None else among
+    return [bar for bar in bars if sum(_are_side_by_side(bar, other) for other in others) <= _MOST_ALIKE]
 
 
 def _joined(bars: Sequence[Bar]) -> list[Bar]:
@@ -138,21 +135,21 @@ def _are_halves(bar: Bar, other: Bar) -> bool:
     return _are_alike(bar, other) and bool((across < _IN_LINE).all()) and is_apart
 
 
-def _is_part(bar: Bar, whole: Bar) -> bool:
-    """Whether a stroke lies in a bar of blocks, as one of these or their outline."""
-    axis = (whole.ends[1] - whole.ends[0]) / whole.length
-    away = bar.ends - whole.ends[0]
-    along = away @ axis
-    across = away @ np.array([-axis[1], axis[0]])
-    return bool(
-        (np.abs(across) < _BESIDE).all() and (along > -_BESIDE).all() and (along < whole.length + _BESIDE).all()
-    )
-
-
 def _are_alike(bar: Bar, other: Bar) -> bool:
-    """Whether two strokes are of one length and direction, as those of a bar code or a comb are."""
-    is_parallel = abs((bar.angle - other.angle + 90) % 180 - 90) < 3
-    return is_parallel and abs(bar.length / other.length - 1) < 3 * _SAME
+    """Whether two strokes are of one length and direction."""
+    return _are_parallel(bar, other) and abs(bar.length / other.length - 1) < 3 * _SAME
+
+
+def _are_parallel(bar: Bar, other: Bar) -> bool:
+    return abs((bar.angle - other.angle + 90) % 180 - 90) < 3
+
+
+def _are_side_by_side(bar: Bar, other: Bar) -> bool:
+    """Whether two strokes are of about one length, one beside the other, as those of a bar code or a comb are."""
+    axis = (bar.ends[1] - bar.ends[0]) / bar.length
+    away = abs(float((other.ends.mean(axis=0) - bar.ends.mean(axis=0)) @ axis))
+    is_alike = abs(math.log(bar.length / other.length)) < _OF_COMB
+    return is_alike and _are_parallel(bar, other) and away < 0.5 * bar.length
 
 
 def _are_one(bar: Bar, other: Bar) -> bool:
@@ -160,22 +157,22 @@ def _are_one(bar: Bar, other: Bar) -> bool:
     return bool(np.abs(bar.ends - other.ends).max() < 3)
 
 
-def _bars_above(grey: np.ndarray, depth: np.ndarray, contrast: float) -> Iterator[Bar]:
+def _bars_above(levels: np.ndarray, depth: np.ndarray, contrast: float) -> Iterator[Bar]:
     """Yield the bars among the pixels that are darker than the ground by a contrast."""
     _, labels, stats, _ = cv2.connectedComponentsWithStats((depth > contrast).astype(np.uint8), connectivity=8)
-    height, width = grey.shape
+    height, width = depth.shape
     for label in range(1, len(stats)):
         left, top, across, down, area = stats[label].tolist()
         touches = left == 0 or top == 0 or left + across == width or top + down == height
         if touches or math.hypot(across, down) < SHORTEST or area > SLENDER * _GROUND**2:
             continue
         part = labels[top : top + down, left : left + across] == label
-        bar = _bar_of(grey, depth, np.argwhere(part)[:, ::-1] + (left, top))
+        bar = _bar_of(levels, depth, np.argwhere(part)[:, ::-1] + (left, top))
         if bar is not None:
             yield bar
 
 
-def _bar_of(grey: np.ndarray, depth: np.ndarray, pixels: np.ndarray) -> Bar | None:
+def _bar_of(levels: np.ndarray, depth: np.ndarray, pixels: np.ndarray) -> Bar | None:
     """Return the bar that some dark pixels (n, 2) are, or None."""
     contrast = float(np.median(depth[pixels[:, 1], pixels[:, 0]]))
     strong = pixels[depth[pixels[:, 1], pixels[:, 0]] > 0.5 * contrast]
@@ -200,8 +197,8 @@ def _bar_of(grey: np.ndarray, depth: np.ndarray, pixels: np.ndarray) -> Bar | No
     middle = centre + float(middles[~uneven].mean()) * np.array([-axis[1], axis[0]])
     rough = (begin, begin + length)
     if is_arrow:
-        return _with_tips(grey, middle, axis, rough, float(counts.max()))
-    return _with_ends(grey, middle, axis, rough, thickness)
+        return _with_tips(levels[..., 0], middle, axis, rough, float(counts.max()))
+    return _with_ends(levels, middle, axis, rough, thickness)
 
 
 def _has_heads(counts: np.ndarray, thickness: float) -> bool:
@@ -263,61 +260,51 @@ def _tip(outwards: np.ndarray, levels: np.ndarray, end: float) -> tuple[float, f
 
 
 def _with_ends(
-    grey: np.ndarray, middle: np.ndarray, axis: np.ndarray, rough: tuple[float, float], thickness: float
+    levels: np.ndarray, middle: np.ndarray, axis: np.ndarray, rough: tuple[float, float], thickness: float
 ) -> Bar | None:
     """Return a bar whose ends lie where its level is half that of the ground beyond; None if they are not sharp."""
     margin = _BEYOND[1] + 2
     along = np.arange(rough[0] - margin, rough[1] + margin, _STEP)
     half = max(0.3 * thickness, 0.5)
-    profile = sampled(grey, middle, axis, along, np.linspace(-half, half, 2 * math.ceil(half) + 1)).mean(axis=1)
+    profile = sampled(levels, middle, axis, along, np.linspace(-half, half, 2 * math.ceil(half) + 1)).mean(axis=1)
     inside = profile[(along > rough[0] + 4) & (along < rough[1] - 4)]
     if len(inside) < SHORTEST:
         return None
-    level = float(np.median(inside))
-    crossings = [_crossing(along * side, profile, level, rough, side) for side in (-1, 1)]
-    if None in crossings:
+    level = np.median(inside, axis=0)
+    ends = [_end(along * side, profile, level, rough[1] if side > 0 else -rough[0]) for side in (-1, 1)]
+    if None in ends:
         return None
-    (first, ground, error), (last, other_ground, other_error) = ((c or (0.0, 0.0, 0.0)) for c in crossings)
-    contrast = min(ground, other_ground) - level
-    if contrast < _LEAST_CONTRAST or float(inside.std()) > _UNIFORM * contrast:
+    (first, ground), (last, other_ground) = (end or (Edge(0.0, 0.0, 0.0, 0.0), 0.0) for end in ends)
+    contrast = min(ground, other_ground) - float(level[0])
+    if contrast < _LEAST_CONTRAST or float(inside[:, 0].std()) > _UNIFORM * contrast:
         return None
-    ends = np.array([middle - first * axis, middle + last * axis])
-    return Bar(first + last, math.hypot(error, other_error, math.sqrt(2) * _SHARED), ends)
+    points = np.array([middle - first.at * axis, middle + last.at * axis])
+    shift = OF_SHIFT * (first.shift + last.shift)  # it makes both ends longer, or shorter
+    return Bar(first.at + last.at, math.hypot(first.error, last.error, math.sqrt(2) * _SHARED, shift), points)
 
 
-def _crossing(
-    outwards: np.ndarray, profile: np.ndarray, level: float, rough: tuple[float, float], side: int
-) -> tuple[float, float, float] | None:
-    """Return where a profile crosses half its height at an end, outwards from the middle; the ground; and the error."""
-    end = rough[1] if side > 0 else -rough[0]
+def _end(outwards: np.ndarray, profile: np.ndarray, level: np.ndarray, end: float) -> tuple[Edge, float] | None:
+    """Return where a profile (n, 2) crosses half its height at an end, outwards from the middle, and the ground.
+
+    An end mark may be darker than the bar, whose level is given. Bars are drawn to its outer edge, or to its middle,
+    so that the end is taken to be between these.
+    """
     seen = profile_at(outwards, profile, end, _BEYOND)
     if seen is None:
         return None
     outwards, profile, beyond = seen
-    ground = float(np.median(beyond))
+    ground = np.median(beyond, axis=0)
     near = np.flatnonzero((outwards > end - 6) & (outwards < end + 6))
-    if ground - level < _LEAST_CONTRAST or not len(near):
+    if ground[0] - level[0] < _LEAST_CONTRAST or (ground <= level).any() or not len(near):
         return None
-    darkest = float(profile[(outwards > end - 6) & (outwards < end)].min(initial=level))
-    is_mark = level - darkest > _MARKED * (ground - level)
-    level = darkest if is_mark else level
-    share = (profile[near] - level) / (ground - level)
-    at = [_first_above(outwards[near], share, limit) for limit in (0.2, 0.5, 0.8)]
-    if None in at:
+    darkest = profile[(outwards > end - 6) & (outwards < end)].min(axis=0, initial=np.inf)
+    is_mark = bool(level[0] - darkest[0] > _MARKED * (ground[0] - level[0]))
+    level = np.minimum(darkest, level) if is_mark else level
+    shares = (profile[near] - level) / (ground - level)
+    edge = edge_of(outwards[near], shares, float(np.std(beyond[:, 0])) / float(ground[0] - level[0]))
+    if edge is None or edge.width >= _SHARP:
         return None
-    low, middle, high = (place or 0.0 for place in at)
-    if not 0 < high - low < _SHARP:
-        return None
-    slope = 0.6 * (ground - level) / (high - low)
-    noise = float(np.std(beyond)) / slope / math.sqrt(2)
-    width = 2 * (middle - float(outwards[near][share.argmin()])) if is_mark else 0.0
-    return middle, ground, math.hypot(noise, _OF_MARK * width)
-
-
-def _first_above(places: np.ndarray, share: np.ndarray, limit: float) -> float | None:
-    """Return where values first rise above a limit for good, between two places."""
-    below = np.flatnonzero(share < limit)
-    if not len(below) or below[-1] + 1 >= len(share):
-        return None
-    i = below[-1]
-    return float(places[i] + (limit - share[i]) / (share[i + 1] - share[i]) * (places[i + 1] - places[i]))
+    width = 2 * (edge.at - float(outwards[near][shares[:, 0].argmin()])) if is_mark else 0.0
+    # As blur does, this makes the bar longer or shorter at both ends.
+    edge = edge._replace(at=edge.at - _OF_MARK * width, shift=math.hypot(edge.shift, 2 * _OF_MARK * width))
+    return edge, float(ground[0])

@@ -9,7 +9,7 @@ from typing import NamedTuple
 import cv2
 import numpy as np
 
-_LEVELS = (0.5, 0.3)  # of the bar's darkness above which pixels are of signs, which are thinner and so less dark
+_LEVELS = (0.7, 0.5, 0.3)  # of the bar's darkness above which pixels are of signs, which are thinner and so less dark
 _AROUND = 220  # pixels around a bar that are looked at
 _HEIGHTS = (5, 100)  # of signs, pixels
 _FEWEST = 2  # signs: a digit, and letters of the unit that may touch each other
@@ -53,19 +53,47 @@ def has_number(depth: np.ndarray, ends: np.ndarray) -> bool:
     first = _AROUND
     last = _AROUND + round(length)
     of_bar_level = float(np.median(band[row, first : last + 1]))
-    return any(_is_beside(band > share * of_bar_level, row, first, last) for share in _LEVELS)
+    lines = [line for share in _LEVELS for line in _lines(_signs(band > share * of_bar_level, row, first, last))]
+    texts = [_box_of(line) for line in lines if _is_text(line)]
+    return any(
+        _is_number(line, row, first, last) and not any(_is_in(_box_of(line), text) for text in texts) for line in lines
+    )
 
 
-def _is_beside(dark: np.ndarray, row: int, first: int, last: int) -> bool:
-    """Whether a number is among the dark pixels around a bar, which is in a row from a first to a last column."""
+def _signs(dark: np.ndarray, row: int, first: int, last: int) -> list[_Sign]:
+    """Return the signs among the dark pixels around a bar, which is in a row from a first to a last column."""
     _, labels, stats, _ = cv2.connectedComponentsWithStats(dark.astype(np.uint8), connectivity=8)
     of_bar = set(np.unique(labels[row - 1 : row + 2, first : last + 1]).tolist())
-    signs = [
+    return [
         _Sign(left, top, left + width, top + height)
         for i, (left, top, width, height, area) in enumerate(stats.tolist())
-        if i not in of_bar and _HEIGHTS[0] <= height <= _HEIGHTS[1] and area >= _FULL * width * height
+        if i not in of_bar
+        and _HEIGHTS[0] <= height <= _HEIGHTS[1]
+        and width <= _LONG * height  # else it is a stroke
+        and area >= _FULL * width * height
     ]
-    return any(_is_number(line, row, first, last) for line in _lines(signs))
+
+
+def _box_of(line: Sequence[_Sign]) -> _Sign:
+    """Return the box around a line of signs."""
+    return _Sign(
+        min(sign.left for sign in line),
+        min(sign.top for sign in line),
+        max(sign.right for sign in line),
+        max(sign.bottom for sign in line),
+    )
+
+
+def _is_text(line: Sequence[_Sign]) -> bool:
+    """Whether a line of signs is too long for a number with its unit: some of its letters may be faint."""
+    box = _box_of(line)
+    return len(line) > _MOST or (len(line) > _FEWEST and box.right - box.left > _LONG * box.height)
+
+
+def _is_in(box: _Sign, other: _Sign) -> bool:
+    """Whether the middle of a box lies in another."""
+    across = other.left <= (box.left + box.right) / 2 <= other.right
+    return across and other.top <= (box.top + box.bottom) / 2 <= other.bottom
 
 
 def _along(depth: np.ndarray, ends: np.ndarray, length: float) -> np.ndarray:
@@ -104,10 +132,7 @@ def _is_number(line: Sequence[_Sign], row: int, first: int, last: int) -> bool:
     """Whether a line of signs is a number beside a bar, which is in a row from a first to a last column."""
     if not _FEWEST <= len(line) <= _MOST:
         return False
-    top = min(sign.top for sign in line)
-    bottom = max(sign.bottom for sign in line)
-    left = min(sign.left for sign in line)
-    right = max(sign.right for sign in line)
+    left, top, right, bottom = _box_of(line)
     height = max(sign.height for sign in line)
     has_letters_like_it = any(abs((sign.right - sign.left) / (last - first) - 1) < _STEM for sign in line)
     has_words = any(sign.right - sign.left > _WIDE * sign.height for sign in line)

@@ -2,7 +2,9 @@
 
 The spectrum of a tile with ticks has its power on a ray across the ticks, at the multiples of one frequency. Such tiles
 propose a direction and a period; around them the image is resampled along the ruler, its tilt and period are refined by
-the phase of the period, and each tick is measured. What does not look like a ruler in every step is refused.
+the phase of the period, and each tick is measured. What does not look like a ruler in every step is refused. Where
+some ticks are longer at regular steps (:mod:`liaam.scale.hierarchy`), only these are taken for rulers: combs, fabrics,
+threads of screws and graph paper have no such ticks.
 """
 
 from __future__ import annotations
@@ -17,6 +19,7 @@ import numpy as np
 
 from liaam.errors import LiaamError
 from liaam.formatting import short_repr
+from liaam.scale.hierarchy import are_teeth, expected, longest_ticks, may_be
 from liaam.scale.lengths import Length
 
 TILES = (96, 192, 384)
@@ -28,6 +31,9 @@ SHORTEST = 4.0
 FEWEST_TICKS = 10
 """Least number of ticks in turn. Textures rarely repeat that often."""
 
+FEWEST_ALIKE = 15
+"""Least number of ticks that are all of one length."""
+
 LARGEST = 2000
 """Longer side in pixels to which larger images are reduced. The millimetres of a ruler of 20 cm are then 10 pixels."""
 
@@ -37,8 +43,11 @@ _CYCLES = (6, 24)  # fewest and most periods in a tile
 _ANGLES = 180  # directions that are looked at, of 180 degrees
 _HARMONICS = 3  # of the period whose power is summed
 _CONTRAST = 2.2  # least mean logarithm of the power at harmonics over that between them
-_MOST_TILES = 16  # proposals that are refined
+_OF_TILE = 2  # proposals of a tile
+_APART = 0.1  # least difference of their directions, radians
+_MOST_TILES = 32  # proposals that are refined
 _MOST_ALIKE = 3  # of them on one line
+_MOST_OF_KIND = 4  # of them of one period and direction, as those of a fabric or graph paper below a ruler
 _AGREE = 0.08  # greatest difference of the logarithms of periods, and of directions in radians, of proposals in line
 _REACH = 40  # pixels across the ruler that are looked at, to both sides
 _COHERENT = 0.33  # least share of the variation that has the period, of 0.5 for a sine and less for thin ticks
@@ -80,12 +89,15 @@ class Ruler:
         x and y of the first and the last tick, in pixels.
     n_ticks : int
         Ticks from the first to the last.
+    longest : int
+        From one of the longest ticks to the next, in ticks, such as 10; 0 if none clearly are longer than others.
     """
 
     period: float
     period_se: float
     ends: np.ndarray
     n_ticks: int
+    longest: int = 0
 
     __repr__ = short_repr
 
@@ -102,13 +114,16 @@ class Ruler:
         return Length(value, tick.unit, error, "a ruler in the image")
 
 
-def find_ruler(image: np.ndarray) -> Ruler:
+def find_ruler(image: np.ndarray, tick: Length | None = None) -> Ruler:
     """Find the ticks of a ruler in an image.
 
     Parameters
     ----------
     image : (h, w, 3) or (h, w)
         Of any type of number.
+    tick : Length, optional
+        From one smallest tick to the next, which tells the sides of a ruler apart: every fifth or tenth millimetre is
+        longer, and half and quarter inches are.
 
     Returns
     -------
@@ -117,21 +132,60 @@ def find_ruler(image: np.ndarray) -> Ruler:
     Raises
     ------
     LiaamError
-        If there is no ruler, or two of different periods; the message says what to do.
+        If there is no ruler, or two of different periods, or its longer ticks are not those of the length that is
+        given; the message says what to do.
     """
     grey, factor = _reduced(_grey(image))
     found: list[Ruler] = []
     for zoom in _ZOOMS:
-        found = found or _rulers_in(grey, zoom)
-    if not found:
+        for ruler in _rulers_in(grey, zoom):
+            if not any(_are_one(ruler, other) for other in found):
+                found.append(replace(ruler, longest=longest_ticks(grey, ruler.ends, ruler.n_ticks)))
+        if any(ruler.longest for ruler in found):
+            break
+    found = [_enlarged(ruler, 1 / factor) for ruler in found]
+    marked = [ruler for ruler in found if ruler.longest]
+    if marked:
+        return _only(_of_kind(marked, tick))
+    alike = _only([ruler for ruler in found if ruler.n_ticks >= FEWEST_ALIKE])
+    if are_teeth(grey, _enlarged(alike, factor).ends, alike.n_ticks):
         raise LiaamError(_NOT_FOUND)
-    best = max(found, key=_length)
-    long = [each for each in found if _length(each) > _SHORT * _length(best)]
+    return alike
+
+
+def _of_kind(rulers: Sequence[Ruler], tick: Length | None) -> list[Ruler]:
+    """Return the rulers whose longest ticks are those of the length from tick to tick."""
+    wanted = expected(tick) if tick is not None else 0
+    fitting = [ruler for ruler in rulers if may_be(ruler.longest, wanted)]
+    if fitting:
+        return fitting
+    best = max(rulers, key=_length)
+    raise LiaamError(
+        f"ticks are found every {best.period:.4g} pixels, of which every {best.longest}th is the longest, and not "
+        f"every {wanted}th as where ticks are {tick} apart: give the length from one smallest tick to the next, or "
+        "crop the image to the ruler; ticks of less than 4 pixels are not resolved"
+    )
+
+
+def _only(rulers: Sequence[Ruler]) -> Ruler:
+    """Return the longest of some rulers, of which the others may be parts; refuse if they are of different periods."""
+    rulers = [ruler for ruler in rulers if not any(_is_finer(other, ruler) for other in rulers)]
+    if not rulers:
+        raise LiaamError(_NOT_FOUND)
+    best = max(rulers, key=_length)
+    long = [each for each in rulers if _length(each) > _SHORT * _length(best)]
     other = next((each for each in long if abs(each.period / best.period - 1) > _SAME), None)
     if other is not None:
-        both = f"{best.period / factor:.4g} and {other.period / factor:.4g} pixels"
+        both = f"{best.period:.4g} and {other.period:.4g} pixels"
         raise LiaamError(f"two rulers, or two sides of one, have ticks every {both}: crop the image to one of them")
-    return _enlarged(best, 1 / factor)
+    return best
+
+
+def _is_finer(ruler: Ruler, other: Ruler) -> bool:
+    """Whether a ruler has ticks at a whole fraction of the period of a parallel one, as the other side of one ruler."""
+    times = round(other.period / ruler.period)
+    is_parallel = abs((ruler.angle - other.angle + 90) % 180 - 90) < 3
+    return times > 1 and is_parallel and abs(other.period / (times * ruler.period) - 1) < _SAME / 2
 
 
 def _length(ruler: Ruler) -> float:
@@ -247,8 +301,7 @@ def _proposals(grey: np.ndarray) -> list[_Proposal]:
     proposals = []
     for side in TILES:
         for top, left in _places(grey.shape, side):
-            proposal = _of_tile(grey[top : top + side, left : left + side])
-            if proposal is not None:
+            for proposal in _of_tile(grey[top : top + side, left : left + side]):
                 proposals.append(replace(proposal, centre=proposal.centre + np.array([left, top])))
     return _likeliest(proposals)
 
@@ -264,11 +317,12 @@ def _likeliest(proposals: Sequence[_Proposal]) -> list[_Proposal]:
     across = away[..., 1] * np.cos(angles)[:, None] - away[..., 0] * np.sin(angles)[:, None]
     turned = (angles[None] - angles[:, None] + np.pi / 2) % np.pi - np.pi / 2
     is_alike = np.abs(np.log(periods[None] / periods[:, None])) < _AGREE
-    agree = is_alike & (np.abs(turned) < _AGREE) & (np.abs(across) < _REACH)
+    is_of_kind = is_alike & (np.abs(turned) < _AGREE)
+    agree = is_of_kind & (np.abs(across) < _REACH)
     scores = np.array([proposal.score for proposal in proposals]) + np.log(agree.sum(axis=1))
     chosen: list[int] = []
     for i in np.argsort(-scores, kind="stable").tolist():
-        if agree[i, chosen].sum() < _MOST_ALIKE:
+        if agree[i, chosen].sum() < _MOST_ALIKE and is_of_kind[i, chosen].sum() < _MOST_OF_KIND:
             chosen.append(i)
     return [proposals[i] for i in chosen[:_MOST_TILES]]
 
@@ -294,14 +348,17 @@ def _polar(side: int) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
     return window.astype(np.float32), x.astype(np.float32), y.astype(np.float32), angles
 
 
-def _of_tile(tile: np.ndarray) -> _Proposal | None:
-    """Return the direction and the period of the ticks in a tile, if its spectrum is that of ticks."""
+def _of_tile(tile: np.ndarray) -> Iterator[_Proposal]:
+    """Yield the directions and the periods of ticks in a tile, if its spectrum is that of ticks.
+
+    There may be two: of a ruler, and of what it lies on.
+    """
     side = len(tile)
     window, x, y, angles = _polar(side)
     values = (tile - tile.mean()) * window
     power = np.abs(np.fft.fftshift(np.fft.fft2(values))) ** 2
     if not power.any():
-        return None
+        return
     rays = cv2.remap(power.astype(np.float32), x, y, cv2.INTER_LINEAR)
     rays = np.log(rays + 1e-6 * rays.max() + 1e-12)
     # Twice the radius is the index: radii are in halves of a cycle per tile.
@@ -316,14 +373,17 @@ def _of_tile(tile: np.ndarray) -> _Proposal | None:
         contrasts = np.cumsum(rays[:, at] - rays[:, between], axis=1) / np.arange(1, n + 1)
         contrast = contrasts.max(axis=1)  # blur takes the higher harmonics of short periods
         score[:, column] = contrast + 0.1 * (rays[:, at].mean(axis=1) - rays.max())
-    row, column = np.unravel_index(int(score.argmax()), score.shape)
-    best = float(score[row, column])
-    if best < _CONTRAST:
-        return None
     strength = float(np.sqrt(power.sum()))
-    period = 2 * side / float(frequencies[column])
-    centre = np.full(2, (side - 1) / 2)
-    return _Proposal(centre, float(angles[row]), period, best + 0.2 * math.log(strength + 1e-9))
+    for _ in range(_OF_TILE):
+        row, column = np.unravel_index(int(score.argmax()), score.shape)
+        best = float(score[row, column])
+        if best < _CONTRAST:
+            return
+        period = 2 * side / float(frequencies[column])
+        centre = np.full(2, (side - 1) / 2)
+        yield _Proposal(centre, float(angles[row]), period, best + 0.2 * math.log(strength + 1e-9))
+        turned = (angles - angles[row] + np.pi / 2) % np.pi - np.pi / 2
+        score[np.abs(turned) < _APART] = -np.inf
 
 
 def _band(grey: np.ndarray, centre: np.ndarray, angle: float, reach: float) -> np.ndarray:

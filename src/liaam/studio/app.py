@@ -33,8 +33,9 @@ from liaam.relighting.lamp import AMBIENT
 from liaam.studio import contract, live, picture_files, shapes
 from liaam.studio.agreement import model_agreement
 from liaam.studio.background import Background
-from liaam.studio.fits import LAYER_SIZE, Fits, truth_of
+from liaam.studio.fits import LAYER_SIZE, Fit, Fits, truth_of
 from liaam.studio.folder import Folder, checked_folder, plain_name, status_of
+from liaam.studio.found_scale import found_scale
 from liaam.studio.live import LiveVideos
 from liaam.studio.model_store import ModelStore, load_dropped_model, load_studio_model, model_json
 from liaam.studio.pictures import Pictures, PictureSource, Uploads, jpeg_bytes
@@ -156,6 +157,7 @@ class Studio:
             route("GET", "/api/measurements", self._measurements),
             route("GET", "/api/shapes", lambda asked: shapes.shapes(project, asked.query_params)),
             route("PUT", "/api/groups", self._save_groups, read_json),
+            route("GET", of_picture + "scale", self._found_scale, limiter=fits),
             route("GET", of_picture + "others", lambda asked: others(project, asked.path_params["name"])),
             route("POST", "/api/sets", lambda _, data: make_set(project, data), read_json, status=201),
             route("GET", "/api/agreement", lambda _: agreement(project)),
@@ -174,6 +176,8 @@ class Studio:
             route("POST", GUEST, self._receive_guest, data, models),
             route("DELETE", GUEST, lambda _: self.models.publish(None, place="guest")),
             route("POST", FITS, self._fit, read_json, fits),
+            route("POST", FITS + "/all", self._fit_all, read_json, fits),
+            route("GET", FITS + "/table", self._table_of_fits, limiter=fits),
             route("GET", FITS + "/{id}/layers/{layer}", self._layer, limiter=fits),
             route("GET", FITS + "/{id}/relit", self._relit, limiter=fits),
             route("GET", FITS + "/{id}/export", self._export_fit, limiter=fits),
@@ -230,6 +234,11 @@ class Studio:
         self.events.publish("landmarks", changed)
         self.background.woken.set()
         return answer
+
+    def _found_scale(self, request: Request) -> contract.FoundScale:
+        source = self.project.source(request.path_params["name"])
+        with self.pictures.at_work(source) as pixels:
+            return found_scale(pixels, source.size, request.query_params)
 
     def _review(self, request: Request, data: Any) -> dict[str, Any]:
         answer = self.project.review(data)
@@ -365,11 +374,21 @@ class Studio:
     def _export_fit(self, request: Request) -> Response:
         fit = self.fits.get(request.path_params["id"])
         what = request.query_params.get("what", "")
-        pixel = self.project.pixel_length(fit.of[1]) if fit.of[0] == "picture" else None
-        name, kind, data = self.fits.export(fit, what, light_of(request.query_params), pixel)
+        name, kind, data = self.fits.export(fit, what, light_of(request.query_params), self._pixel_of(fit))
         return attachment(name, data, kind)
 
     def _fit(self, request: Request, body: Any) -> dict[str, Any]:
+        body, of, source, method = self._to_fit(body)
+        truth = None if of[0] == "upload" else truth_of(self.project.landmarks(of[1]))
+        return self.fits.fit(source, of, method, parse_start(body.get("start")), truth).as_json()
+
+    def _fit_all(self, request: Request, body: Any) -> dict[str, Any]:
+        _, of, source, method = self._to_fit(body)
+        fits, faults = self.fits.fit_all(source, of, method)
+        return {"fits": [fit.as_json() for fit in fits], "faults": faults}
+
+    def _to_fit(self, body: Any) -> tuple[dict[str, Any], tuple[str, str], PictureSource, str]:
+        """Return a request for fits, what its picture is of and which it is, the picture, and the method."""
         body = self.project.checked(body, "picture or upload, method and start")
         given = [(kind, body[kind]) for kind in ("picture", "upload") if body.get(kind) is not None]
         if len(given) != 1 or not isinstance(given[0][1], str):
@@ -378,9 +397,20 @@ class Studio:
         if not isinstance(method, str):
             raise Refusal(422, "the method is not a string: send its name, such as 'soft-li'")
         kind, name = given[0]
-        truth = None if kind == "upload" else truth_of(self.project.landmarks(name))
         source = self.uploads.source(name) if kind == "upload" else self.project.source(name)
-        return self.fits.fit(source, (kind, name), method, parse_start(body.get("start")), truth).as_json()
+        return body, (kind, name), source, method
+
+    def _table_of_fits(self, request: Request) -> Response:
+        ids = request.query_params.get("fits", "").split(",")
+        fits = [self.fits.get(each) for each in ids]
+        if len({fit.of for fit in fits}) > 1:
+            raise Refusal(422, "the fits are of several pictures: send those of one")
+        stem = plain_name(fits[0].source.name).rpartition(".")[0] or "fits"
+        return attachment(f"{stem}.csv", self.fits.table(fits, self._pixel_of(fits[0])), "text/csv")
+
+    def _pixel_of(self, fit: Fit) -> tuple[float, str] | None:
+        """Return the length of a pixel of the picture of a fit, and its unit, if they are known."""
+        return self.project.pixel_length(fit.of[1]) if fit.of[0] == "picture" else None
 
     async def on_fault(self, request: Request, fault: Exception) -> Response:
         """Return the error message; if the disk refused to write, use a status that makes the page retry."""

@@ -63,6 +63,15 @@ class Bar(TypedDict):
     unit: str
 
 
+class FoundScale(TypedDict):
+    """A ruler or a scale bar that is found in a picture."""
+
+    bar: Annotated[Bar, "From the first tick to the last, or from end to end."]
+    pixel: Annotated[float, "Length of a pixel, in the unit of the bar."]
+    error: Annotated[float, "Its standard error, as a share of it."]
+    ticks: Annotated[int | None, "Number of ticks; null of a scale bar."]
+
+
 class Marks(TypedDict):
     """The landmarks of a picture."""
 
@@ -352,7 +361,7 @@ EVENTS: dict[str, Any] = {
 """Data of the events that the server sends, by kind."""
 
 TYPES = (
-    Contour, Picture, Template, Bar, Marks, Base, SaveMarks, Saved, Reviewed, Removed, Renamed,
+    Contour, Picture, Template, Bar, FoundScale, Marks, Base, SaveMarks, Saved, Reviewed, Removed, Renamed,
     HistoryEntry, Model, Training, Method, Version,
     Counted, Formats, Limits, Project, Unchanged, Column, Grid, Space, GroupTest, Shapes,
     ShapeAgreement, Agreement,

@@ -1,5 +1,6 @@
 """Fits for the page: computed with the current model, cached together with their layers, and exported as files."""
 
+import io
 import secrets
 import threading
 import time
@@ -14,12 +15,13 @@ from typing import Any
 import numpy as np
 
 from liaam.error_measures import point_error
-from liaam.errors import LiaamError, MethodError
+from liaam.errors import LiaamError, MethodError, StartError
 from liaam.fitting.detection import Detection
 from liaam.fitting.fitter import Fitter
 from liaam.fitting.low_quality import fit_where_found
 from liaam.fitting.methods import DEFAULT_METHOD, methods_of
 from liaam.fitting.result import FitResult
+from liaam.fitting.specimens import fit_specimens
 from liaam.formatting import finite_list, finite_or_none
 from liaam.io import Contour, Landmarks
 from liaam.io.fit_files import fit_text
@@ -27,6 +29,7 @@ from liaam.model import AAM
 from liaam.model.shape import diagonal_of
 from liaam.photometry import linear_to_srgb
 from liaam.relighting import Lamp, Relighter, paint
+from liaam.scale.lengths import Length, unit_of
 from liaam.studio import layers
 from liaam.studio.folder import plain_name
 from liaam.studio.model_store import ModelInUse, ModelStore
@@ -35,6 +38,8 @@ from liaam.studio.refusal import Refusal
 from liaam.studio.scale_bars import with_scale_bar
 from liaam.studio.settings import StudioSettings
 from liaam.studio.template import text_of
+from liaam.trays.crops import crop_box
+from liaam.trays.naming import Named, in_sentences
 
 LAYER_SIZE = 1280  # default longest side of a layer in pixels
 LIGHT_SIZE = 2048
@@ -59,6 +64,7 @@ FILES = {
     "flat": "image/png",
     "shading": "image/png",
     "relit": "image/png",
+    "crop": "image/png",
 }
 """Kinds of files of a fit, and their media types."""
 
@@ -80,6 +86,8 @@ class Fit:
     error: tuple[float, float] | None  # from the picture's landmarks, in pixels and in percent of their diagonal
     of: tuple[str, str]  # ``picture`` or ``upload``, and its name or id
     trained_on: bool = False  # whether the picture is one of those that the model was trained on
+    specimen: Named | None = None  # of several that were fitted together
+    number: int = 0  # of it, from 1 in reading order
 
     @property
     def model(self) -> AAM:
@@ -126,6 +134,7 @@ class Fit:
             "height": self.source.size[1],
             "layers": self._layer_names(),
             "no_flat": self.no_flat,
+            "specimen": self._specimen_json(),
             self.of[0]: self.of[1],
         }
 
@@ -157,6 +166,19 @@ class Fit:
             return None
         pixels, percent = self.error
         return {"pixels": pixels, "percent": percent}
+
+    def _specimen_json(self) -> dict[str, Any] | None:
+        """Return which of several specimens it is; None if it was fitted alone."""
+        if self.specimen is None:
+            return None
+        return {"number": self.number, "name": self.specimen.name, "fault": self.specimen.fault}
+
+    @property
+    def stem(self) -> str:
+        """Name of files of this fit, without their endings."""
+        name = plain_name(self.source.name)
+        stem = name.rpartition(".")[0] or name
+        return f"{stem}_{self.number}" if self.number else stem
 
     def _layer_names(self) -> Sequence[str]:
         """Return the layers that can be drawn: without shading only the residuals, and none of a lost object."""
@@ -257,6 +279,74 @@ class Fits:
         self._fits.put(fit.id, fit)
         return fit
 
+    def fit_all(self, source: PictureSource, of: tuple[str, str], method: str) -> tuple[list[Fit], list[str]]:
+        """Fit all specimens of a picture, and cache the results, in reading order. Also return what is not clear."""
+        if (current := self.models.current) is None:
+            raise Refusal(409, "there is no model yet: train one first, or drop a model file on the page")
+        fitter = self._fitter(current, method, source.raw)
+        stem = plain_name(source.name).rpartition(".")[0] or plain_name(source.name)
+        began = time.perf_counter()
+        with self.pictures.at_work(source) as image:
+            try:
+                fitted = fit_specimens(fitter, image, name=source.name, stem=stem)
+            except StartError as fault:
+                raise Refusal(422, f"{str(fault).partition(';')[0]}. Draw a box around each.") from fault
+            no_flat = [layers.why_not_flat(fitter, image, result) for result in fitted.results]
+            size = image.shape[1], image.shape[0]
+        seconds = (time.perf_counter() - began) / len(fitted.results)
+        fits = [
+            Fit(
+                id=secrets.token_urlsafe(9),
+                source=source,
+                fitter=fitter,
+                result=layers.scaled(result, size, source.size),
+                search_seconds=0.0,
+                fit_seconds=seconds,
+                no_flat=why_not,
+                error=None,
+                of=of,
+                specimen=named,
+                number=number,
+            )
+            for number, (result, named, why_not) in enumerate(
+                zip(fitted.results, fitted.named, no_flat, strict=True), start=1
+            )
+        ]
+        for fit in fits:
+            self._fits.put(fit.id, fit)
+        return fits, fitted.faults
+
+    def crop(self, fit: Fit) -> np.ndarray:
+        """Return the part of the picture around a specimen, (h, w, 3) uint8."""
+        with self.pictures.at_work(fit.source) as pixels:
+            image = shown(pixels, fit.source.work_size, fit.source.raw)
+        box = crop_box(fit.at_work.landmarks, (image.shape[1], image.shape[0]))
+        if box is None:
+            raise Refusal(422, "the specimen was not found, so that there is nothing to crop")
+        left, top, right, bottom = box
+        return image[top:bottom, left:right]
+
+    def table(self, fits: Sequence[Fit], pixel: tuple[float, str] | None) -> bytes:
+        """Return fits as a table, one row each, with the columns of those of ``liaam batch``.
+
+        ``pixel`` is the length of a pixel and its unit, if they are known.
+        """
+        from liaam.batch.tables import BatchTable, write_csv_rows  # heavy: imported when first needed
+        from liaam.batch.work import fit_row
+
+        length = None if pixel is None else Length(pixel[0], unit_of(pixel[1]))
+        rows = []
+        for fit in fits:
+            row = fit_row(fit.result, fit.source.name, fit.source.size, length)
+            named = fit.specimen or Named(plain_name(fit.source.name))
+            facts = {"object": fit.number or None, "specimen": named.name, "code": named.code, "seconds": None}
+            message = in_sentences(fit.result.message, named.fault)
+            rows.append(("", row | facts | {"message": message}))
+        model = fits[0].model
+        text = io.StringIO(newline="")
+        write_csv_rows(text, BatchTable(rows, model.n_points, True, {}, names=tuple(model.landmark_names or ())))
+        return text.getvalue().encode()
+
     def _compute(
         self, source: PictureSource, fitter: Fitter, current: ModelInUse, start: Any, on_copy: bool
     ) -> "_Computed":
@@ -345,8 +435,9 @@ class Fits:
         if what not in FILES:
             raise Refusal(422, f"a fit cannot be exported as '{what[:40]}': choose one of {', '.join(FILES)}")
         media_type = FILES[what]
-        name = plain_name(fit.source.name)
-        stem = name.rpartition(".")[0] or name
+        stem = fit.stem
+        if what == "crop":
+            return f"{stem}_crop.png", media_type, png_bytes(self.crop(fit))
         if media_type == "image/png":
             image, _ = self.draw(fit, what, None, light)
             if what == "overlay" and pixel is not None:

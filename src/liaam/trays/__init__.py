@@ -3,7 +3,7 @@
 from liaam.trays.codes import Code, read_codes
 from liaam.trays.crops import crop_box
 from liaam.trays.naming import CODE, LABEL, NAME_BY, POSITION, Named, check_name_by, name_specimens
-from liaam.trays.order import reading_order, touching
+from liaam.trays.order import reading_order, touching, unplaced
 
 __all__ = [
     "CODE",
@@ -18,4 +18,5 @@ __all__ = [
     "read_codes",
     "reading_order",
     "touching",
+    "unplaced",
 ]

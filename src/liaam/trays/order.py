@@ -13,6 +13,12 @@ IN_ROW = 0.5
 
 Rows of objects of one size that do not overlap are a whole height apart."""
 
+OF_SIZE = 0.7
+"""Greatest difference of the logarithms of the sizes of an uncertain object and of the certain ones: a factor of 2."""
+
+IN_STEP = 0.25
+"""Greatest distance of an uncertain object in a row from where one should be, of the step from one to the next."""
+
 NEAR = 0.03
 """Gap below which two objects touch, of the smaller one's diagonal: they end a little beyond their landmarks."""
 
@@ -41,6 +47,49 @@ def reading_order(shapes: Sequence[np.ndarray]) -> list[int]:
     rows.sort(key=lambda row: float(middles[row, 1].mean()))
     without_place = [i for i, box in enumerate(boxes) if box is None]
     return [known[i] for row in rows for i in row] + without_place
+
+
+def unplaced(shapes: Sequence[np.ndarray], certain: Sequence[bool]) -> list[int]:
+    """Return which uncertain objects of a tray are at no place of its rows and columns, as those on a label are.
+
+    An uncertain object has a place if it is in a row and in a column of certain ones, at about their size; or, of
+    certain ones in a single row, if it is in that row at a whole number of their steps from them. Of a single certain
+    object, nothing is known.
+
+    Parameters
+    ----------
+    shapes : sequence of (n, 2) arrays
+        Points of each object, pixels.
+    certain : sequence of bool
+        Whether each is an object for certain.
+
+    Returns
+    -------
+    list of int
+        Their indices, in reading order.
+    """
+    boxes = [_box(shape) for shape in shapes]
+    grid = np.array([box for box, sure in zip(boxes, certain, strict=True) if sure and box is not None])
+    order = reading_order(shapes)
+    if len(grid) < 2:
+        return []
+    return [i for i in order if not certain[i] and not _is_in_grid(boxes[i], grid)]
+
+
+def _is_in_grid(box: np.ndarray | None, grid: np.ndarray) -> bool:
+    """Whether a box (2, 2) is of the size of those of a grid (n, 2, 2), and in a row and in a column of them."""
+    if box is None:
+        return False
+    sizes = np.median(grid[:, 1] - grid[:, 0], axis=0)
+    if np.abs(np.log(np.maximum(box[1] - box[0], 1e-9) / np.maximum(sizes, 1e-9))).max() > OF_SIZE:
+        return False
+    middles = grid.mean(axis=1)
+    across, down = (np.abs(middles - box.mean(axis=0)) < IN_ROW * sizes).T
+    if (np.abs(middles[:, 1] - middles[0, 1]) < IN_ROW * sizes[1]).all():  # there is a single row
+        steps = np.diff(np.sort(middles[:, 0]))
+        away = np.abs(middles[:, 0] - box.mean(axis=0)[0]).min() / steps.min()
+        return bool(down.any()) and abs(away - round(away)) < IN_STEP and len(steps) > 1
+    return bool(down.any() and across.any())
 
 
 def _box(points: np.ndarray) -> np.ndarray | None:

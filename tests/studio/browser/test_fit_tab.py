@@ -307,6 +307,45 @@ def test_the_objects_of_a_picture_are_fitted_in_turn(fit_tab, lit_file):
     assert following.is_visible()
 
 
+def test_all_specimens_of_a_picture_are_shown_and_selected(fit_tab, artefacts):
+    """The answers are changed to those of a picture with two specimens: the second one lies a little lower."""
+    boxes = [[10.0, 20.0, 90.0, 120.0], [30.0, 20.0, 110.0, 130.0]]
+
+    def of_two(route):
+        answered = route.fetch().json()
+        answered.update(n_found=2, objects=boxes, found={"score": 1.0, "doubtful": False}, quality=0.9)
+        route.fulfill(json=answered)
+
+    def all_of_them(route):
+        first = hook(fit_tab, "fit")
+        lower = [point and [point[0], point[1] + 25] for point in first["shape"]]
+        both = [
+            first | {"specimen": {"number": 1, "name": "tray#1", "fault": ""}},
+            first | {"shape": lower, "specimen": {"number": 2, "name": "tray#2", "fault": "it touches tray#1"}},
+        ]
+        route.fulfill(json={"fits": both, "faults": ["tray#1 and tray#2 touch, or nearly"]})
+
+    fit_tab.route("**/api/fits", of_two)
+    fit_tab.route("**/api/fits/all", all_of_them)
+    fit_tab.locator("[data-testid=fit-run]").click()
+    fit_tab.locator("[data-testid=fit-all]").click()
+    rows = fit_tab.locator("[data-testid=fit-specimen]")
+    rows.nth(1).wait_for()
+    assert [text.partition(":")[0] for text in rows.all_inner_texts()] == ["tray#1", "tray#2"]
+    assert rows.nth(0).get_attribute("aria-pressed") == "true"
+    fit_tab.get_by_text("tray#1 and tray#2 touch, or nearly").wait_for()
+    upper = hook(fit_tab, "fit")["shape"]
+    rows.nth(1).click()
+    assert rows.nth(1).get_attribute("aria-pressed") == "true"
+    assert hook(fit_tab, "fit")["shape"][0][1] == upper[0][1] + 25
+    shoot(fit_tab, artefacts, "fit-specimens")
+    fit_tab.locator("[data-testid=export-menu]").click()
+    assert "fits=" in fit_tab.locator("[data-testid=export-table]").get_attribute("href")
+    fit_tab.keyboard.press("Escape")
+    fit_tab.locator("[data-testid=fit-run]").click()  # a fit of one again
+    rows.nth(0).wait_for(state="detached")
+
+
 def test_two_methods_are_compared(fit_tab, artefacts):
     fit_tab.locator("[data-testid=tab-compare]").click()
     wait_for(

@@ -3,7 +3,8 @@
 import pytest
 from people import NAMES, annotate, client, open_picture, opened, saved, shoot, violations, wait_for, wait_until
 
-from liaam.io import read_landmarks
+from liaam.io import read_landmarks, write_image
+from scenes.ruler import draw as draw_ruler
 
 pytestmark = pytest.mark.slow
 
@@ -167,3 +168,29 @@ def test_escape_ends_drawing_and_the_bar_of_a_picture_is_its_own(marked, serve, 
     assert annotate(page, "bar()") is None
     open_picture(page, "portrait-01.png")
     assert annotate(page, "bar()")["length"] == 5
+
+
+def test_the_scale_is_found_in_the_picture(marked, serve, open_page, artefacts, rng):
+    image = draw_ruler("hierarchical", rng, size=9.0, angle=5.0).image
+    write_image(marked / "portrait-01.png", image)
+    page, _ = at_first_picture(marked, serve, open_page, (1280, 720))
+    page.locator("[data-testid=scale-bar]").click()
+    page.locator("[data-testid=scale-find]").click()
+    page.locator("[data-testid=find-kind]").select_option("ruler")
+    page.locator("[data-testid=find-length]").fill("1")
+    page.locator("[data-testid=find-go]").click()
+    text = page.locator("[data-testid=found-scale]").inner_text()
+    assert "ticks: 0.111" in text and "mm per pixel" in text
+    assert violations(page) == {}
+    shoot(page, artefacts, "scale-found")
+    page.locator("[data-testid=found-use]").click()
+    wait_for(page, "() => window.liaamStudio.annotate.bar()?.unit === 'mm'")
+    saved(page)
+    assert scale_of(marked, "portrait-01.png") == pytest.approx(1 / 9, rel=1e-3)
+
+    page.locator("[data-testid=scale-bar]").click()  # now there is one: look for another kind
+    page.locator("[data-testid=scale-find-again]").click()
+    page.locator("[data-testid=find-kind]").select_option("bar")
+    page.locator("[data-testid=find-go]").click()
+    page.get_by_text("Click both ends of a known length instead").wait_for()
+    assert scale_of(marked, "portrait-01.png") == pytest.approx(1 / 9, rel=1e-3)

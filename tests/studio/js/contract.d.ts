@@ -58,6 +58,18 @@ interface Bar {
   unit: string;
 }
 
+/** A ruler or a scale bar that is found in a picture. */
+interface FoundScale {
+  /** From the first tick to the last, or from end to end. */
+  bar: Bar;
+  /** Length of a pixel, in the unit of the bar. */
+  pixel: number;
+  /** Its standard error, as a share of it. */
+  error: number;
+  /** Number of ticks; null of a scale bar. */
+  ticks: number | null;
+}
+
 /** The landmarks of a picture. */
 interface Marks {
   points: (number[] | null)[];

@@ -11,7 +11,7 @@ import { FirstMarks } from "./modules/annotate-opening.js";
 import { History } from "./modules/history.js";
 import { Marking } from "./modules/marking.js";
 import { layoutIn } from "./modules/points.js";
-import { ScaleBar } from "./modules/scale-bar.js";
+import { foundText, ScaleBar } from "./modules/scale-bar.js";
 import { axisOf, EMPTY } from "./modules/template.js";
 
 const NAMES = ["left", "right", "tip"];
@@ -234,6 +234,33 @@ test("an end of a scale bar that is being drawn is undone first, then drawing en
   assert.deepEqual([ruler.on, ruler.ends, made.points[1]], [true, [null, null], [30, 20]]);
   ruler.travel("undo");
   assert.deepEqual([ruler.on, made.points[1], made.active], [false, null, 1]);
+});
+
+test("what the server finds is drawn, and is a step to undo once it is used", async () => {
+  const { made } = marking();
+  const found = { bar: { ends: [[5, 5], [85, 5]], length: 8, unit: "mm" }, pixel: 0.1, error: 0.0004, ticks: 9 };
+  const asked = [];
+  const ruler = new ScaleBar(made, {
+    onchange() {}, onpreview() {},
+    onfind: async (what) => { asked.push(what); return found; },
+  });
+  globalThis.localStorage = { getItem: () => null, setItem() {} };
+  ruler.askKind = async (before) => [true, before];
+  let drawn = null;
+  ruler.offer = async () => { drawn = ruler.ends; return ["save", false]; };
+  await ruler.find();
+  assert.deepEqual(asked, [{ kind: "ruler", length: 1, unit: "mm" }]);
+  assert.deepEqual([drawn, made.state.bar, ruler.on], [found.bar.ends, found.bar, false]);
+  made.travel("undo");
+  assert.equal(made.state.bar ?? null, null);
+  ruler.offer = async () => [null, false]; // cancelled
+  await ruler.find();
+  assert.deepEqual([made.state.bar ?? null, ruler.on], [null, false]);
+  ruler.onfind = async () => null; // refused
+  await ruler.find();
+  assert.equal(made.state.bar ?? null, null);
+  assert.equal(foundText(found), "9 ticks: 0.1 ± 0.00004 mm per pixel (0.04 %)");
+  delete globalThis.localStorage;
 });
 
 // What a picture begins with ----------------------------------------------------------------------------------------

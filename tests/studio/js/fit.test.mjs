@@ -11,7 +11,7 @@ import {
 } from "./modules/fit-run.js";
 import { relativeCosts } from "./modules/fit-iterations.js";
 import { FrameMeter } from "./modules/ui.js";
-import { useAsAnnotation } from "./modules/fit-setup.js";
+import { specimenText, useAsAnnotation } from "./modules/fit-setup.js";
 import { Sources } from "./modules/fit-source.js";
 import { boxAfterKey, boxBetween, boxMoved, BoxTool, isDrawn, MeanTool } from "./modules/fit-start.js";
 import * as inv from "./modules/fit-theta.js";
@@ -336,6 +336,7 @@ const fit = (changes = {}) => ({
 test("a fit that failed or is doubtful says what to do", () => {
   assert.equal(verdictOf(fit()).advice, "");
   assert.equal(verdictOf(fit()).kind, "good");
+  assert.equal(specimenText(fit({ specimen: { name: "tray#2", number: 2, fault: "" } })), `tray#2: ${verdictOf(fit()).title}`);
   const doubt = verdictOf(fit({ found: { score: 0.1, doubtful: true } }));
   assert.equal(doubt.kind, "warn");
   assert.match(doubt.advice, /box/);

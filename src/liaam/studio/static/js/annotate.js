@@ -8,6 +8,7 @@ import { createSaving } from "./annotate-saving.js";
 import { createTemplates } from "./annotate-template.js";
 import { createStatus, createToolbar } from "./annotate-toolbar.js";
 import { descriptionOf, placeOf, promptOf, several, tallyOf } from "./annotate-words.js";
+import { api } from "./api.js";
 import { createAssist } from "./assist.js";
 import { drawGesture, drawHint, drawMarking, loupeOver } from "./drawing.js";
 import { PointTool } from "./gestures.js";
@@ -18,7 +19,7 @@ import { createPointsPanel } from "./points-panel.js";
 import { createReview } from "./review.js";
 import { ScaleBar } from "./scale-bar.js";
 import { Tracing } from "./tracing.js";
-import { h } from "./ui.js";
+import { button, h } from "./ui.js";
 import { Viewer } from "./viewer.js";
 
 const SAY_AFTER = 350; // milliseconds after the last arrow key until a position is announced
@@ -68,7 +69,16 @@ export class Tab {
       onpreview: () => viewer.redraw(),
       alone: () => state.pictures.length < 2,
       onshare: (bar, anyway) => this.shareBar(bar, anyway),
+      onfind: (asked) => this.findScale(asked),
     });
+    this.finder = button("Find it in the picture…", {
+      icon: "ruler", small: true, hidden: true, kind: "annotate-finder", testid: "scale-find",
+      onclick: () => {
+        this.ruler.turn(false);
+        this.ruler.find();
+      },
+    });
+    this.container.append(this.finder);
     this.tracing = new Tracing(this.marking, { onchange: () => this.refresh() });
     this.measured = createMeasured(this);
     // In this order: the later ones use the earlier ones.
@@ -170,6 +180,16 @@ export class Tab {
   }
 
   /** Set the scale bar of the open picture in all others of the shown folder, also in those that filters hide. */
+  /** Ask the server for the ruler or the scale bar of the open picture. Say why if there is none. */
+  async findScale(asked) {
+    try {
+      return await api.get(api.url("pictures", this.name, "scale", asked));
+    } catch (error) {
+      this.app.toast(error, "bad");
+      return null;
+    }
+  }
+
   shareBar(bar, anyway) {
     const others = this.state.pictures.map(({ name }) => name).filter((name) => name !== this.name);
     this.app.bulk.run("scaled", others, { bar, of: this.name, anyway });
@@ -223,6 +243,7 @@ export class Tab {
     if (!hint.hidden) drawHint(hint, template.points, template.contours, marking.active, getComputedStyle(hint));
     const text = this.promptText();
     prompt.hidden = !text;
+    this.finder.hidden = drawing !== this.ruler || editing || Boolean(this.ruler.ends[0]);
     prompt.dataset.kind = marking.suggested && !editing && !drawing ? "suggested" : "";
     if (prompt.textContent !== text) prompt.textContent = text;
   }

@@ -1,5 +1,6 @@
 // Drawing of fits for the tabs Fit and Compare.
 
+import { drawText } from "./drawing.js";
 import { verdictOf } from "./fit-run.js";
 import { discs, drawContours, drawEllipses, drawMesh, drawPoints, lines, stroked } from "./overlays.js";
 import { button, h, press } from "./ui.js";
@@ -91,6 +92,22 @@ export function drawFit(ctx, viewer, fit, shown, { shape = fit.shape, final = tr
     discs(ctx, viewer, shape.filter((_, i) => absent.has(i)), 5);
     stroked(ctx, ABSENT, 1.6);
   });
+}
+
+const PALE = 0.55; // opacity of the specimens that are not selected
+
+/** Draw the specimens that are not selected paler, and the names of all above them. */
+export function drawSpecimens(ctx, viewer, chosen, others, shown, opacity) {
+  if (!others.length) return;
+  const pale = Object.fromEntries(OVERLAYS.map(({ name }) => [name, PALE * (opacity[name] ?? 1)]));
+  const outlines = new Set([...shown].filter((name) => name !== "mesh" && name !== "ellipses"));
+  for (const fit of others) drawFit(ctx, viewer, fit, outlines, { opacity: pale });
+  for (const { shape, specimen } of [chosen, ...others]) {
+    const points = shape.filter(Boolean).map((point) => viewer.toScreen(point));
+    if (!points.length || !specimen) continue;
+    const [xs, ys] = [0, 1].map((axis) => points.map((point) => point[axis]));
+    drawText(ctx, specimen.name, (Math.min(...xs) + Math.max(...xs)) / 2, Math.min(...ys) - 8, { align: "center" });
+  }
 }
 
 export function drawTruth(ctx, viewer, points) {

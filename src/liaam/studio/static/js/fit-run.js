@@ -34,6 +34,14 @@ export class FitStore {
     return fit;
   }
 
+  /** Fit all specimens of a picture: {fits, in reading order; faults, what is not clear}. They are not kept here. */
+  async runAll(source, method) {
+    await source.ready;
+    const asked = { ...source.reference, method };
+    const { fits, faults } = await this.state.send((folder) => api.post(api.url("fits", "all"), { ...asked, folder }));
+    return { fits: fits.map(cleaned), faults };
+  }
+
   /** The newest fit of a source with a method and the current model, or null. */
   recall(source, method) { return this.#kept.get(this.#key(source, method)) ?? null; }
   forget(fit) { this.#drop((kept) => kept.id === fit.id); }

@@ -119,11 +119,17 @@ export class ResultPanel {
     };
     this._status = h("div.column.tight.fit-status", { role: "status", "aria-live": "polite", testid: "fit-status" });
     this._next = button("Next object", { icon: "right", small: true, onclick: () => tab.next() });
-    this._remedies = h("div.row.tight.fit-remedies", { hidden: true }, this._next,
+    this._all = button("Fit all", {
+      icon: "target", small: true, testid: "fit-all", title: "Fit all specimens of the picture", onclick: () => tab.runAll(),
+    });
+    this._specimens = h("div.column.tight", { role: "group", "aria-label": "Specimens", testid: "fit-specimens" });
+    this._remedies = h("div.row.tight.fit-remedies", { hidden: true }, this._all, this._next,
       button("Draw a box", { icon: "box", small: true, onclick: () => start("box") }),
       button("Drag the mean shape", { icon: "target", small: true, onclick: () => start("mean") }));
     this._facts = h("dl.fit-facts");
-    this.element = h("section.panel.fit-result", { "aria-label": "Result" }, this._status, this._remedies, this._facts);
+    this.element = h("section.panel.fit-result", { "aria-label": "Result" }, this._status, this._remedies,
+      this._specimens, this._facts);
+    this._tab = tab;
   }
 
   /** Show a message in place of a fit, or nothing for ""; kind: "info" or "bad". */
@@ -132,6 +138,16 @@ export class ResultPanel {
     this._status.replaceChildren(h(kind === "bad" ? "p.error-text" : "p.small", message));
     this._remedies.hidden = true;
     this._facts.replaceChildren();
+    this._specimens.replaceChildren();
+  }
+
+  /** List specimens that were fitted together: a press selects one. What is not clear about the picture comes last. */
+  _list({ fits, faults }, chosen) {
+    const row = (fit) => button(specimenText(fit), {
+      small: true, kind: "ghost", pressed: fit === chosen, title: fit.specimen.fault, testid: "fit-specimen",
+      onclick: () => this._tab.choose(fit),
+    });
+    this._specimens.replaceChildren(...fits.map(row), ...faults.map((fault) => h("p.small.muted", fault)));
   }
 
   show(fit, several = false) {
@@ -145,15 +161,20 @@ export class ResultPanel {
     ];
     this._status.replaceChildren(...lines.filter(Boolean));
     this._remedies.hidden = !advice && !several;
-    this._next.hidden = !several;
+    this._next.hidden = this._all.hidden = !several;
+    this._list(this._tab.specimens, fit);
     this._facts.replaceChildren(...entries(factsOf(fit)));
   }
 }
+
+/** A specimen in words, such as "tray#2: converged, quality 94 %". */
+export const specimenText = (fit) => `${fit.specimen.name}: ${verdictOf(fit).title}`;
 
 const EXPORTS = {
   Landmarks: { pts: "Landmarks .pts", ljson: "Landmarks .ljson", csv: "Table .csv", json: "Fit .json" },
   Pictures: {
     overlay: "Picture with the fit", flat: "Without shading", shading: "Shading", relit: "Under the new light",
+    crop: "Part around the specimen",
   },
 };
 const NEEDS = { flat: "flat", shading: "shading", relit: "flat" }; // a layer of the fit
@@ -170,13 +191,14 @@ export class ExportMenu {
         useAsAnnotation(tab.app, tab.fit);
       },
     });
+    this._table = this._item("table", "All specimens .csv");
     const groups = Object.entries(EXPORTS).map(([title, items]) =>
       h("div.fit-menu-group", h("h3.small.muted", title), Object.entries(items).map((item) => this._item(...item))));
     // The browser closes it with Escape, or by a press elsewhere.
     this.panel = h("div.fit-menu", {
       popover: "auto", role: "group", "aria-label": "Export", onbeforetoggle: () => this._place(),
       ontoggle: ({ newState }) => newState === "open" && this.panel.querySelector("a").focus(),
-    }, groups, h("div.fit-menu-group", this._annotate));
+    }, groups, h("div.fit-menu-group", this._table, this._annotate));
     this.button = button("Export", {
       icon: "download", kind: "roomy", small: true, testid: "export-menu", popoverTargetElement: this.panel,
     });
@@ -212,8 +234,14 @@ export class ExportMenu {
     const { right, bottom } = this.button.getBoundingClientRect();
     Object.assign(this.panel.style, { right: `${innerWidth - right}px`, top: `${bottom + 6}px` });
     const { fit, view } = this._tab;
+    const { fits } = this._tab.specimens;
     for (const link of fit ? this.panel.querySelectorAll("a") : []) {
       const { what } = link.dataset;
+      if (link === this._table) {
+        link.href = api.url("fits", "table", { fits: fits.map(({ id }) => id).join() });
+        link.hidden = !fits.length;
+        continue;
+      }
       link.href = api.url("fits", fit.id, "export", { what, ...(what === "relit" && lightQuery(view.light)) });
       link.hidden = what in NEEDS && !fit.layers.includes(NEEDS[what]);
     }

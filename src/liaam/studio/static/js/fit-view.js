@@ -2,7 +2,7 @@
 
 import { api } from "./api.js";
 import { Divider } from "./divider.js";
-import { drawFit, drawOver, Overlays } from "./fit-draw.js";
+import { drawFit, drawOver, drawSpecimens, Overlays } from "./fit-draw.js";
 import { significant } from "./fit-run.js";
 import { InvariantView } from "./fit-theta.js";
 import { look } from "./look.js";
@@ -31,6 +31,7 @@ const REST = 150; // milliseconds after the last move of a lamp until the exact 
 export class FitView {
   source = null;
   fit = null;
+  others = []; // fits of the other specimens
   name = "picture";
   iteration = null; // {shape, final} of the slider, null for the result
   opacity = Object.fromEntries(VIEWS.map(({ name }) => [name, 1])); // of views and overlays
@@ -298,6 +299,7 @@ export class FitView {
       });
     }
     const { fit, opacity, overlays } = this;
+    if (!viewer.tool?.hidesFit) drawSpecimens(ctx, viewer, fit, this.others, overlays.shown, opacity);
     if (fit && !viewer.tool?.hidesFit) drawFit(ctx, viewer, fit, overlays.shown, { ...this.iteration, opacity });
     viewer.tool?.draw(ctx, viewer);
     if (fit) this.light.place(viewer, fit.shape);

@@ -23,6 +23,7 @@ export class Tab extends SourceTab {
   fit = null;
   lastDropMs = null; // from the newest drop to the first frame painted with its fit
   _objects = []; // boxes of several in the picture, that of the fit first
+  specimens = { fits: [], faults: [] }; // all of the picture that were fitted together
   _run = 0; // number of the newest run, to drop answers of older ones
 
   /** @param {HTMLElement} root; @param {App} app */
@@ -98,10 +99,35 @@ export class Tab extends SourceTab {
     }
   }
 
+  /** Fit all specimens of the shown picture, and select the first. */
+  async runAll() {
+    const source = this.sources.current;
+    const run = (this._run += 1);
+    this._busy(true);
+    try {
+      const all = await this.app.fits.runAll(source, this.method);
+      if (run !== this._run || this.sources.current !== source) return;
+      this.specimens = all;
+      this.choose(all.fits[0]);
+    } catch (error) {
+      if (run === this._run) this._refused(error);
+    } finally {
+      if (run === this._run) this._busy(false);
+    }
+  }
+
+  /** Select one of the specimens that were fitted together. */
+  choose(fit) {
+    this._take(fit);
+    this.view.viewer.redraw();
+  }
+
   get startTool() { return { box: this.box, mean: this.mean }[this.start] ?? null; }
 
   _take(fit) {
     this.fit = fit;
+    if (!this.specimens.fits.includes(fit)) this.specimens = { fits: [], faults: [] };
+    this.view.others = this.specimens.fits.filter((other) => other !== fit);
     if (fit?.objects?.length) this._objects = [...fit.objects];
     this.view.setFit(fit);
     this.view.invariant.mark({ model: this.state.project.model?.theta_deg, fit: fit?.theta_deg });

@@ -1,5 +1,5 @@
-// The scale bar of the open picture: two clicks along a ruler, and the length between them. Gestures edit it while it
-// is drawn; after that it is part of the marks.
+// The scale bar of the open picture: two clicks along a ruler, and the length between them, or what the server finds.
+// Gestures edit it while it is drawn; after that it is part of the marks.
 
 import { COLOURS, drawText } from "./drawing.js";
 import { Editable, placing } from "./gestures.js";
@@ -9,6 +9,8 @@ import { dialog, h, optionsOf } from "./ui.js";
 
 const UNITS = { "µm": "µm", mm: "mm", cm: "cm", m: "m", in: "inches" };
 const KEY = "liaam-studio:scale-bar"; // the last length and unit
+const FIND_KEY = "liaam-studio:find-scale"; // what was looked for last, and its length and unit
+const KINDS = { ruler: "Ruler: the length from one smallest tick to the next", bar: "Scale bar: its length" };
 const TICK = 6; // css pixels on each side of the line
 const LEAST = 1; // pixels between the ends
 const LENGTHS = [1e-6, 1e9]; // those that can be entered are between
@@ -20,7 +22,8 @@ export class ScaleBar extends Editable {
   points = []; // none that could be moved
 
   /** handlers: onpreview(): an end moves; onchange(): drawing starts or stops; onshare(bar, anyway): the other pictures
-   *  get it too; alone(): whether there are none.
+   *  get it too; alone(): whether there are none; onfind({kind, length, unit}): ask the server for the scale of the
+   *  picture, which gives a FoundScale, or null after it has said why not.
    *  @param {import("./marking.js").Marking} marking; @param {any} handlers */
   constructor(marking, handlers) {
     super(handlers);
@@ -28,6 +31,8 @@ export class ScaleBar extends Editable {
   }
 
   onshare(_bar, _anyway) {}
+  /** @returns {Promise<FoundScale | null>} */
+  async onfind(_asked) { return null; }
   alone() { return false; }
 
   get bar() { return this.marking.state?.bar ?? null; }
@@ -58,9 +63,11 @@ export class ScaleBar extends Editable {
     if (this.on || !this.bar) return this.turn(!this.on);
     const { bar } = this;
     const remove = { label: "Remove", value: "remove", testid: "scale-remove" };
-    const [answer, change] = await this.ask(bar, [remove, { label: "Draw again", value: "draw" }]);
+    const find = { label: "Find…", value: "find", testid: "scale-find-again" };
+    const [answer, change] = await this.ask(bar, [remove, find, { label: "Draw again", value: "draw" }]);
     if (answer === "remove") this.marking.change({ bar: null }, "remove the scale bar");
     else if (answer === "draw") this.turn(true);
+    else if (answer === "find") this.find();
     else if (answer) this.settle(answer, { ...bar, ...change }, "change the scale bar");
   }
 
@@ -87,26 +94,66 @@ export class ScaleBar extends Editable {
     this.settle(answer, { ends, ...bar }, "scale bar");
   }
 
+  /** Ask what is in the picture, let the server find it, show it, and ask whether it is right. */
+  async find() {
+    const { marking: { book } } = this;
+    const [looks, asked] = await this.askKind(JSON.parse(localStorage.getItem(FIND_KEY) ?? '{"kind": "ruler", "length": 1, "unit": "mm"}'));
+    if (!looks || this.marking.book !== book) return;
+    localStorage.setItem(FIND_KEY, JSON.stringify(asked));
+    const found = await this.onfind(asked);
+    if (!found || this.marking.book !== book) return;
+    this.on = true; // so that what was found is drawn
+    this.ends = found.bar.ends;
+    this.onchange();
+    const [answer, anyway] = await this.offer(found);
+    if (this.marking.book !== book) return;
+    this.turn(false);
+    if (answer) this.settle(answer, { ...found.bar, anyway }, "scale bar that was found");
+  }
+
+  async askKind(before) {
+    const kind = h("select.text", { "aria-label": "What is in the picture", testid: "find-kind" }, optionsOf(KINDS));
+    kind.value = before.kind;
+    const length = lengthField(before.length, "find-length");
+    const unit = unitField(before.unit, "find-unit");
+    const body = h("div.column", kind, h("div.row", length, unit),
+      h("p.small.muted", "The number beside a scale bar is not read. What is not clear is refused."));
+    const find = { label: "Find", kind: "primary", value: true, checks: true, testid: "find-go" };
+    const answer = await dialog("Find the scale in the picture", body, [find]);
+    return [answer, { kind: kind.value, length: Number(length.value), unit: unit.value }];
+  }
+
+  /** Say what was found. Returns "save", "share" or null, and whether to replace other scales too.
+   *  @param {FoundScale} found */
+  async offer(found) {
+    const [anyway, others] = this.forOthers();
+    const share = { label: "Same scale for all", value: "share", testid: "found-share" };
+    const use = { label: "Use it", kind: "primary", value: "save", testid: "found-use" };
+    const body = h("div.column", h("p", { testid: "found-scale" }, foundText(found)),
+      h("p.small.muted", "It is drawn on the picture: check that it lies on the ruler."), others);
+    const answer = await dialog("Found", body, [{ label: "Cancel", value: null }, ...(others ? [share] : []), use]);
+    return [answer, anyway.checked];
+  }
+
+  /** The box to replace the scales of other pictures, and its label; null in place of it if there are none. */
+  forOthers() {
+    const anyway = h("input", { type: "checkbox", testid: "scale-anyway" });
+    const label = h("label.check", anyway, "Same scale for all: replace other scales too, and include pictures of another size");
+    return [anyway, this.alone() ? null : label];
+  }
+
   settle(answer, { anyway, ...bar }, what) {
     this.marking.change({ bar }, what);
     if (answer === "share") this.onshare(bar, anyway);
   }
 
   async ask(bar, more = []) {
-    const length = h("input.text", {
-      type: "number", step: "any", value: String(bar.length), testid: "scale-length", "aria-label": "Length",
-      oninput: () => {
-        const fits = Number(length.value) > LENGTHS[0] && Number(length.value) < LENGTHS[1];
-        length.setCustomValidity(fits ? "" : "Enter a length above 0 and below a thousand million, such as 10 or 2.5.");
-      },
-    });
-    const unit = h("select.text", { "aria-label": "Unit", testid: "scale-unit" }, optionsOf(UNITS));
-    unit.value = bar.unit;
-    const anyway = h("input", { type: "checkbox", testid: "scale-anyway" });
-    const others = h("label.check", anyway, "Same scale for all: replace other scales too, and include pictures of another size");
+    const length = lengthField(bar.length, "scale-length");
+    const unit = unitField(bar.unit, "scale-unit");
+    const [anyway, others] = this.forOthers();
     const kept = "Files .ljson and .tps keep the scale for liaam measure; .pts and .csv do not.";
     const note = h("p.small.muted", `Measurements of this picture are then in millimetres. ${kept}`);
-    const body = h("div.column", h("div.row", length, unit), note, !this.alone() && others);
+    const body = h("div.column", h("div.row", length, unit), note, others);
     const share = { label: "Same scale for all", value: "share", checks: true, testid: "scale-share" };
     const save = { label: "Set the scale", kind: "primary", value: "save", checks: true, testid: "scale-save" };
     const answer = await dialog("Length of the scale bar", body, [...more, ...(this.alone() ? [] : [share]), save]);
@@ -127,4 +174,28 @@ export class ScaleBar extends Editable {
     const text = `${this.bar.length} ${this.bar.unit}`;
     drawText(ctx, text, (x0 + x1) / 2 + 2 * Math.abs(nx), (y0 + y1) / 2 - 2 * Math.abs(ny) - 4, { align: "center" });
   }
+}
+
+function lengthField(value, testid) {
+  const length = h("input.text", {
+    type: "number", step: "any", value: String(value), testid, "aria-label": "Length",
+    oninput: () => {
+      const fits = Number(length.value) > LENGTHS[0] && Number(length.value) < LENGTHS[1];
+      length.setCustomValidity(fits ? "" : "Enter a length above 0 and below a thousand million, such as 10 or 2.5.");
+    },
+  });
+  return length;
+}
+
+function unitField(value, testid) {
+  const unit = h("select.text", { "aria-label": "Unit", testid }, optionsOf(UNITS));
+  unit.value = value;
+  return unit;
+}
+
+/** Of a found scale, in words. @param {FoundScale} found */
+export function foundText({ bar, pixel, error, ticks }) {
+  const what = ticks ? `${ticks} ticks` : "a scale bar";
+  const percent = Number((100 * error).toPrecision(1));
+  return `${what}: ${Number(pixel.toPrecision(4))} ± ${Number((pixel * error).toPrecision(1))} ${bar.unit} per pixel (${percent} %)`;
 }

@@ -1,0 +1,65 @@
+"""The scale of a picture from the ruler or the scale bar in it, for the page to show and to ask for."""
+
+from collections.abc import Mapping
+
+import numpy as np
+
+from liaam.errors import LiaamError
+from liaam.scale.bars import find_bar
+from liaam.scale.lengths import Length, unit_of
+from liaam.scale.rulers import Ruler, find_ruler
+from liaam.studio import contract
+from liaam.studio.landmark_files import LONGEST, UNITS
+from liaam.studio.refusal import Refusal
+
+KINDS = ("ruler", "bar")
+
+
+def found_scale(pixels: np.ndarray, size: tuple[int, int], asked: Mapping[str, str]) -> contract.FoundScale:
+    """Find the ruler or the scale bar of a picture.
+
+    Parameters
+    ----------
+    pixels : (h, w, 3)
+        The picture, perhaps reduced.
+    size : (int, int)
+        Its width and height, of whose pixels the answer is.
+    asked : mapping of str
+        ``kind``, one of `KINDS`; ``length`` from one smallest tick to the next, or of the bar; and its ``unit``.
+
+    Raises
+    ------
+    Refusal
+        If what is asked is not clear, or if nothing is found that is.
+    """
+    kind = asked.get("kind", "")
+    unit = asked.get("unit", "")
+    if kind not in KINDS or unit not in UNITS:
+        raise Refusal(422, f"send kind, {' or '.join(KINDS)}, and unit, one of {', '.join(UNITS)}")
+    known = _length(asked.get("length", ""), unit)
+    try:
+        found = find_ruler(pixels, known) if kind == "ruler" else find_bar(pixels)
+    except LiaamError as fault:
+        why = str(fault).partition(": ")[0]
+        raise Refusal(422, f"{why}. Click both ends of a known length instead.") from fault
+    times = np.divide(size, pixels.shape[1::-1])
+    ends = (found.ends + 0.5) * times - 0.5
+    pixel = found.pixel(known)
+    n_ticks = found.n_ticks if isinstance(found, Ruler) else None
+    length = known.value * (n_ticks - 1) if n_ticks else known.value
+    return {
+        "bar": {"ends": ends.round(3).tolist(), "length": length, "unit": unit},
+        "pixel": pixel.value / float(times[0]),
+        "error": pixel.se / pixel.value,
+        "ticks": n_ticks,
+    }
+
+
+def _length(text: str, unit: str) -> Length:
+    try:
+        value = float(text)
+    except ValueError:
+        value = 0.0
+    if not 0 < value < LONGEST:
+        raise Refusal(422, "the length is not valid: enter a positive number")
+    return Length(value, unit_of(unit))

@@ -1,0 +1,80 @@
+"""Bars of blocks on a card of the colour of their light blocks, with thick blocks, and with two rows."""
+
+import cv2
+import numpy as np
+import pytest
+
+from liaam.errors import LiaamError
+from liaam.scale import find_bar
+
+FINE = 4
+CARD, LIGHT, DARK = 235, 235, 15
+
+
+def photograph(
+    n: int,
+    pitch: float,
+    thickness: float,
+    rng: np.random.Generator,
+    *,
+    first: int = 0,
+    rows: int = 1,
+    line: bool = True,
+) -> np.ndarray:
+    """Draw blocks on a card, the first one dark if ``first`` is 0, with a line around them or without, turned by 8°."""
+    canvas = np.full((360 * FINE, 640 * FINE), 90, np.uint8)
+
+    def box(left: float, top: float, right: float, bottom: float, level: int) -> None:
+        rows, columns = (slice(*np.rint(np.array(each) * FINE).astype(int)) for each in ((top, bottom), (left, right)))
+        canvas[rows, columns] = level
+
+    left, top = 320 - n * pitch / 2, 180 - rows * thickness / 2
+    box(left - 22, top - 30, left + n * pitch + 34, top + rows * thickness + 26, CARD)
+    if line:
+        box(left - 1, top - 1, left + n * pitch + 1, top + rows * thickness + 1, DARK)
+        box(left, top, left + n * pitch, top + rows * thickness, LIGHT)
+    for i in range(n):
+        for row in range(rows):
+            if (i + row) % 2 == first:
+                at = top + row * thickness
+                box(left + i * pitch, at, left + (i + 1) * pitch, at + thickness, DARK)
+    turn = cv2.getRotationMatrix2D((320 * FINE, 180 * FINE), -8, 1)
+    canvas = cv2.warpAffine(canvas, turn, canvas.shape[::-1], flags=cv2.INTER_LINEAR, borderValue=90)
+    small = cv2.resize(canvas, (640, 360), interpolation=cv2.INTER_AREA).astype(float)
+    return np.clip(cv2.GaussianBlur(small, (0, 0), 0.7) + rng.normal(0, 2, small.shape), 0, 255).astype(np.uint8)
+
+
+@pytest.mark.parametrize("first", [0, 1])
+@pytest.mark.parametrize("n", [4, 5])
+def test_light_blocks_of_the_colour_of_the_card_count(n: int, first: int, rng: np.random.Generator) -> None:
+    bar = find_bar(photograph(n, 60.0, 14.0, rng, first=first))
+    assert abs(bar.length - 60 * n) < max(3 * bar.length_se, 0.5) and bar.length_se < 3
+
+
+def test_without_a_line_the_card_is_no_block(rng: np.random.Generator) -> None:
+    bar = find_bar(photograph(5, 60.0, 14.0, rng, line=False))
+    assert abs(bar.length - 300) < max(3 * bar.length_se, 0.5)
+
+
+def test_blocks_may_be_thick(rng: np.random.Generator) -> None:
+    bar = find_bar(photograph(5, 90.0, 60.0, rng))
+    assert abs(bar.length - 450) < max(3 * bar.length_se, 0.5)
+
+
+@pytest.mark.parametrize("n", [5, 10])
+def test_two_rows_are_one_bar(n: int, rng: np.random.Generator) -> None:
+    bar = find_bar(photograph(n, 40.0, 10.0, rng, rows=2))
+    assert abs(bar.length - 40 * n) < max(3 * bar.length_se, 0.5)
+
+
+def test_blocks_that_are_not_seen_alone_count(rng: np.random.Generator) -> None:
+    image = photograph(9, 40.0, 14.0, rng)
+    cv2.line(image, (240, 188), (236, 60), 15, 3)  # a hair joins a dark block to the ground
+    bar = find_bar(image)
+    assert abs(bar.length - 360) < max(3 * bar.length_se, 0.5)
+
+
+def test_squares_of_a_chessboard_are_no_bar(rng: np.random.Generator) -> None:
+    board = np.kron(np.indices((8, 8)).sum(axis=0) % 2, np.ones((30, 30))) * 200 + 20
+    with pytest.raises(LiaamError):
+        find_bar(np.clip(board + rng.normal(0, 2, board.shape), 0, 255).astype(np.uint8))

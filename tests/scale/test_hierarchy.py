@@ -1,0 +1,111 @@
+"""Longer ticks: they tell rulers from combs, and millimetres from inches."""
+
+import cv2
+import numpy as np
+import pytest
+
+from liaam.errors import LiaamError
+from liaam.scale import Length, find_ruler, parse_length
+from liaam.scale.hierarchy import expected, may_be
+
+FINE = 4
+MILLIMETRES = {10: 1.8, 5: 1.4}  # lengths of every tenth and fifth tick
+SIXTEENTHS = {16: 2.2, 8: 1.9, 4: 1.6, 2: 1.3}
+ALIKE: dict[int, float] = {}
+
+
+def ticks(canvas: np.ndarray, y: float, period: float, longer: dict[int, float], n: int = 60, up: bool = False) -> None:
+    """Draw dark ticks from the left of a canvas of fine pixels, down from a height, or up."""
+    for i in range(n):
+        length = 9 * next((times for step, times in longer.items() if i % step == 0), 1.0)
+        rows = sorted((y, y - length if up else y + length))
+        left, right = (20 + i * period + shift * 0.2 * period for shift in (-0.5, 0.5))
+        box = np.rint(np.array([left, rows[0], right, rows[1]]) * FINE).astype(int)
+        canvas[box[1] : box[3], box[0] : box[2]] = 20
+
+
+def photograph(canvas: np.ndarray, rng: np.random.Generator) -> np.ndarray:
+    small = cv2.resize(canvas, None, fx=1 / FINE, fy=1 / FINE, interpolation=cv2.INTER_AREA).astype(float)
+    return np.clip(cv2.GaussianBlur(small, (0, 0), 0.7) + rng.normal(0, 2, small.shape), 0, 255).astype(np.uint8)
+
+
+def blank() -> np.ndarray:
+    return np.full((300 * FINE, 640 * FINE), 220, np.uint8)
+
+
+@pytest.mark.parametrize(
+    "tick, longest",
+    [
+        ("1 mm", 10),
+        ("0.5 mm", 20),
+        ("0.1 in", 10),
+        ("0.0625 in", 16),
+        ("1.5875 mm", 16),
+        ("3.175 mm", 8),
+        ("0.01 mm", 10),
+        ("1 in", 10),
+        ("0.7 mm", 0),
+    ],
+)
+def test_the_length_says_which_ticks_are_the_longest(tick: str, longest: int) -> None:
+    assert expected(parse_length(tick)) == longest
+
+
+def test_longest_ticks_that_contradict_the_length_are_told() -> None:
+    assert may_be(10, 10) and may_be(16, 0) and may_be(5, 10)
+    assert not may_be(16, 10) and not may_be(10, 16)  # inches and millimetres
+    assert not may_be(10, 20) and not may_be(20, 10) and not may_be(8, 16)  # some are not seen, or not meant
+
+
+@pytest.mark.parametrize("longer, longest", [(MILLIMETRES, 10), ({10: 1.8}, 10), (SIXTEENTHS, 16), (ALIKE, 0)])
+def test_longer_ticks_are_seen(longer: dict[int, float], longest: int, rng: np.random.Generator) -> None:
+    canvas = blank()
+    ticks(canvas, 100, 9.0, longer, n=66)
+    assert find_ruler(photograph(canvas, rng)).longest == longest
+
+
+def test_a_comb_beside_a_ruler_is_none(rng: np.random.Generator) -> None:
+    canvas = blank()
+    ticks(canvas, 60, 8.0, MILLIMETRES)
+    ticks(canvas, 200, 13.0, ALIKE, n=40)
+    assert find_ruler(photograph(canvas, rng)).period == pytest.approx(8, rel=1e-3)
+
+
+@pytest.mark.parametrize("tick, period", [(Length(1, "mm"), 8.0), (Length(1 / 16, "in"), 12.7)])
+def test_the_length_of_a_tick_chooses_the_side_of_a_ruler(tick: Length, period: float, rng) -> None:
+    canvas = blank()
+    ticks(canvas, 100, 8.0, MILLIMETRES)
+    ticks(canvas, 200, 12.7, SIXTEENTHS, n=45, up=True)
+    image = photograph(canvas, rng)
+    assert find_ruler(image, tick).period == pytest.approx(period, rel=1e-3)
+    with pytest.raises(LiaamError, match="two rulers, or two sides of one"):
+        find_ruler(image)
+
+
+def test_a_length_that_the_longer_ticks_contradict_is_refused(rng: np.random.Generator) -> None:
+    canvas = blank()
+    ticks(canvas, 100, 12.7, SIXTEENTHS, n=45)
+    message = r"ticks are found every 12\.7 pixels, of which every (8|16)th is the longest, and not every 10th as where"
+    with pytest.raises(LiaamError, match=message):
+        find_ruler(photograph(canvas, rng), Length(1, "mm"))
+
+
+def test_half_millimetres_at_the_other_side_are_the_smallest_ticks(rng: np.random.Generator) -> None:
+    canvas = blank()
+    ticks(canvas, 100, 16.0, MILLIMETRES, n=35)
+    ticks(canvas, 200, 8.0, {20: 2.8, 10: 2.0, 2: 1.4}, n=70, up=True)
+    assert find_ruler(photograph(canvas, rng), Length(0.5, "mm")).period == pytest.approx(8, rel=1e-3)
+
+
+@pytest.mark.parametrize("width, length, is_ruler", [(0.5, 60, False), (0.15, 40, True), (0.5, 12, True)])
+def test_teeth_are_wide_and_long_and_ticks_are_not(width: float, length: int, is_ruler: bool, rng) -> None:
+    canvas = blank()
+    for i in range(40):
+        left, right = (round((60 + 12 * i + shift * 12) * FINE) for shift in (0, width))
+        canvas[100 * FINE : (100 + length) * FINE, left:right] = 20
+    image = photograph(canvas, rng)
+    if is_ruler:
+        assert find_ruler(image).period == pytest.approx(12, rel=1e-3)
+        return
+    with pytest.raises(LiaamError, match="no ruler"):
+        find_ruler(image)
