@@ -58,6 +58,8 @@ class AAM:
         Map from the points of another landmarker to the landmarks, if it was trained.
     regressor : LandmarkRegressor, optional
         Places the landmarks by regression, for fits to weigh in (:mod:`liaam.model.regressor`), if it was trained.
+    refiner : LandmarkRegressor, optional
+        Moves the landmarks of fits, from where they are, to where they should be (:mod:`liaam.model.regressor`).
     features : Features, optional
         What is known of the function whose channels the appearance ``features`` holds. The function itself is given
         with the method (:func:`liaam.fitting.features_method`).
@@ -103,6 +105,7 @@ class AAM:
     light: LightBasis | None = None
     points: PointMap | None = None
     regressor: LandmarkRegressor | None = None
+    refiner: LandmarkRegressor | None = None
     features: Features | None = None
     search_filter: np.ndarray | None = None
     is_colour: bool = True

@@ -132,6 +132,9 @@ def _tensors(model: "AAM") -> dict[str, np.ndarray]:
         tensors |= _named("points.", _stored_fields(model.points, "points"))
     if model.regressor is not None:
         tensors |= _named("regressor.", _regressor_tensors(model.regressor))
+    if model.refiner is not None:
+        tensors |= _named("refiner.", _regressor_tensors(model.refiner))
+        tensors |= _named("refiner.shape.", _stored_fields(model.refiner.shape_model, "shape"))
     if model.features is not None:
         tensors |= _named("features.", _stored_fields(model.features, "features"))
     for name, view in model.views.items():

@@ -10,6 +10,9 @@ errors on left-out images, and d the predicted deviation from the mean shape,
     d' = C (C + S)^-1 d.
 
 The last step's errors on left-out images are the covariance with which a fit weighs the regressor's landmarks in.
+
+A regressor that is learnt from starts as near as fits are to the landmarks refines fits: the mean of both is nearer
+than either, as they see different things.
 """
 
 from dataclasses import dataclass
@@ -31,6 +34,7 @@ SIZE = 120.0  # Diagonal of the mean shape at the resolution of the histograms, 
 SHARPNESS = 0.6  # Standard deviation of the blur of the image before gradients are taken, pixels at that resolution
 # Margin around the shape that is encoded, as a fraction of its diagonal: room for a start that is off, and for cells
 MARGIN = 0.5
+MARGIN_NEAR = 0.15  # The same for a start that is a fit
 LEAST_CONTRAST = 0.05  # Length of the features of a landmark around which there are half as many gradients as counted
 MOST_OF_A_BIN = 0.25  # Largest feature: one strong edge must not outweigh the rest (Lowe, IJCV 2004)
 # Change of the scale, or of the angle in radians, of a shape since the image was encoded, after which it is encoded
@@ -43,12 +47,14 @@ FREE = 1e4
 class OrientationHistograms:
     """Histograms of gradient orientations of an image around a shape, at the resolution of :data:`SIZE`."""
 
-    def __init__(self, image: np.ndarray, response: Response, shape: np.ndarray, mean: np.ndarray) -> None:
+    def __init__(
+        self, image: np.ndarray, response: Response, shape: np.ndarray, mean: np.ndarray, margin: float = MARGIN
+    ) -> None:
         """Encode an image around a shape (n, 2); ``mean`` (n, 2) is the mean shape with a diagonal of SIZE."""
         self.pose = align(mean, shape)
         self.angle = self.pose.angle
         self.patch: Patch = make_patch(
-            image, shape, self.pose, encoding="soft", response=response, blur=SHARPNESS, margin=MARGIN
+            image, shape, self.pose, encoding="soft", response=response, blur=SHARPNESS, margin=margin
         )
         self._planes = _planes_of(self.patch.channels)
         self._blurred: dict[float, np.ndarray] = {}
@@ -136,6 +142,13 @@ def _turned(counts: np.ndarray, angle: float) -> np.ndarray:
     return nearest * (1.0 - share) + np.roll(nearest, -1, axis=1) * share
 
 
+def _mirrored_features() -> np.ndarray:
+    """Return the index of each feature's mirror image, (N_FEATURES,)."""
+    number = np.arange(N_FEATURES).reshape(CELLS, CELLS, BINS)
+    orientations = (BINS // 2 - np.arange(BINS)) % BINS
+    return number[:, ::-1][..., orientations].ravel()
+
+
 @dataclass(frozen=True, eq=False)
 class RegressionStep:
     """One step of a regressor.
@@ -189,17 +202,44 @@ class LandmarkRegressor:
         """The mean shape with a diagonal of :data:`liaam.model.regressor.SIZE`, (n, 2)."""
         return self.shape_model.mean * (SIZE / self.shape_model.diagonal)
 
-    def __call__(self, image: np.ndarray, response: Response, start: np.ndarray) -> np.ndarray:
-        """Return the landmarks (n, 2) of the object in an image near a start (n, 2), image pixels."""
+    def __call__(self, image: np.ndarray, response: Response, start: np.ndarray, margin: float = MARGIN) -> np.ndarray:
+        """Return the landmarks (n, 2) of the object in an image near a start (n, 2), image pixels.
+
+        ``margin`` is how far the image is read around the start, as a fraction of its diagonal.
+        """
         shape = start
         histograms = None
         for i, step in enumerate(self.steps):
             pose = align(self.frame_mean, shape)
             if histograms is None or not histograms.suits(pose):
-                histograms = OrientationHistograms(image, response, shape, self.frame_mean)
+                histograms = OrientationHistograms(image, response, shape, self.frame_mean, margin)
             predicted = step.displacements(histograms.features(shape, pose, step.spacing))
             shape = combined(shape, predicted, self.frame_mean, self._gains[i])
         return shape
+
+    def refined(self, image: np.ndarray, response: Response, shape: np.ndarray) -> np.ndarray:
+        """Return the mean (n, 2) of a fit (n, 2) and of where the regressor leads from there, image pixels."""
+        return 0.5 * (shape + self(image, response, shape, MARGIN_NEAR))
+
+    def mirrored(self, shapes: ShapeModel, order: np.ndarray) -> "LandmarkRegressor":
+        """Return the regressor of the mirror images of objects, with their shapes.
+
+        ``order`` (n,) is the index of each landmark's mirror image.
+        """
+        features = _mirrored_features()
+        across = np.array([-1.0, 1.0])
+        steps = [
+            RegressionStep(
+                spacing=step.spacing,
+                weights=np.ascontiguousarray((step.weights[:, features] * across.astype(np.float32))[order]),
+                offsets=(step.offsets * across)[order],
+                errors=(step.errors * np.outer(across, across))[order],
+            )
+            for step in self.steps
+        ]
+        errors = self.left_out.errors
+        rows = (errors.reshape(len(errors), -1, 2) * across)[:, order].reshape(errors.shape)
+        return LandmarkRegressor(shapes, tuple(steps), PointErrors(rows, self.left_out.noise))
 
     @cached_property
     def _gains(self) -> list[np.ndarray]:
