@@ -13,7 +13,9 @@ import argparse
 import csv
 import json
 from collections.abc import Iterator, Sequence
+from concurrent.futures import ProcessPoolExecutor
 from dataclasses import replace
+from multiprocessing import get_context
 from pathlib import Path
 
 import numpy as np
@@ -32,16 +34,17 @@ from liaam.training.lamps.learning import unit_shape
 from liaam.training.refiner import learn_refiner
 from making.face.expressions import random_expression
 from making.face.portraits import Portrait, Pose, Scheme
+from making.face.relief import relief_on
 from making.head.geometry import load_heads
 
 HERE = Path(__file__).parent
 MODEL = HERE.parents[1] / "src/liaam/models/face.liaam"
 
 CARD = ModelCard(
-    purpose="faces of heads turned by up to 40°, neutral or smiling, in any light",
+    purpose="faces of heads turned by up to 40°, neutral, smiling or speaking, in any light",
     data=(
         "254 photographs of the Face Research Lab: 142 young adults with neutral faces, 102 of them smiling too, and "
-        "10 composites; and copies of these, mirrored, relit, and with the head turned"
+        "10 composites; and copies of these, mirrored, relit, and with the head turned and other expressions"
     ),
     accuracy=(
         "median errors for unknown persons, % of the distance between the eyes: 1.7 under hard flashes, 3.7 frontal, "
@@ -53,15 +56,15 @@ CARD = ModelCard(
     ),
     licence="CC BY 4.0 (https://creativecommons.org/licenses/by/4.0/)",
     credit=(
-        "the liaam developers, and for the photographs, under the same licence, which were reduced, mirrored, turned "
-        "and relit: "
+        "the liaam developers, and for the photographs, under the same licence, which were reduced, mirrored, relit, "
+        "turned and given other expressions: "
         "DeBruine, L. & Jones, B. (2017), Face Research Lab London Set (Version 5), "
         "doi 10.6084/m9.figshare.5047666.v5; "
         "DeBruine, L. & Jones, B. (2017), Young Adult White Faces with Manipulated Versions (Version 1), "
         "doi 10.6084/m9.figshare.4220517.v1; "
         "DeBruine, L. (2016), Young adult composite faces, doi 10.6084/m9.figshare.4055130.v1; "
-        "for the heads behind its lamps: Li, R. et al. (2020), Learning Formation of Physically-Based Face Attributes, "
-        "CVPR (ICT-FaceKit, MIT licence)"
+        "for the heads on which faces turn, of its lamps and its relief: Li, R. et al. (2020), Learning Formation of "
+        "Physically-Based Face Attributes, CVPR (ICT-FaceKit, MIT licence)"
     ),
 )
 """What users of the model should know. The accuracy is that of experiments/notes/face-model.md."""
@@ -95,32 +98,55 @@ DISTANCES = (60.0, 300.0)
 SPEAKING = 0.3
 """Share of the turned faces that have another expression."""
 
+EACH_SPEAKING = 3
+"""The part of frontal faces also learns from one in so many of the photographs with another expression."""
+
 RELIT = 0.6
 """Share of the pictures under another lamp that refiners learn from."""
 
 
 def main() -> None:
-    """Train the model and write it."""
+    """Train the parts of the model, at once, and write it."""
     parser = argparse.ArgumentParser(description=str(__doc__).partition("\n")[0])
     parser.add_argument("folder", type=Path, help="folder with london, smiling, canada and composite")
     parser.add_argument("heads", type=Path, help="ict-face.safetensors")
     parser.add_argument("-o", "--output", type=Path, default=MODEL, help="model file to write")
     given = parser.parse_args()
-    without_smiles = [*neutral(given.folder)]
-    data = [*without_smiles, *smiling(given.folder / "smiling")]
-    portraits = on_heads(given.heads, without_smiles)
+    with ProcessPoolExecutor(2, get_context("spawn")) as pool:
+        parts = [pool.submit(part, given.folder, given.heads) for part in (frontal_part, turned_part)]
+        front, right = (part.result() for part in parts)
     _, names, _ = scheme()
-    lamps = lamps_on(data)
-    front = liaam.train(data, OPTIONS, lamps=lamps, appearance_variance=KEPT, name="face")
-    front = replace(front, refiner=refiner_of(front, [*in_turn_mirrored(data), *facing(data, portraits)], lamps))
-    heads = [*turned(data, portraits)]
-    lamps = lamps_on(heads)
-    right = liaam.train(heads, OPTIONS, lamps=lamps, appearance_variance=KEPT_TURNED, shapes=1, name="face")
-    right = replace(right, refiner=refiner_of(right, heads, lamps))
-    # Each picture was used twice. Relighting uses the light of the first part.
-    right = replace(with_modes(right, MODES_TURNED), n_images=len(data), light=None)
     left = mirrored_model(right, other_side(names))
     replace(front, others=(right, left), same_images=True, card=CARD).save(given.output)
+
+
+def frontal_part(folder: Path, heads: Path) -> AAM:
+    """Train the part of frontal faces."""
+    data = photographs(folder)
+    portraits = on_heads(heads, folder)
+    speaking = [*facing(data, portraits)]
+    lamps = lamps_on(data)
+    images = [*data, *speaking[::EACH_SPEAKING]]
+    part = liaam.train(images, OPTIONS, lamps=lamps, appearance_variance=KEPT, name="face")
+    refiner = refiner_of(part, [*in_turn_mirrored(data), *speaking], lamps)
+    relief = relief_on(portraits, unit_shape(part.shape_model.mean))
+    return replace(part, refiner=refiner, relief=relief, n_images=len(data))
+
+
+def turned_part(folder: Path, heads: Path) -> AAM:
+    """Train the part of faces that are turned to the right of the picture."""
+    data = photographs(folder)
+    images = [*turned(data, on_heads(heads, folder))]
+    lamps = lamps_on(images)
+    part = liaam.train(images, OPTIONS, lamps=lamps, appearance_variance=KEPT_TURNED, shapes=1, name="face")
+    refiner = refiner_of(part, images, lamps)
+    # Each photograph was used twice. Relighting uses the light of the first part.
+    return replace(with_modes(part, MODES_TURNED), refiner=refiner, n_images=len(data), light=None)
+
+
+def photographs(folder: Path) -> list[Sample]:
+    """Return all photographs, neutral faces first."""
+    return [*neutral(folder), *smiling(folder / "smiling")]
 
 
 def scheme() -> tuple[list[int], list[str], tuple[Contour, ...]]:
@@ -154,11 +180,11 @@ def smiling(folder: Path) -> Iterator[Sample]:
         yield Sample(name_of("london", image.stem, "smiling"), image, Landmarks(points, contours, tuple(names)))
 
 
-def on_heads(path: Path, data: Sequence[Sample]) -> Scheme:
-    """Read scanned heads, and find the landmarks on them by those of pictures of neutral faces."""
+def on_heads(path: Path, folder: Path) -> Scheme:
+    """Read scanned heads, and find the landmarks on them by those of photographs of neutral faces."""
     _, names, contours = scheme()
     (jaw,) = [line.indices for line in contours if names.index("chin") in line.indices]
-    mean = procrustes_mean(np.array([sample.landmarks.points for sample in data]))
+    mean = procrustes_mean(np.array([sample.landmarks.points for sample in neutral(folder)]))
     return Scheme.of(load_heads(path), mean, names, list(jaw))
 
 

@@ -6,8 +6,11 @@ import pytest
 
 import liaam
 from liaam.datasets import load_face
+from liaam.model.light_basis import in_field
+from liaam.training.lamps.learning import unit_shape
 from making.face.expressions import random_expression
 from making.face.portraits import Portrait, Pose, Scheme
+from making.face.relief import relief_on
 from making.head.geometry import load_heads
 
 FAR = 1e4
@@ -124,3 +127,21 @@ def test_expressions_are_known_and_moderate(scheme):
         strengths = random_expression(np.random.default_rng(i))
         assert strengths.keys() <= scheme.heads.expressions.keys()
         assert all(-0.5 < strength < 1.5 for strength in strengths.values())
+
+
+def test_the_relief_of_a_face_has_a_nose(scheme, face):
+    """The sides of the nose face outwards, and its base downwards."""
+    mean = unit_shape(liaam.load_model("face").shape_model.mean)
+    relief = relief_on(scheme, mean)
+    number = face[2]
+
+    def normal(*names):
+        x, y = np.rint(in_field(np.mean([mean[number[name]] for name in names], axis=0))).astype(int)
+        return relief[y, x]
+
+    right = normal("nose_ridge_right_2", "right_eye_inner")[0]
+    left = normal("nose_ridge_left_2", "left_eye_inner")[0]
+    assert right < -0.2 < normal("nose_ridge_right_1", "nose_ridge_left_1")[0] < 0.2 < left
+    assert normal("nose_base")[1] > 0.1
+    assert (np.square(relief).sum(axis=2) <= 1.0).all()
+    assert np.abs(relief[0, [0, -1]]).max() < 0.05  # even far from the head

@@ -37,6 +37,7 @@ from liaam.model.file_format import (
     MOST_EXPANSION,
     MOST_STEPS,
     MOST_WEIGHT,
+    RELIEF_STEPS,
     ROOMY,
     STORED,
     UNNAMED,
@@ -134,6 +135,17 @@ def read_point_map(tensors: dict[str, np.ndarray], n: int) -> PointMap | None:
         raise ValueError("points.weights do not map another landmarker's points")
     of_points = _point_errors(tensors, "points", n)
     return PointMap(weights, of_points.errors, of_points.noise)
+
+
+def read_relief(tensors: dict[str, np.ndarray]) -> np.ndarray | None:
+    """Return the normals of a model's surface, (SIDE, SIDE, 2) float32; None if they are not known."""
+    if "relief" not in tensors:
+        return None
+    stored = checked_tensor(tensors, "relief", np.int8, (SIDE, SIDE, 2))
+    relief = (stored / np.float32(RELIEF_STEPS)).astype(np.float32)
+    if (np.square(relief).sum(axis=2) > 1.0 + 2.0 / RELIEF_STEPS).any():  # they are rounded
+        raise ValueError("relief holds no components of normals")
+    return relief
 
 
 def read_refiner(tensors: dict[str, np.ndarray], mean: np.ndarray) -> LandmarkRegressor | None:

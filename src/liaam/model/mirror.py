@@ -41,6 +41,9 @@ def mirrored_model(model: "AAM", order: np.ndarray) -> "AAM":
     refiner = None
     if model.refiner is not None:
         refiner = model.refiner.mirrored(mirrored_shapes(model.refiner.shape_model, order), order)
+    relief = None
+    if model.relief is not None:
+        relief = np.ascontiguousarray(model.relief[:, ::-1] * np.array([-1, 1], np.float32))
     search_filter = model.search_filter
     if search_filter is not None:
         search_filter = np.ascontiguousarray(search_filter[:, ::-1] * np.array([-1, 1], np.float32))
@@ -52,6 +55,7 @@ def mirrored_model(model: "AAM", order: np.ndarray) -> "AAM":
         points=None,
         regressor=None,
         refiner=refiner,
+        relief=relief,
         search_filter=search_filter,
         n_missing=None if model.n_missing is None else model.n_missing[order],
     )

@@ -17,6 +17,7 @@ than either, as they see different things.
 
 from dataclasses import dataclass
 from functools import cached_property
+from typing import NamedTuple
 
 import numpy as np
 
@@ -31,10 +32,6 @@ BINS = 8  # Orientations of gradients that are counted apart
 CELLS = 4  # Histograms around a landmark, in each direction
 N_FEATURES = CELLS * CELLS * BINS  # Numbers that describe the surroundings of a landmark
 SIZE = 120.0  # Diagonal of the mean shape at the resolution of the histograms, pixels
-SHARPNESS = 0.6  # Standard deviation of the blur of the image before gradients are taken, pixels at that resolution
-# Margin around the shape that is encoded, as a fraction of its diagonal: room for a start that is off, and for cells
-MARGIN = 0.5
-MARGIN_NEAR = 0.15  # The same for a start that is a fit
 LEAST_CONTRAST = 0.05  # Length of the features of a landmark around which there are half as many gradients as counted
 MOST_OF_A_BIN = 0.25  # Largest feature: one strong edge must not outweigh the rest (Lowe, IJCV 2004)
 # Change of the scale, or of the angle in radians, of a shape since the image was encoded, after which it is encoded
@@ -44,17 +41,38 @@ MOST_CHANGE = 0.1
 FREE = 1e4
 
 
+class Sight(NamedTuple):
+    """How much a regressor sees of an image.
+
+    Attributes
+    ----------
+    margin : float
+        Margin around the start that is encoded, as a fraction of its diagonal: room for a start that is off, and for
+        cells.
+    sharpness : float
+        Standard deviation of the blur of the image before gradients are taken, pixels of :data:`SIZE`, which is also
+        the size of the pixels that are encoded.
+    """
+
+    margin: float
+    sharpness: float
+
+
+OF_STARTS = Sight(margin=0.5, sharpness=0.6)
+OF_FITS = Sight(margin=0.15, sharpness=1.0)  # in a third of the time
+
+
 class OrientationHistograms:
     """Histograms of gradient orientations of an image around a shape, at the resolution of :data:`SIZE`."""
 
     def __init__(
-        self, image: np.ndarray, response: Response, shape: np.ndarray, mean: np.ndarray, margin: float = MARGIN
+        self, image: np.ndarray, response: Response, shape: np.ndarray, mean: np.ndarray, sight: Sight = OF_STARTS
     ) -> None:
         """Encode an image around a shape (n, 2); ``mean`` (n, 2) is the mean shape with a diagonal of SIZE."""
         self.pose = align(mean, shape)
         self.angle = self.pose.angle
         self.patch: Patch = make_patch(
-            image, shape, self.pose, encoding="soft", response=response, blur=SHARPNESS, margin=margin
+            image, shape, self.pose, encoding="soft", response=response, blur=sight.sharpness, margin=sight.margin
         )
         self._planes = _planes_of(self.patch.channels)
         self._blurred: dict[float, np.ndarray] = {}
@@ -202,24 +220,23 @@ class LandmarkRegressor:
         """The mean shape with a diagonal of :data:`liaam.model.regressor.SIZE`, (n, 2)."""
         return self.shape_model.mean * (SIZE / self.shape_model.diagonal)
 
-    def __call__(self, image: np.ndarray, response: Response, start: np.ndarray, margin: float = MARGIN) -> np.ndarray:
-        """Return the landmarks (n, 2) of the object in an image near a start (n, 2), image pixels.
-
-        ``margin`` is how far the image is read around the start, as a fraction of its diagonal.
-        """
+    def __call__(
+        self, image: np.ndarray, response: Response, start: np.ndarray, sight: Sight = OF_STARTS
+    ) -> np.ndarray:
+        """Return the landmarks (n, 2) of the object in an image near a start (n, 2), image pixels."""
         shape = start
         histograms = None
         for i, step in enumerate(self.steps):
             pose = align(self.frame_mean, shape)
             if histograms is None or not histograms.suits(pose):
-                histograms = OrientationHistograms(image, response, shape, self.frame_mean, margin)
+                histograms = OrientationHistograms(image, response, shape, self.frame_mean, sight)
             predicted = step.displacements(histograms.features(shape, pose, step.spacing))
             shape = combined(shape, predicted, self.frame_mean, self._gains[i])
         return shape
 
     def refined(self, image: np.ndarray, response: Response, shape: np.ndarray) -> np.ndarray:
         """Return the mean (n, 2) of a fit (n, 2) and of where the regressor leads from there, image pixels."""
-        return 0.5 * (shape + self(image, response, shape, MARGIN_NEAR))
+        return 0.5 * (shape + self(image, response, shape, OF_FITS))
 
     def mirrored(self, shapes: ShapeModel, order: np.ndarray) -> "LandmarkRegressor":
         """Return the regressor of the mirror images of objects, with their shapes.

@@ -11,7 +11,7 @@ import numpy as np
 
 from liaam.datasets import Sample
 from liaam.model.pca import components_by, gram_about
-from liaam.model.regressor import SIZE, LandmarkRegressor, OrientationHistograms
+from liaam.model.regressor import OF_FITS, SIZE, LandmarkRegressor, OrientationHistograms
 from liaam.model.shape import ShapeModel, align, diagonal_of, rotation, similarity_modes
 from liaam.photometry import Response
 from liaam.photometry.encoding import as_colour
@@ -21,7 +21,7 @@ from liaam.training.regressor import RIDGE, Samples, learn_steps
 # Distances of the histograms around a landmark in each step, pixels of SIZE. A fourth step changes no error.
 SPACINGS = (5.0, 3.0, 3.0)
 STARTS = 2  # Starts of an image
-MARGIN = 0.25  # Margin around the landmarks that is read, as a fraction of their diagonal
+MARGIN = 0.25  # Of what is seen around the true landmarks: room for starts
 # Errors of starts, as those of fits: standard deviations of the position as a fraction of the diagonal, of the
 # logarithm of the size, and of the rotation in degrees; and the share of the deviation of shapes
 SHIFT = 0.008
@@ -50,7 +50,7 @@ def learn_refiner(data: Iterable[Sample], mean: np.ndarray, response: Response =
     for sample in data:
         points = np.asarray(sample.landmarks.points)
         image = as_colour(sample.read_image(), sample.name)
-        histograms.append(OrientationHistograms(image, response, points, at_size, MARGIN))
+        histograms.append(OrientationHistograms(image, response, points, at_size, OF_FITS._replace(margin=MARGIN)))
         truths.append(points)
         names.append(sample.name)
     shapes = _shapes(np.array(truths), mean)
