@@ -164,6 +164,8 @@ def describe(model: "AAM", path: Path) -> dict[str, str]:
         more["starts from"] = f"{model.points.n_theirs} points of another landmarker, too"
     if model.regressor is not None:
         more["regressor"] = describe_regressor(model)
+    if model.refiner is not None:
+        more["refiner"] = describe_refiner(model)
     if any(part.rotations != UPRIGHT for part in model.parts):
         more["rotations"] = "objects are turned in any direction, and are searched for in all"
     if model.scale is not None:
@@ -225,6 +227,15 @@ def describe_regressor(model: "AAM") -> str:
     assert model.regressor is not None
     share = model.regressor.left_out.deviation / model.diagonal
     return f"fits start from landmarks by regression, which are off by {share:.1%} of the object's size"
+
+
+def describe_refiner(model: "AAM") -> str:
+    """Return what becomes of fits, and how well the refiner finds the landmarks by itself."""
+    assert model.refiner is not None
+    share = model.refiner.left_out.deviation / model.diagonal
+    return (
+        f"fits are averaged with landmarks by regression from there, which are off by {share:.1%} of the object's size"
+    )
 
 
 def describe_missing(model: "AAM") -> str:

@@ -274,5 +274,17 @@ class OneShapeFitter:
         return self.result_of(fit.target, [*fit.stages, *self.coarse_to_fine.fit(from_there, options, first=n_blurred)])
 
     def result_of(self, target: Target, stages: Sequence[FittedLevel], doubt: float = 0.0) -> FitResult:
-        """Make the result of a fit from its levels; see :meth:`liaam.fitting.quality.Judge.result_of`."""
-        return self.judge.result_of(target, stages, doubt)
+        """Make the result of a fit from its levels; see :meth:`liaam.fitting.quality.Judge.result_of`.
+
+        If the model has a refiner, the landmarks are refined.
+        """
+        result = self.judge.result_of(target, stages, doubt)
+        refiner = self.model.refiner
+        if refiner is None or result.status.lost:
+            return result
+        refined = refiner.refined(target.image, target.linear.response, result.registered)
+        if not is_sane(refined, result.registered):
+            return result
+        refinement = refined - result.registered
+        shift = refinement if result.shift is None else result.shift + refinement
+        return replace(result, landmarks=result.registered + shift, shift=shift)

@@ -181,7 +181,7 @@ class FitResult:
     Attributes
     ----------
     landmarks : (n, 2) float64
-        Fitted landmarks (x, y), image pixels: those to measure, with the ``expansion``.
+        Fitted landmarks (x, y), image pixels: those to measure, with the ``shift``.
     status : FitStatus
         How the fit ended. Use the landmarks if ``status.ok``; ``message`` says what to do.
     theta : float
@@ -191,7 +191,7 @@ class FitResult:
         Angle of the training camera (theta_1), radians; NaN for methods without angles.
     p : (m + 4,) float64
         Shape parameters in model pixels (eq 2), the similarity vectors last; ``pose`` maps s(p) to the image, where it
-        is ``landmarks``.
+        is ``landmarks``, before a refiner moves them.
     pose : Similarity
         Model pixels to image pixels; with a reflection if the object was ``reflected``.
     lam : (m,) float64
@@ -245,7 +245,8 @@ class FitResult:
         left-out images, so that shapes vary as much as the objects do
         (:attr:`liaam.model.Reliability.expansion`). :attr:`registered` is without it.
     shift : (n, 2) float64, optional
-        What that factor added to the landmarks, image pixels; None if it is 1.
+        What that factor and the model's refiner (:attr:`liaam.AAM.refiner`) added to the landmarks, image pixels; None
+        without both.
     at_start : bool
         Whether the landmarks are those of the start, since the fit may not be used and ended far from there
         (:mod:`liaam.fitting.fallback`). ``history`` then ends with the start.
@@ -290,7 +291,7 @@ class FitResult:
 
     @property
     def registered(self) -> np.ndarray:
-        """Landmarks (n, 2) at which the model matches the image best, to compare pixels: without ``expansion``."""
+        """Landmarks (n, 2) at which the model matches the image best, to compare pixels: without ``shift``."""
         return self.landmarks if self.shift is None else self.landmarks - self.shift
 
     def __repr__(self) -> str:

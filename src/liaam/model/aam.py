@@ -58,6 +58,11 @@ class AAM:
         Map from the points of another landmarker to the landmarks, if it was trained.
     regressor : LandmarkRegressor, optional
         Places the landmarks by regression, for fits to weigh in (:mod:`liaam.model.regressor`), if it was trained.
+    refiner : LandmarkRegressor, optional
+        Moves the landmarks of fits, from where they are, to where they should be (:mod:`liaam.model.regressor`).
+    relief : (s, s, 2) float32, optional
+        Normals of the object's surface, for relighting: their components to the right and down, on the square of
+        :mod:`liaam.model.light_basis`. None if the surface is not known.
     features : Features, optional
         What is known of the function whose channels the appearance ``features`` holds. The function itself is given
         with the method (:func:`liaam.fitting.features_method`).
@@ -103,6 +108,8 @@ class AAM:
     light: LightBasis | None = None
     points: PointMap | None = None
     regressor: LandmarkRegressor | None = None
+    refiner: LandmarkRegressor | None = None
+    relief: np.ndarray | None = None
     features: Features | None = None
     search_filter: np.ndarray | None = None
     is_colour: bool = True

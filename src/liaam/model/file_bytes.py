@@ -132,6 +132,11 @@ def _tensors(model: "AAM") -> dict[str, np.ndarray]:
         tensors |= _named("points.", _stored_fields(model.points, "points"))
     if model.regressor is not None:
         tensors |= _named("regressor.", _regressor_tensors(model.regressor))
+    if model.refiner is not None:
+        tensors |= _named("refiner.", _regressor_tensors(model.refiner))
+        tensors |= _named("refiner.shape.", _stored_fields(model.refiner.shape_model, "shape"))
+    if model.relief is not None:
+        tensors["relief"] = np.rint(file_format.RELIEF_STEPS * model.relief).astype(np.int8)
     if model.features is not None:
         tensors |= _named("features.", _stored_fields(model.features, "features"))
     for name, view in model.views.items():

@@ -37,6 +37,7 @@ from liaam.model.file_format import (
     MOST_EXPANSION,
     MOST_STEPS,
     MOST_WEIGHT,
+    RELIEF_STEPS,
     ROOMY,
     STORED,
     UNNAMED,
@@ -136,27 +137,45 @@ def read_point_map(tensors: dict[str, np.ndarray], n: int) -> PointMap | None:
     return PointMap(weights, of_points.errors, of_points.noise)
 
 
-def read_regressor(tensors: dict[str, np.ndarray], shapes: ShapeModel) -> LandmarkRegressor | None:
-    """Return the regressor of a model with some shapes; None if the model has none."""
-    if "regressor.weights" not in tensors:
+def read_relief(tensors: dict[str, np.ndarray]) -> np.ndarray | None:
+    """Return the normals of a model's surface, (SIDE, SIDE, 2) float32; None if they are not known."""
+    if "relief" not in tensors:
+        return None
+    stored = checked_tensor(tensors, "relief", np.int8, (SIDE, SIDE, 2))
+    relief = (stored / np.float32(RELIEF_STEPS)).astype(np.float32)
+    if (np.square(relief).sum(axis=2) > 1.0 + 2.0 / RELIEF_STEPS).any():  # they are rounded
+        raise ValueError("relief holds no components of normals")
+    return relief
+
+
+def read_refiner(tensors: dict[str, np.ndarray], mean: np.ndarray) -> LandmarkRegressor | None:
+    """Return the refiner of a model with a mean shape (n, 2), with shapes of its own; None if the model has none."""
+    if "refiner.weights" not in tensors:
+        return None
+    return read_regressor(tensors, "refiner", _shape_model({}, tensors_below(tensors, "refiner."), mean))
+
+
+def read_regressor(tensors: dict[str, np.ndarray], kind: str, shapes: ShapeModel) -> LandmarkRegressor | None:
+    """Return the regressor or refiner, by its kind, with some shapes; None if the model has none."""
+    if f"{kind}.weights" not in tensors:
         return None
     n = shapes.n_points
-    spacings = checked_tensor(tensors, "regressor.spacings", np.float64, (None,))
+    spacings = checked_tensor(tensors, f"{kind}.spacings", np.float64, (None,))
     n_steps = len(spacings)
     if not 1 <= n_steps <= MOST_STEPS or not ((spacings >= 1.0) & (spacings <= SIZE)).all():
-        raise ValueError(f"regressor.spacings are not 1 to {MOST_STEPS} distances from 1 to {SIZE:g} pixels")
-    weights = half_or_single(tensors, "regressor.weights", (n_steps, n, N_FEATURES, 2))
-    offsets = checked_tensor(tensors, "regressor.offsets", np.float64, (n_steps, n, 2))
-    variances = checked_tensor(tensors, "regressor.variances", np.float64, (n_steps, n, 2, 2))
-    check_magnitude("regressor.weights", weights, MAX_VALUE)
-    check_magnitude("regressor.offsets", offsets, MAX_VALUE)
+        raise ValueError(f"{kind}.spacings are not 1 to {MOST_STEPS} distances from 1 to {SIZE:g} pixels")
+    weights = half_or_single(tensors, f"{kind}.weights", (n_steps, n, N_FEATURES, 2))
+    offsets = checked_tensor(tensors, f"{kind}.offsets", np.float64, (n_steps, n, 2))
+    variances = checked_tensor(tensors, f"{kind}.variances", np.float64, (n_steps, n, 2, 2))
+    check_magnitude(f"{kind}.weights", weights, MAX_VALUE)
+    check_magnitude(f"{kind}.offsets", offsets, MAX_VALUE)
     for each in variances:
-        check_covariances("regressor.variances", each, MAX_VARIANCE)
+        check_covariances(f"{kind}.variances", each, MAX_VARIANCE)
     steps = [
         RegressionStep(float(spacing), *of_step)
         for spacing, *of_step in zip(spacings, weights, offsets, variances, strict=True)
     ]
-    return LandmarkRegressor(shape_model=shapes, steps=tuple(steps), left_out=_point_errors(tensors, "regressor", n))
+    return LandmarkRegressor(shape_model=shapes, steps=tuple(steps), left_out=_point_errors(tensors, kind, n))
 
 
 def _point_errors(tensors: dict[str, np.ndarray], prefix: str, n: int) -> PointErrors:

@@ -38,6 +38,12 @@ def mirrored_model(model: "AAM", order: np.ndarray) -> "AAM":
         raise ModelFileError("a model with features of a function cannot be mirrored; train it without them")
     triangles = order[model.triangles][:, ::-1].astype(np.int32)
     views = _MirroredViews(model.views, triangles, order, model.in_pieces)
+    refiner = None
+    if model.refiner is not None:
+        refiner = model.refiner.mirrored(mirrored_shapes(model.refiner.shape_model, order), order)
+    relief = None
+    if model.relief is not None:
+        relief = np.ascontiguousarray(model.relief[:, ::-1] * np.array([-1, 1], np.float32))
     search_filter = model.search_filter
     if search_filter is not None:
         search_filter = np.ascontiguousarray(search_filter[:, ::-1] * np.array([-1, 1], np.float32))
@@ -48,6 +54,8 @@ def mirrored_model(model: "AAM", order: np.ndarray) -> "AAM":
         light=None,
         points=None,
         regressor=None,
+        refiner=refiner,
+        relief=relief,
         search_filter=search_filter,
         n_missing=None if model.n_missing is None else model.n_missing[order],
     )

@@ -10,10 +10,14 @@ errors on left-out images, and d the predicted deviation from the mean shape,
     d' = C (C + S)^-1 d.
 
 The last step's errors on left-out images are the covariance with which a fit weighs the regressor's landmarks in.
+
+A regressor that is learnt from starts as near as fits are to the landmarks refines fits: the mean of both is nearer
+than either, as they see different things.
 """
 
 from dataclasses import dataclass
 from functools import cached_property
+from typing import NamedTuple
 
 import numpy as np
 
@@ -23,14 +27,12 @@ from liaam.model.point_map import PointErrors
 from liaam.model.sampling import Patch, make_patch
 from liaam.model.shape import LEAST_NOISE, ShapeModel, Similarity, align, similarity_modes
 from liaam.photometry import Response
+from liaam.workers import one_numpy_thread
 
 BINS = 8  # Orientations of gradients that are counted apart
 CELLS = 4  # Histograms around a landmark, in each direction
 N_FEATURES = CELLS * CELLS * BINS  # Numbers that describe the surroundings of a landmark
 SIZE = 120.0  # Diagonal of the mean shape at the resolution of the histograms, pixels
-SHARPNESS = 0.6  # Standard deviation of the blur of the image before gradients are taken, pixels at that resolution
-# Margin around the shape that is encoded, as a fraction of its diagonal: room for a start that is off, and for cells
-MARGIN = 0.5
 LEAST_CONTRAST = 0.05  # Length of the features of a landmark around which there are half as many gradients as counted
 MOST_OF_A_BIN = 0.25  # Largest feature: one strong edge must not outweigh the rest (Lowe, IJCV 2004)
 # Change of the scale, or of the angle in radians, of a shape since the image was encoded, after which it is encoded
@@ -40,15 +42,38 @@ MOST_CHANGE = 0.1
 FREE = 1e4
 
 
+class Sight(NamedTuple):
+    """How much a regressor sees of an image.
+
+    Attributes
+    ----------
+    margin : float
+        Margin around the start that is encoded, as a fraction of its diagonal: room for a start that is off, and for
+        cells.
+    sharpness : float
+        Standard deviation of the blur of the image before gradients are taken, pixels of :data:`SIZE`, which is also
+        the size of the pixels that are encoded.
+    """
+
+    margin: float
+    sharpness: float
+
+
+OF_STARTS = Sight(margin=0.5, sharpness=0.6)
+OF_FITS = Sight(margin=0.15, sharpness=1.0)  # in a third of the time
+
+
 class OrientationHistograms:
     """Histograms of gradient orientations of an image around a shape, at the resolution of :data:`SIZE`."""
 
-    def __init__(self, image: np.ndarray, response: Response, shape: np.ndarray, mean: np.ndarray) -> None:
+    def __init__(
+        self, image: np.ndarray, response: Response, shape: np.ndarray, mean: np.ndarray, sight: Sight = OF_STARTS
+    ) -> None:
         """Encode an image around a shape (n, 2); ``mean`` (n, 2) is the mean shape with a diagonal of SIZE."""
         self.pose = align(mean, shape)
         self.angle = self.pose.angle
         self.patch: Patch = make_patch(
-            image, shape, self.pose, encoding="soft", response=response, blur=SHARPNESS, margin=MARGIN
+            image, shape, self.pose, encoding="soft", response=response, blur=sight.sharpness, margin=sight.margin
         )
         self._planes = _planes_of(self.patch.channels)
         self._blurred: dict[float, np.ndarray] = {}
@@ -136,6 +161,13 @@ def _turned(counts: np.ndarray, angle: float) -> np.ndarray:
     return nearest * (1.0 - share) + np.roll(nearest, -1, axis=1) * share
 
 
+def _mirrored_features() -> np.ndarray:
+    """Return the index of each feature's mirror image, (N_FEATURES,)."""
+    number = np.arange(N_FEATURES).reshape(CELLS, CELLS, BINS)
+    orientations = (BINS // 2 - np.arange(BINS)) % BINS
+    return number[:, ::-1][..., orientations].ravel()
+
+
 @dataclass(frozen=True, eq=False)
 class RegressionStep:
     """One step of a regressor.
@@ -189,23 +221,50 @@ class LandmarkRegressor:
         """The mean shape with a diagonal of :data:`liaam.model.regressor.SIZE`, (n, 2)."""
         return self.shape_model.mean * (SIZE / self.shape_model.diagonal)
 
-    def __call__(self, image: np.ndarray, response: Response, start: np.ndarray) -> np.ndarray:
+    def __call__(
+        self, image: np.ndarray, response: Response, start: np.ndarray, sight: Sight = OF_STARTS
+    ) -> np.ndarray:
         """Return the landmarks (n, 2) of the object in an image near a start (n, 2), image pixels."""
         shape = start
         histograms = None
         for i, step in enumerate(self.steps):
             pose = align(self.frame_mean, shape)
             if histograms is None or not histograms.suits(pose):
-                histograms = OrientationHistograms(image, response, shape, self.frame_mean)
+                histograms = OrientationHistograms(image, response, shape, self.frame_mean, sight)
             predicted = step.displacements(histograms.features(shape, pose, step.spacing))
             shape = combined(shape, predicted, self.frame_mean, self._gains[i])
         return shape
 
+    def refined(self, image: np.ndarray, response: Response, shape: np.ndarray) -> np.ndarray:
+        """Return the mean (n, 2) of a fit (n, 2) and of where the regressor leads from there, image pixels."""
+        return 0.5 * (shape + self(image, response, shape, OF_FITS))
+
+    def mirrored(self, shapes: ShapeModel, order: np.ndarray) -> "LandmarkRegressor":
+        """Return the regressor of the mirror images of objects, with their shapes.
+
+        ``order`` (n,) is the index of each landmark's mirror image.
+        """
+        features = _mirrored_features()
+        across = np.array([-1.0, 1.0])
+        steps = [
+            RegressionStep(
+                spacing=step.spacing,
+                weights=np.ascontiguousarray((step.weights[:, features] * across.astype(np.float32))[order]),
+                offsets=(step.offsets * across)[order],
+                errors=(step.errors * np.outer(across, across))[order],
+            )
+            for step in self.steps
+        ]
+        errors = self.left_out.errors
+        rows = (errors.reshape(len(errors), -1, 2) * across)[:, order].reshape(errors.shape)
+        return LandmarkRegressor(shapes, tuple(steps), PointErrors(rows, self.left_out.noise))
+
     @cached_property
     def _gains(self) -> list[np.ndarray]:
         """C (C + S)^-1 of each step, (2 n, 2 n)."""
-        covariance = frame_covariance(self.shape_model)
-        return [gain_of(covariance, step.errors) for step in self.steps]
+        with one_numpy_thread():  # so that the bits are the same with any number of threads
+            covariance = frame_covariance(self.shape_model)
+            return [gain_of(covariance, step.errors) for step in self.steps]
 
 
 def frame_covariance(shapes: ShapeModel) -> np.ndarray:
@@ -233,4 +292,5 @@ def combined(shape: np.ndarray, predicted: np.ndarray, mean: np.ndarray, gain: n
     to_mean = align(shape, mean)
     aligned = to_mean(shape)
     deviation = (aligned + predicted - mean).ravel()
-    return to_mean.inverse()(mean + (gain @ deviation).reshape(-1, 2))
+    moved = np.einsum("ij,j->i", gain, deviation)  # the bits of a product by BLAS depend on its threads
+    return to_mean.inverse()(mean + moved.reshape(-1, 2))

@@ -1,4 +1,4 @@
-"""Distant lamps, and their light on a surface. Models have no depth, so the outline of the mesh is inflated."""
+"""Distant lamps, and their light on a surface: the model's relief, or the inflated outline of the mesh without one."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -7,7 +7,12 @@ from functools import lru_cache
 import numpy as np
 
 from liaam.errors import LiaamError
+from liaam.model import AAM
+from liaam.model.light_basis import sample_field
 from liaam.model.mesh import ReferenceFrame
+from liaam.model.shape import diagonal_of
+from liaam.relighting.painting import Region
+from liaam.relighting.shading import field_on_image, frame_in_field, middle_of
 
 AMBIENT = 0.25  # Default fraction of ambient light
 DIRECTIONS = {
@@ -18,6 +23,7 @@ DIRECTIONS = {
     "front": (0.0, 0.0, 1.0),
 }  # Directions to lamps by name, as seen in the image
 STRONGEST = 10.0  # Largest strength of a lamp
+LEAST_FACING = 0.2  # Least component of a relief's normals towards the viewer, before they are made unit vectors
 DARKEST = 0.02  # Least light at a pixel, because black has no logarithm
 STEEPEST = np.tan(np.deg2rad(65.0))  # Limit of the surface's slope, at the mesh's border
 ROUNDING = 0.03  # Gaussian that smooths its slopes, in diagonals; it removes ridges at the outline's corners
@@ -116,6 +122,30 @@ def direction_named(name: str) -> tuple[float, float, float]:
     if name not in DIRECTIONS:
         raise LiaamError(f"light {name!r}: give a direction (x, y, z), or one of {', '.join(DIRECTIONS)}")
     return DIRECTIONS[name]
+
+
+def surface_of(model: AAM) -> np.ndarray:
+    """Return unit normals of a model's surface at the pixels of its frame, (n_pixels, 3) float32, as of normals_of."""
+    if model.relief is None:
+        return normals_of(model.frame)
+    return _normals(sample_field(model.relief, frame_in_field(model))[:, 0])
+
+
+def surface_on_image(model: AAM, region: Region) -> np.ndarray:
+    """Return unit normals of a model with a relief in a region of an image, also around the mesh, (h, w, 3) float32.
+
+    They are along the axes of the model.
+    """
+    mean = model.shape_model.mean
+    assert model.relief is not None
+    return _normals(field_on_image(model.relief, (mean - middle_of(mean)) / diagonal_of(mean), region))
+
+
+def _normals(across: np.ndarray) -> np.ndarray:
+    """Return unit normals (..., 3) float32 with components to the right and down (..., 2)."""
+    towards = np.sqrt(np.maximum(1.0 - np.square(across).sum(axis=-1, keepdims=True), LEAST_FACING**2))
+    normals = np.concatenate([across, towards], axis=-1)
+    return normals / np.linalg.norm(normals, axis=-1, keepdims=True)
 
 
 @lru_cache(maxsize=4)

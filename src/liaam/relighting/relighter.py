@@ -28,7 +28,8 @@ from liaam.relighting.lamp import (
     check_strength,
     direction_named,
     light_of,
-    normals_of,
+    surface_of,
+    surface_on_image,
 )
 from liaam.relighting.painting import REACH, Region, averages, box_of, eight_bits, log_light, paint, seen_triangles
 from liaam.relighting.shading import SQUARE, Shading, find_shading, light_on_frame, light_on_image, noise_of_log
@@ -201,7 +202,7 @@ class Relighter:
     def under(self, light: LampsLike, ambient: float = AMBIENT, strength: float = 1.0) -> np.ndarray:
         """Return the image with the object under distant lamps, (h, w, 3) uint8.
 
-        Uses Lambert's law on the inflated surface, relative to a frontal lamp: under one white lamp from (0, 0, 1) the
+        Uses Lambert's law on the model's surface, relative to a frontal lamp: under one white lamp from (0, 0, 1) the
         object is as in :meth:`flat`. A lamp from the side gives less light on average. Half of this loss (in
         logarithms) is compensated by the exposure, up to a factor 1.5, and so is half of the gain of
         several lamps.
@@ -266,10 +267,12 @@ class Relighter:
 
     @cached_property
     def normals(self) -> np.ndarray:
-        """Normals of the inflated surface, rotated with the object, (lh, lw, 3) float32."""
-        normals, _ = paint(self.inside, self.region.shape, self.model, normals_of(self.model.frame))
+        """Normals of the model's surface, rotated with the object, (lh, lw, 3) float32."""
+        normals, _ = paint(self.inside, self.region.shape, self.model, surface_of(self.model))
         is_inside = self.inside[..., None]
-        if is_inside.size:
+        if self.model.relief is not None:
+            normals = np.where(is_inside, normals, surface_on_image(self.model, self.region))
+        elif is_inside.size:
             # Beyond the mesh, the surface continues as within two reaches.
             normals = np.where(is_inside, normals, averages(normals, is_inside, 2.0 * self.region.reach))
         pose = align(self.model.shape_model.mean, self.shape)

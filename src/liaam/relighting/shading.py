@@ -93,12 +93,22 @@ def light_on_frame(model: AAM) -> tuple[np.ndarray, np.ndarray]:
     """
     if model.light is None:
         return _smooth_modes(model), np.full(model.n_pixels, UNEXPLAINED)
-    mean = model.shape_model.mean
-    away = model.frame.pixels[:, ::-1] + model.frame.origin - 0.5 * (mean.min(axis=0) + mean.max(axis=0))
-    at = in_field(away / diagonal_of(mean))[:, None]
+    at = frame_in_field(model)
     pictures = [*model.light.modes, model.light.remainder]
     *modes, remainder = (sample_field(picture.astype(np.float32), at)[:, 0] for picture in pictures)
     return np.stack(modes), np.maximum(remainder, LEAST_UNEXPLAINED)
+
+
+def frame_in_field(model: AAM) -> np.ndarray:
+    """Return where the pixels of a model's frame are in fields around its mean shape, (n_pixels, 1, 2)."""
+    mean = model.shape_model.mean
+    pixels = model.frame.pixels[:, ::-1] + model.frame.origin
+    return in_field((pixels - middle_of(mean)) / diagonal_of(mean))[:, None]
+
+
+def middle_of(shape: np.ndarray) -> np.ndarray:
+    """Return the centre of a shape's bounding box, (2,)."""
+    return 0.5 * (shape.min(axis=0) + shape.max(axis=0))
 
 
 def _smooth_modes(model: AAM) -> np.ndarray:
@@ -119,10 +129,15 @@ def light_on_image(model: AAM, coordinates: np.ndarray, region: Region) -> np.nd
     if model.light is None or not coordinates.any():
         return np.zeros((*region.small[::-1], 3), np.float32)
     change = np.tensordot(coordinates.astype(np.float32), model.light.modes, axes=1)
-    origin, right, down = in_field(align(model.light.mean, region.shape).inverse()(np.eye(3, 2, -1))).astype(np.float64)
+    return field_on_image(change, model.light.mean, region)
+
+
+def field_on_image(field: np.ndarray, mean: np.ndarray, region: Region) -> np.ndarray:
+    """Return a field around a mean shape (n, 2), whose diagonal is 1, in a region of an image, (h, w, c) float32."""
+    origin, right, down = in_field(align(mean, region.shape).inverse()(np.eye(3, 2, -1))).astype(np.float64)
     pose = np.column_stack([right - origin, down - origin, origin])
     how = cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP
-    return cv2.warpAffine(change, pose, region.small, flags=how, borderMode=cv2.BORDER_REPLICATE)
+    return cv2.warpAffine(field, pose, region.small, flags=how, borderMode=cv2.BORDER_REPLICATE)
 
 
 def appearance_in_light(

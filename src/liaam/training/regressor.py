@@ -154,19 +154,24 @@ def learn_regressor(views: Views, shapes: ShapeModel, groups: Sequence[np.ndarra
         Images by index that are left out together to measure errors, such as those of one object.
     """
     mean = shapes.mean * (SIZE / shapes.diagonal)
-    covariance = frame_covariance(shapes)
     n_starts = int(np.clip(MOST_SAMPLES // len(views.shapes), 2, STARTS))
     samples = _samples(views, mean, n_starts, groups)
+    return learn_steps(samples, shapes, SPACINGS, RIDGE * n_starts)
+
+
+def learn_steps(samples: "Samples", shapes: ShapeModel, spacings: Sequence[float], ridge: float) -> LandmarkRegressor:
+    """Learn steps with histograms at some distances from samples, whose landmarks are combined under some shapes."""
+    mean = shapes.mean * (SIZE / shapes.diagonal)
+    covariance = frame_covariance(shapes)
     steps = []
-    for spacing in SPACINGS:
-        step, samples = _learn_step(samples, mean, covariance, spacing, RIDGE * n_starts)
+    for spacing in spacings:
+        step, samples = _learn_step(samples, mean, covariance, spacing, ridge)
         steps.append(step)
-    left_out = _left_out_errors(samples, shapes)
-    return LandmarkRegressor(shape_model=shapes, steps=tuple(steps), left_out=left_out)
+    return LandmarkRegressor(shape_model=shapes, steps=tuple(steps), left_out=_left_out_errors(samples, shapes))
 
 
 @dataclass(frozen=True, eq=False)
-class _Samples:
+class Samples:
     """Shapes on their way from a start to the true landmarks.
 
     Attributes
@@ -185,7 +190,7 @@ class _Samples:
     blocks: list[np.ndarray]
 
 
-def _samples(views: Views, mean: np.ndarray, n_starts: int, groups: Sequence[np.ndarray]) -> _Samples:
+def _samples(views: Views, mean: np.ndarray, n_starts: int, groups: Sequence[np.ndarray]) -> Samples:
     """Return the starts of all images."""
     shapes = []
     for i, truth in enumerate(views.shapes):
@@ -193,7 +198,7 @@ def _samples(views: Views, mean: np.ndarray, n_starts: int, groups: Sequence[np.
         for k in range(n_starts):
             shapes.append(_in_box(mean, truth, rng) if k % 2 else _moved(mean, truth, rng))
     owners = np.repeat(np.arange(len(views.shapes)), n_starts)
-    return _Samples(
+    return Samples(
         histograms=[views.histograms[i] for i in owners.tolist()],
         truths=views.shapes[owners],
         shapes=np.array(shapes),
@@ -221,8 +226,8 @@ def _moved(mean: np.ndarray, truth: np.ndarray, rng: np.random.Generator) -> np.
 
 
 def _learn_step(
-    samples: _Samples, mean: np.ndarray, covariance: np.ndarray, spacing: float, ridge: float
-) -> tuple[RegressionStep, _Samples]:
+    samples: Samples, mean: np.ndarray, covariance: np.ndarray, spacing: float, ridge: float
+) -> tuple[RegressionStep, Samples]:
     """Learn a step, and take it with each sample as a left-out one; return the step and the samples after it."""
     poses = [align(mean, shape) for shape in samples.shapes]
     features = np.array(
@@ -294,7 +299,7 @@ def _ridge_regression(
     return _LinearFit(weights, mean_wanted - middle @ weights, mean_wanted + left_out)
 
 
-def _left_out_errors(samples: _Samples, shapes: ShapeModel) -> PointErrors:
+def _left_out_errors(samples: Samples, shapes: ShapeModel) -> PointErrors:
     """Return the errors of left-out images after the last step, pixels of the reference frame."""
     away = []
     lost = []
