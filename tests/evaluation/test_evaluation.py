@@ -295,6 +295,11 @@ def test_options_that_a_learning_curve_does_not_use_are_refused(run, tmp_path, g
     assert code == 1 and f"compares no groups; leave {given[0]} out" in err
 
 
+def test_a_learning_curve_takes_no_model(run, tmp_path):
+    code, _, err = run("evaluate", tmp_path / "model.liaam", tmp_path, "--learning-curve")
+    assert code == 1 and "--learning-curve trains models on the folder itself: give the folder only" in err
+
+
 def test_the_command_measures_a_learning_curve(run, tmp_path, monkeypatch, rng):
     changed = OPTIONS | {"progress": False}
     monkeypatch.setattr(measure, "train", lambda data, **options: liaam.train(data, **options | changed))
@@ -316,7 +321,7 @@ def test_the_command_measures_a_learning_curve(run, tmp_path, monkeypatch, rng):
 
 
 def test_shapes_of_both_sides_are_compared_on_one(rng):
-    """As if no object had been mirrored; fits of the wrong side are counted."""
+    """As if no object had been mirrored. Fits of the wrong side are counted, those put back to the start are not."""
     truths = np.array([[0.0, 0], [60, 5], [50, 40], [5, 30], [25, 20]]) + rng.normal(0, 3, (12, 5, 2))
     found = truths + rng.normal(0, 0.3, truths.shape)
     sign = np.where(np.arange(12)[:, None, None] % 3 == 0, [-1.0, 1.0], 1.0)
@@ -340,6 +345,8 @@ def test_shapes_of_both_sides_are_compared_on_one(rng):
     names = tuple("mirrored" if i % 3 == 0 else "original" for i in range(12))
     both = evaluated(truths * sign, found * sign, names)
     assert plain is not None and both.agreement is not None
+    at_start = replace(evaluated(truths, found), at_start=(True,) + (False,) * 11)
+    assert at_start.agreement is not None and at_start.agreement.n_specimens == 11
     assert both.agreement.slope == pytest.approx(plain.slope, abs=1e-9)
     assert not both.on_wrong_side.any()
     assert "sides: 4 mirrored, 8 original; fits of the wrong side: 0" in both.report()

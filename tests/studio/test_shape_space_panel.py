@@ -50,6 +50,37 @@ def test_missing_points_are_estimated_if_that_is_asked_for(sample):
     assert len(found["space"]["of"]) == 7
 
 
+def test_shapes_that_are_alike_as_they_are_are_not_reflected(sample):
+    assert "compared as they are" in shapes(sample, {})["sides"]
+
+
+def test_shapes_of_the_left_are_reflected_to_the_right(tmp_path, rng):
+    for name in ("left/a", "left/b", "right/c", "right/d"):
+        (tmp_path / name).parent.mkdir(exist_ok=True)
+        write_image(tmp_path / f"{name}.png", np.full((30, 40, 3), 90, np.uint8))
+    project = Project(tmp_path)
+    project.save_template(TEMPLATE)
+    for name in by_name(project):
+        points = BASE + rng.normal(0, 0.5, BASE.shape)
+        put(project, name, (points * [-1, 1] + [39, 0] if name.startswith("left") else points).tolist())
+    found = shapes(project, {})
+    assert found["sides"].startswith("2 specimens of the side left reflected")
+    assert max(found["space"]["distances"]) < 0.1
+
+
+def test_shapes_are_shown_while_some_have_no_side(tmp_path, rng):
+    for name in ("left/a", "left/b", "right/c", "unsorted/d"):
+        (tmp_path / name).parent.mkdir(exist_ok=True)
+        write_image(tmp_path / f"{name}.png", np.full((30, 40, 3), 90, np.uint8))
+    project = Project(tmp_path)
+    project.save_template(TEMPLATE)
+    for name in by_name(project):
+        put(project, name, (BASE + rng.normal(0, 0.5, BASE.shape)).tolist())
+    found = shapes(project, {})
+    assert "have no side" in found["sides"]
+    assert found["space"] is not None
+
+
 def test_groups_come_from_a_table_that_is_kept(sample):
     text = "specimen,group\nl0,x\nl1,x\nr0,y\n"
     assert save_groups(sample, {"text": text, "name": "groups.csv"}) == {"specimens": 3}

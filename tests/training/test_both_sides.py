@@ -13,7 +13,7 @@ from liaam.batch import Settings, run_batch
 from liaam.error_measures import point_error
 from liaam.errors import LiaamError, MethodError, ModelFileError, StartError, TrainingError
 from liaam.evaluation import compare_specimens
-from liaam.fitting.sides import as_fitted, reflected_result
+from liaam.fitting.sides import as_fitted, reflected_result, reflected_start, reflections_of_start
 from liaam.fitting.solution import residual_at
 from liaam.io import write_image
 from liaam.model import SURROUNDINGS
@@ -170,6 +170,15 @@ def test_a_reflection_of_a_result_is_undone_by_another(model, both):
     np.testing.assert_allclose(again.pose.matrix, result.pose.matrix)
     assert again.reflected and not fitted.reflected
     assert fitted.found is not None and result.found is not None and fitted.found.rotation == -result.found.rotation
+
+
+def test_the_mean_shape_with_names_in_another_order_says_no_side(model):
+    names = tuple(f"n{i}" for i in range(model.n_points))
+    named = replace(model, landmark_names=names)
+    mean = model.shape_model.mean
+    given = Landmarks(mean[::-1], names=names[::-1])
+    assert reflections_of_start(named, given, 200) == reflections_of_start(named, mean, 200) == (False, True)
+    np.testing.assert_allclose(reflected_start(named, given, 200), reflected_start(named, mean, 200))
 
 
 def test_the_side_may_be_given(model, both, right):

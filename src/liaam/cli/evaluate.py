@@ -109,7 +109,7 @@ def evaluate(
 
     if learning_curve:
         refuse_beside_curve({"--folds": folds, "--groups": groups, "--init": init})
-    model_file, folder = model_and_folder(sources, 2 if learning_curve else folds, init)
+    model_file, folder = (None, folder_of_curve(sources)) if learning_curve else model_and_folder(sources, folds, init)
     model = None if model_file is None else load_model(model_file)
     reading = Reading(strict, category, y_down, stored_orientation)
     data = without_proposals(inputs.read_folder(folder, reading), inputs.folder_of(folder)[0])
@@ -151,6 +151,13 @@ def refuse_beside_curve(options: dict[str, Any]) -> None:
             "--learning-curve divides the images itself, searches for the objects and compares no groups; leave "
             f"{', '.join(given)} out"
         )
+
+
+def folder_of_curve(sources: list[Path]) -> Path:
+    """Return the folder of a learning curve; raise if a model is given."""
+    if len(sources) != 1:
+        raise LiaamError("--learning-curve trains models on the folder itself: give the folder only")
+    return sources[0]
 
 
 def model_and_folder(sources: list[Path], folds: int | None, init: str | None) -> tuple[Path | None, Path]:

@@ -245,68 +245,131 @@ def compare_shapes(
         If fewer than 5 specimens have all landmarks, the arrays differ in shape, the labels of all are copies of the
         automatic landmarks, or fewer than two groups have two specimens.
     """
+    sets = _checked_sets(automatic, labels, second)
+    if groups is not None and len(groups) != len(sets[0]):
+        raise LiaamError(f"{len(groups)} groups of {len(sets[0])} specimens: give one for each specimen")
+    choice = _chosen(sets)
+    codes = None if groups is None else _codes(np.asarray(groups)[choice.used])
+    used = [each[choice.used] for each in sets]
+    shapes = _superimposed(used)
+    slope, slope_interval = _with_interval(lambda kept: _slope(*shapes.of(kept)), shapes.n)
+    attenuation, attenuation_interval = _attenuation(shapes, codes)
+    components, scores = _components(shapes.ours, shapes.first, shapes.other)
+    differences = shapes.positions[0] - shapes.positions[1]
+    bias = differences.mean(axis=0)
+    random = (differences - bias).reshape(shapes.n, -1, 2)
+    standard_error = np.sqrt(_product(shapes.first, shapes.first) / (shapes.n - 1) / shapes.n)
+    sizes = [np.linalg.norm(each - each.mean(axis=1, keepdims=True), axis=(1, 2)) for each in used]
+    between_people = np.nan if second is None else _repeatability(shapes.positions[1], shapes.positions[2])
+    return ShapeAgreement(
+        n_specimens=shapes.n,
+        n_left_out=int((~choice.complete).sum()),
+        n_copied=int(choice.copied.sum()),
+        slope=slope,
+        slope_interval=slope_interval,
+        attenuation=attenuation,
+        attenuation_interval=attenuation_interval,
+        variance_ratio=_product(shapes.ours, shapes.ours) / _product(shapes.first, shapes.other),
+        mean_distance=float(np.linalg.norm(bias) / standard_error),
+        p_of_means=_probability_of(differences, permutations, seed),
+        size_correlation=float(np.corrcoef(np.log(sizes[0]), np.log(sizes[1]))[0, 1]),
+        size_ratio=float(np.exp(np.mean(np.log(sizes[0] / sizes[1])))),
+        repeatability=_repeatability(shapes.positions[0], shapes.positions[1]),
+        repeatability_of_people=between_people,
+        components=components,
+        bias=bias.reshape(-1, 2),
+        random_error=np.sqrt(np.square(random).sum(axis=2).mean(axis=0)),
+        mean=shapes.positions[1].mean(axis=0).reshape(-1, 2),
+        scores=scores,
+    )
+
+
+@dataclass(frozen=True, eq=False)
+class _Choice:
+    """Which specimens are compared: those that are complete and no copies. All (m,) bool."""
+
+    complete: np.ndarray
+    copied: np.ndarray
+
+    @property
+    def used(self) -> np.ndarray:
+        return self.complete & ~self.copied
+
+
+@dataclass(frozen=True, eq=False)
+class _Superimposed:
+    """Superimposed shapes of the same specimens, of size 1: automatic ones, and those of one or two people.
+
+    Attributes
+    ----------
+    positions : (k, m, d) float64
+        Coordinates of each set, automatic ones first.
+    ours, first, other : (m, d) float64
+        Deviations from the mean of each set: automatic, one person's, and the last person's, who may be the same.
+    """
+
+    positions: np.ndarray
+    ours: np.ndarray
+    first: np.ndarray
+    other: np.ndarray
+
+    @property
+    def n(self) -> int:
+        """Number of specimens."""
+        return len(self.ours)
+
+    def of(self, kept: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Return the deviations of some specimens, by index."""
+        return self.ours[kept], self.first[kept], self.other[kept]
+
+
+def _checked_sets(automatic: np.ndarray, labels: np.ndarray, second: np.ndarray | None) -> list[np.ndarray]:
+    """Return the two or three sets of landmarks (m, n, 2); raise LiaamError if they differ in shape."""
     sets = [np.asarray(each, np.float64) for each in (automatic, labels, *(() if second is None else (second,)))]
     if any(each.shape != sets[0].shape for each in sets) or sets[0].ndim != 3:
         raise LiaamError("the landmarks are not of the same specimens: give arrays (m, n, 2) of equal shape")
-    if groups is not None and len(groups) != len(sets[0]):
-        raise LiaamError(f"{len(groups)} groups of {len(sets[0])} specimens: give one for each specimen")
+    return sets
+
+
+def _chosen(sets: Sequence[np.ndarray]) -> _Choice:
+    """Return which specimens can be compared; raise LiaamError if they are too few."""
     complete = np.all([_have_a_shape(each) for each in sets], axis=0)
     copied = complete & np.any([_are_copies(sets[0], other) for other in sets[1:]], axis=0)
-    if copied.any() and (complete & ~copied).sum() < FEWEST:
+    choice = _Choice(complete, copied)
+    n = int(choice.used.sum())
+    if n >= FEWEST:
+        return choice
+    if copied.any():
         raise LiaamError(
             f"the labels are copies of the automatic landmarks ({int(copied.sum())} of "
             f"{count_of(len(complete), 'specimen')}), with which these cannot be compared: give landmarks that "
             "people have placed"
         )
-    used = complete & ~copied
-    n = int(used.sum())
-    if n < FEWEST:
-        raise LiaamError(
-            f"{count_of(n, 'specimen')} with all landmarks: variances of shape are compared from {FEWEST} specimens on"
-        )
-    codes = None if groups is None else _codes(np.asarray(groups)[used])
-    sizes = [np.linalg.norm(each[used] - each[used].mean(axis=1, keepdims=True), axis=(1, 2)) for each in sets]
-    fit = superimpose(np.concatenate([each[used] for each in sets]), TOLERANCE)
-    superimposed = fit.shapes.reshape(len(sets), n, -1)
-    deviations = superimposed - superimposed.mean(axis=1, keepdims=True)
-    ours = deviations[0]
-    first = deviations[1]
-    other = deviations[-1]
-    if _product(first, first) < n * LEAST_VARIED**2:
-        raise LiaamError("the labels of all specimens have one shape, with whose variance none can be compared")
-    common = _product(first, other)
-    differences = superimposed[0] - superimposed[1]
-    bias = differences.mean(axis=0)
-    random = (differences - bias).reshape(n, -1, 2)
-    slope, slope_interval = _with_interval(lambda kept: _slope(*(each[kept] for each in (ours, first, other))), n)
-    attenuation = np.nan
-    attenuation_interval = (np.nan, np.nan)
-    if codes is not None:
-        attenuation, attenuation_interval = _with_interval(
-            lambda kept: _slope(*(_group_means(each[kept], codes[kept]) for each in (ours, first, other))), n
-        )
-    components, scores = _components(ours, first, other)
-    return ShapeAgreement(
-        n_specimens=n,
-        n_left_out=int((~complete).sum()),
-        n_copied=int(copied.sum()),
-        slope=slope,
-        slope_interval=slope_interval,
-        attenuation=attenuation,
-        attenuation_interval=attenuation_interval,
-        variance_ratio=_product(ours, ours) / common,
-        mean_distance=float(np.linalg.norm(bias) / np.sqrt(_product(first, first) / (n - 1) / n)),
-        p_of_means=_probability_of(differences, permutations, seed),
-        size_correlation=float(np.corrcoef(np.log(sizes[0]), np.log(sizes[1]))[0, 1]),
-        size_ratio=float(np.exp(np.mean(np.log(sizes[0] / sizes[1])))),
-        repeatability=_repeatability(superimposed[0], superimposed[1]),
-        repeatability_of_people=np.nan if second is None else _repeatability(superimposed[1], superimposed[2]),
-        components=components,
-        bias=bias.reshape(-1, 2),
-        random_error=np.sqrt(np.square(random).sum(axis=2).mean(axis=0)),
-        mean=superimposed[1].mean(axis=0).reshape(-1, 2),
-        scores=scores,
+    raise LiaamError(
+        f"{count_of(n, 'specimen')} with all landmarks: variances of shape are compared from {FEWEST} specimens on"
     )
+
+
+def _superimposed(sets: Sequence[np.ndarray]) -> _Superimposed:
+    """Superimpose sets of landmarks (m, n, 2); raise LiaamError if all labels have one shape."""
+    fit = superimpose(np.concatenate(sets), TOLERANCE)
+    positions = fit.shapes.reshape(len(sets), len(sets[0]), -1)
+    deviations = positions - positions.mean(axis=1, keepdims=True)
+    first = deviations[1]
+    if _product(first, first) < len(first) * LEAST_VARIED**2:
+        raise LiaamError("the labels of all specimens have one shape, with whose variance none can be compared")
+    return _Superimposed(positions, ours=deviations[0], first=first, other=deviations[-1])
+
+
+def _attenuation(shapes: _Superimposed, codes: np.ndarray | None) -> tuple[float, tuple[float, float]]:
+    """Return the slope of group means and its confidence interval; NaN without groups."""
+    if codes is None:
+        return np.nan, (np.nan, np.nan)
+
+    def slope_of_groups(kept: np.ndarray) -> float:
+        return _slope(*(_group_means(each, codes[kept]) for each in shapes.of(kept)))
+
+    return _with_interval(slope_of_groups, shapes.n)
 
 
 def _have_a_shape(points: np.ndarray) -> np.ndarray:

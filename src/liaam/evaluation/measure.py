@@ -390,4 +390,5 @@ def _evaluation(
         left_out=tuple(faults),
         contours=tuple(protocol.contours),
         sides=tuple(result.side for result in results) if any(result.side for result in results) else (),
+        at_start=tuple(result.at_start for result in results) if any(result.at_start for result in results) else (),
     )

@@ -60,6 +60,8 @@ class Evaluation:
         Group of each image, such as the species; empty if unknown, or there are none.
     sides : tuple of str
         Side of the object by each fit (:attr:`liaam.FitResult.side`); empty if the model has one side only.
+    at_start : tuple of bool
+        Whether each fit failed and has the landmarks of its start (:attr:`liaam.FitResult.at_start`); empty if none.
     """
 
     names: tuple[str, ...]
@@ -78,6 +80,7 @@ class Evaluation:
     second: np.ndarray | None = None
     groups: tuple[str, ...] = ()
     sides: tuple[str, ...] = ()
+    at_start: tuple[bool, ...] = ()
 
     def __repr__(self) -> str:
         return f"Evaluation({count_of(len(self), 'image')}, median error {_percentile(self.errors, 50):.2%})"
@@ -266,6 +269,8 @@ class Evaluation:
     def _compared(self) -> ShapeAgreement | str:
         """How the shapes of right fits agree with the labels, or why they cannot be compared."""
         is_right = self.errors <= self.limit
+        if self.at_start:  # these have the model's shape, not the specimen's
+            is_right = is_right & ~np.array(self.at_start)
         second = None if self.second is None else self.second[is_right]
         groups = None
         if self.groups:

@@ -57,15 +57,23 @@ def reflections_of_start(model: AAM, init, width: int) -> tuple[bool, ...]:
     """Return which of both reflections a start may have: one if it is a detection or a whole shape, or else both."""
     if isinstance(init, Detection):
         return (init.reflected,)
-    try:
-        points = np.asarray(getattr(init, "in_order_of", lambda _: init)(model.landmark_names), dtype=np.float64)
-    except (TypeError, ValueError, LandmarkError):  # which is refused elsewhere
-        return EITHER
-    if points.shape != (model.n_points, 2) or not np.isfinite(points).all() or is_mean_shape(model, points):
+    points = _whole_shape(model, init)
+    if points is None or is_mean_shape(model, points):
         return EITHER
     shapes = (points, reflected_points(points, width))
     as_it_is, reversed_ = (max(part.shape_model.log_density(shape) for part in model.parts) for shape in shapes)
     return (bool(reversed_ > as_it_is),)
+
+
+def _whole_shape(model: AAM, init) -> np.ndarray | None:
+    """Return a start that is a whole shape, (n, 2) in the order of the model's landmarks; None if it is none."""
+    try:
+        points = np.asarray(getattr(init, "in_order_of", lambda _: init)(model.landmark_names), dtype=np.float64)
+    except (TypeError, ValueError, LandmarkError):  # which is refused elsewhere
+        return None
+    if points.shape != (model.n_points, 2) or not np.isfinite(points).all():
+        return None
+    return points
 
 
 def is_mean_shape(model: AAM, points: np.ndarray) -> bool:
@@ -89,9 +97,10 @@ def reflected_start(model: AAM, init, width: int):
         return np.array([width - 1.0 - right, top, width - 1.0 - left, bottom])
     if given.shape == (3,):
         return np.array([width - 1.0 - given[0], given[1], given[2]])
-    if given.shape == (model.n_points, 2) and np.isfinite(given).all() and is_mean_shape(model, given):
-        low, high = corners_of(reflected_points(given, width))
-        return np.array([*(0.5 * (low + high)), diagonal_of(given)])  # its mirror image is not the mean shape
+    shape = _whole_shape(model, init)
+    if shape is not None and is_mean_shape(model, shape):
+        low, high = corners_of(reflected_points(shape, width))
+        return np.array([*(0.5 * (low + high)), diagonal_of(shape)])  # its mirror image is not the mean shape
     if given.ndim != 2 or given.shape[1] != 2:
         return init
     points = reflected_points(given, width)

@@ -91,7 +91,7 @@ def of_one_side(
     if side == AUTO and _are_alike_as_they_are(sided, sides):
         said = (
             f"specimens of the sides {some_names(sides)} are compared as they are, since they are more alike than "
-            f"reflected: --side {other} reflects those of the side {reflected_side} nonetheless"
+            f"reflected (side {other} reflects those of the side {reflected_side} nonetheless)"
         )
         return _as_reflected(sided, sides[0]), "; ".join(filter(None, (said, against)))
     n = sum(specimen.side == reflected_side for specimen in sided)

@@ -304,6 +304,7 @@ class Shapes(TypedDict):
     columns: list[Column]
     space: Space | None
     why_not: Annotated[str, "Why there is no space."]
+    sides: Annotated[str, "What was done about left and right; empty if nothing."]
     tests: list[GroupTest]
     has_table: Annotated[bool, "Whether a table of groups was given."]
 

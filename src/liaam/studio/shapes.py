@@ -10,6 +10,7 @@ import numpy as np
 
 from liaam.errors import LiaamError
 from liaam.formatting import finite_list, finite_or_none
+from liaam.io.sides import side_of_text
 from liaam.io.table_writer import columns_text
 from liaam.morphometry import (
     Measure,
@@ -18,10 +19,12 @@ from liaam.morphometry import (
     groups_in,
     groups_of,
     measure,
+    of_one_side,
     shape_space,
     shape_variation,
     with_estimated_landmarks,
 )
+from liaam.morphometry.sides import IGNORED
 from liaam.morphometry.table import comparable, in_unit, size_column, unit_of_table
 from liaam.scale.lengths import unit_of
 from liaam.studio import contract
@@ -56,7 +59,8 @@ class Sample:
     """The pictures with landmarks, measured."""
 
     pictures: tuple[str, ...]
-    specimens: tuple[Specimen, ...]
+    specimens: tuple[Specimen, ...]  # all of one side
+    sides: str  # what was done about sides, empty if nothing
     measures: tuple[Measure, ...]
     columns: Columns
     groups: tuple[str, ...]
@@ -71,7 +75,7 @@ class Sample:
 def sample_of(project: Project, asked: Mapping[str, str]) -> Sample:
     """Measure all pictures of a project, as a request asks: ``measures``, ``scale``, ``by`` and ``estimate``."""
     placed = project.placed("measure")
-    specimens = tuple(_specimen(picture) for picture in placed)
+    specimens, sides = _of_one_side([_specimen(picture) for picture in placed])
     scale = asked.get("scale") or _unit_of_files(specimens)
     if asked.get("estimate"):
         specimens, _ = with_estimated_landmarks(specimens, "tps", scale)
@@ -80,6 +84,7 @@ def sample_of(project: Project, asked: Mapping[str, str]) -> Sample:
     return Sample(
         pictures=tuple(picture.file.name for picture in placed),
         specimens=specimens,
+        sides=sides,
         measures=measures,
         columns=columns,
         groups=_groups(project, [picture.file.stem for picture in placed], asked.get("by", "")),
@@ -103,6 +108,7 @@ def shapes(project: Project, asked: Mapping[str, str]) -> contract.Shapes:
         "columns": _columns_json(sample),
         "space": space,
         "why_not": why_not,
+        "sides": sample.sides,
         "tests": _tests(sample),
         "has_table": project.store.get(GROUPS) is not None,
     }
@@ -142,8 +148,22 @@ def save_groups(project: Project, data: Any) -> dict[str, int]:
 def _specimen(picture: Placed) -> Specimen:
     landmarks = picture.landmarks
     return Specimen(
-        picture.file.stem, landmarks.points, names=landmarks.names, scale=landmarks.scale, unit=unit_of(landmarks.unit)
+        picture.file.stem,
+        landmarks.points,
+        names=landmarks.names,
+        scale=landmarks.scale,
+        unit=unit_of(landmarks.unit),
+        side=side_of_text(landmarks.side),
+        image=picture.file.name,
     )
+
+
+def _of_one_side(specimens: Sequence[Specimen]) -> tuple[tuple[Specimen, ...], str]:
+    """Reflect the specimens of one side, as ``liaam measure`` does; return them, and what was done or could not be."""
+    try:
+        return of_one_side(specimens)
+    except LiaamError as fault:  # the page shows what there is while sides are being completed
+        return of_one_side(specimens, IGNORED)[0], str(fault)
 
 
 def _unit_of_files(specimens: Sequence[Specimen]) -> str | None:

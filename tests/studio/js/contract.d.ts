@@ -316,6 +316,8 @@ interface Shapes {
   space: Space | null;
   /** Why there is no space. */
   why_not: string;
+  /** What was done about left and right; empty if nothing. */
+  sides: string;
   tests: GroupTest[];
   /** Whether a table of groups was given. */
   has_table: boolean;

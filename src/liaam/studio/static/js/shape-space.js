@@ -31,13 +31,14 @@ export function createShapeSpace(tab) {
   const unusual = h("div.row.tight.small", { testid: "shape-outliers" });
   const tests = h("ul.small.shape-tests", { testid: "shape-tests", "aria-label": "Differences between groups" });
   const why = h("p.muted", { testid: "shape-why-not" });
+  const sides = h("p.muted.small", { testid: "shape-sides" });
   const cards = h("div.measure-cards.shape-cards",
     h("section.panel.measure-card.shape-main", { "aria-label": "Principal components" },
       h("div.row", h("h2.panel-title.grow", "Principal components"), across, "and", upward), pca, unusual, tests),
     h("section.panel.measure-card", { "aria-label": "Thin-plate grid" },
       h("div.row", h("h2.panel-title.grow", "Change as a grid"), what), slider, grid),
     h("section.panel.measure-card", { "aria-label": "Procrustes superimposition" },
-      h("h2.panel-title", "All shapes, superimposed"), cloud));
+      h("h2.panel-title", "All shapes, superimposed"), sides, cloud));
   const element = h("div.measure-view", why, cards);
 
   function setAmount() {
@@ -105,6 +106,8 @@ export function createShapeSpace(tab) {
     const { space } = data;
     why.hidden = Boolean(space);
     cards.hidden = !space;
+    sides.hidden = !data.sides;
+    sides.textContent = data.sides && `${data.sides}.`;
     why.textContent = space ? "" : `Shapes are compared from three complete pictures on: ${data.why_not}.`;
     if (!space) return;
     const own = chosenIn(space);
