@@ -7,8 +7,10 @@ import pytest
 
 from liaam.fitting import Fitter
 from liaam.fitting.search.poses import N_ROTATIONS, posed_starts
+from liaam.fitting.search.starts import start_shape
 from liaam.model.shape import align, corners_of, diagonal_of
 from liaam.training.poses import MOST, most_different, poses_of
+from liaam.training.reliability import LeftOutImage, starts_of
 from setups import disturb
 
 
@@ -56,3 +58,15 @@ def test_poses_that_differ_most_are_kept(rng):
     shapes = np.concatenate([mean + np.zeros((4, 1, 1)), mean + np.full((4, 1, 1), 5.0), mean[None] - 9.0])
     chosen = most_different(shapes, 3)
     assert sorted(min(i // 4, 2) for i in chosen) == [0, 1, 2]
+
+
+def test_left_out_images_at_the_border_are_fitted_from_boxes_in_them(posed, lit_scene):
+    low, high = corners_of(lit_scene.landmarks)
+    x, y = low.astype(int)
+    right, bottom = np.ceil(high).astype(int)
+    image = lit_scene.image[y:bottom, x:right]
+    picture = LeftOutImage(posed, image, lit_scene.landmarks - (x, y))
+    for seed in range(40):
+        for box in starts_of(picture, np.random.default_rng(seed)):
+            start = start_shape(posed, box, (right - x, bottom - y))  # raises StartError for one outside
+            assert boxes_agree(start, box.reshape(2, 2))

@@ -85,11 +85,7 @@ def fit_left_out(model: AAM, pictures: Iterable[LeftOutImage], methods: Sequence
                 for of_weight in fits[method.name]
             ]
         rng = np.random.default_rng([7, i])
-        near = _near(picture, rng)
-        far = _moved(_near(picture, rng), rng, turn=30.0, shift=0.4)
-        starts = (near, shifted_into(far, (picture.image.shape[1], picture.image.shape[0])))
-        if model.poses is not None:  # fits start from these in a box, and not from the mean shape
-            starts = tuple(np.concatenate(corners_of(start)) for start in (_moved_little(picture.points, rng), far))
+        starts = starts_of(picture, rng)
         places = []
         if not picture.relit and is_searchable(model):
             places = finder.others_in(LinearImage(picture.image, model.response), PLACES)
@@ -186,6 +182,18 @@ def _n_known(model: AAM) -> int | np.ndarray:
     if model.n_missing is None:
         return model.n_images
     return (model.n_images - model.n_missing)[:, None, None]
+
+
+def starts_of(picture: LeftOutImage, rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
+    """Return a start near the object and a distant one in the image: shapes (n, 2), or boxes of a model with poses."""
+    near = _near(picture, rng)
+    far = _moved(_near(picture, rng), rng, turn=30.0, shift=0.4)
+    far = shifted_into(far, (picture.image.shape[1], picture.image.shape[0]))
+    if picture.model.poses is None:
+        return near, far
+    # Fits start from poses in the box, and not from the mean shape.
+    near = _moved_little(picture.points, rng)
+    return np.concatenate(corners_of(near)), np.concatenate(corners_of(far))
 
 
 def _near(picture: LeftOutImage, rng: np.random.Generator) -> np.ndarray:
