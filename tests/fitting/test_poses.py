@@ -17,7 +17,7 @@ from setups import disturb
 def boxes_agree(shape: np.ndarray, start: np.ndarray) -> bool:
     """Whether two shapes have the same centre and diagonal."""
     centres = [np.mean(corners_of(each), axis=0) for each in (shape, start)]
-    return np.allclose(*centres) and np.isclose(diagonal_of(shape), diagonal_of(start))
+    return bool(np.allclose(*centres) and np.isclose(diagonal_of(shape), diagonal_of(start)))
 
 
 @pytest.fixture
