@@ -6,9 +6,10 @@ import numpy as np
 import pytest
 
 from liaam.fitting import FitStatus, Fitter
-from liaam.fitting.fallback import LEAST_OVERLAP, overlap, start_if_failed_far
+from liaam.fitting.fallback import LEAST_OVERLAP, overlap, shape_without_fit, start_if_failed_far
 from liaam.fitting.low_quality import is_judged
 from liaam.model import SURROUNDINGS
+from liaam.model.shape import mean_in_box
 from setups import disturb
 
 SQUARE = np.array([[0.0, 0.0], [10.0, 0.0], [10.0, 10.0], [0.0, 10.0]])
@@ -84,3 +85,23 @@ def test_fits_to_left_out_images_are_as_they_are(calibrated, rng):
     bare = calibrated.with_view(SURROUNDINGS, reliabilities={})
     assert not Fitter(bare).fit(wall, (60, 40, 180, 150)).at_start
     assert is_judged(Fitter(replace(bare, failing_methods=("soft-li",))))
+
+
+def test_without_a_fit_landmarks_are_where_they_lie_in_a_box_on_average():
+    start = SQUARE + 3.0
+    in_box = np.array([[-0.5, -0.5], [0.4, -0.4], [0.5, 0.5], [0.0, 0.0]])
+    expected = [[10, 20], [28, 21], [30, 30], [20, 25]]
+    np.testing.assert_allclose(shape_without_fit((10, 20, 30, 30), start, in_box), expected)
+    # Other starts say more, and not every model knows.
+    assert shape_without_fit(start, start, in_box) is start
+    assert shape_without_fit(None, start, in_box) is start
+    assert shape_without_fit((10, 20, 30, 30), start, None) is start
+
+
+def test_models_know_where_landmarks_lie_in_their_box(calibrated, rng):
+    shapes = rng.normal(0.0, 1.0, (50, 4, 2)) + SQUARE
+    positions = mean_in_box(shapes)
+    boxes = [(shape - shape.min(axis=0)) / np.ptp(shape, axis=0) for shape in shapes]
+    np.testing.assert_allclose(positions, np.mean(boxes, axis=0) - 0.5)
+    assert calibrated.in_box.shape == (calibrated.n_points, 2)
+    np.testing.assert_array_equal(calibrated.reflected.in_box, calibrated.in_box * [-1.0, 1.0])

@@ -36,7 +36,7 @@ def place(calibrated, lit_scene, monkeypatch):
         }
         fitter = Fitter(calibrated, restarts=False)
         vars(fitter)["finder"] = SimpleNamespace(
-            first_in=lambda _: found[0], others_in_turn=lambda _: iter([found[1:]]), parts=(None,)
+            first_in=lambda _: found[0], others_in_turn=lambda *_: iter([found[1:]]), parts=(None,)
         )
         call.briefly = []
 

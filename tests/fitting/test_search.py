@@ -400,6 +400,17 @@ def test_sizes_cover_the_range():
     np.testing.assert_allclose(search_sizes((8, 8), TEMPLATE), [8 * LARGEST])
 
 
+def test_an_elongated_object_in_a_box_is_searched_for_at_its_size():
+    # The surroundings of a box of 300 x 60 pixels, whose diagonal is 306
+    around = (96, 480)
+    assert search_sizes(around, TEMPLATE)[-1] < 200
+    sizes = search_sizes(around, TEMPLATE, known=306.0)
+    assert sizes[-1] > 306.0
+    np.testing.assert_array_equal(sizes[: len(search_sizes(around, TEMPLATE))], search_sizes(around, TEMPLATE))
+    # Of other boxes nothing changes.
+    np.testing.assert_array_equal(search_sizes((160, 160), TEMPLATE, known=141.0), search_sizes((160, 160), TEMPLATE))
+
+
 # Images that are many times as long as high.
 
 

@@ -458,6 +458,16 @@ def test_a_forged_part_of_the_pixels_is_refused(tiny_file, tmp_path, name):
 
 WEIGHTS, PROJECTION = "points.weights", "features.projection"
 
+
+def of_poses(make, count=1):
+    """Return a change that adds poses made of the mean shape."""
+
+    def change(_header, tensors):
+        tensors["poses"] = np.repeat(make(tensors["mean"])[None], count, axis=0).astype(np.float32)
+
+    return change
+
+
 FORGERIES = {
     "map of other landmarks": (tensor(WEIGHTS, lambda w: w[1:]), "points.weights has type"),
     "map of as many points": (tensor(WEIGHTS, lambda w: w[:, :4]), "points.weights do not map"),
@@ -507,6 +517,12 @@ FORGERIES = {
     "many missing": (entry("n_missing", value=[0, 0, 4, 0]), "n_missing has not 4 numbers from 0 to 3"),
     "half missing": (entry("n_missing", value=[0, 0.5, 0, 0]), "n_missing has not 4 numbers from 0 to 3"),
     "odd counts": (entry("n_missing", value="many"), "n_missing has not 4 numbers from 0 to 3"),
+    "few poses": (of_poses(lambda mean: mean[:-1]), "poses has type float32 and shape"),
+    "no pose": (of_poses(lambda mean: mean, count=0), "there are not 1 to 100 poses"),
+    "huge pose": (of_poses(lambda mean: 1e9 * mean), "poses"),
+    "point as pose": (of_poses(lambda mean: 0.0 * mean), "the landmarks of a pose coincide"),
+    "out of the box": (number("in_box", (0, 0), 0.6), "positions in the box are not from -0.5 to 0.5"),
+    "few in the box": (tensor("in_box", lambda positions: positions[:-1]), "in_box has type"),
     "bad eigenvalue": (number("mesh/shape.eigenvalues", slice(None), -1.0), "shape.eigenvalues"),
 }
 

@@ -168,6 +168,8 @@ def describe(model: "AAM", path: Path) -> dict[str, str]:
         more["refiner"] = describe_refiner(model)
     if any(part.rotations != UPRIGHT for part in model.parts):
         more["rotations"] = "objects are turned in any direction, and are searched for in all"
+    if model.poses is not None:
+        more["starts"] = f"{count_of(len(model.poses), 'pose')} of training images, because parts of the object cross"
     if model.scale is not None:
         more["scale"] = f"{model.scale} per pixel in all training images"
     if model.features is not None:

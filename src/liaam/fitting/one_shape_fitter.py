@@ -9,7 +9,7 @@ import numpy as np
 
 from liaam.fitting.loop.encoded_image import NEAR
 from liaam.fitting.loop.levels import CoarseToFine, FittedLevel, Target, is_sane
-from liaam.fitting.loop.objective import Objective, make_objectives
+from liaam.fitting.loop.objective import PRIOR_OF_POSES, Objective, make_objectives
 from liaam.fitting.loop.options import SolverOptions, scored, spare
 from liaam.fitting.methods import DEFAULT_METHOD, Method, get_method
 from liaam.fitting.quality import Calibration, Judge, Surroundings
@@ -63,6 +63,8 @@ class OneShapeFitter:
         final_prior = self.options.final_prior
         if final_prior is None:
             final_prior = self.calibration.final_prior
+            if self.reliability is None and self.model.poses is not None:
+                final_prior = PRIOR_OF_POSES
         return make_objectives(self.model, method, final_prior=final_prior)
 
     @cached_property
@@ -263,15 +265,20 @@ class OneShapeFitter:
 
     def fit_sharpest(self, fit: Blurred, options: SolverOptions) -> FitResult:
         """Fit the sharpest level, from the shape that the others have reached."""
-        n_blurred = len(self.objectives) - 1
-        if not n_blurred or not fit.stages:
+        if len(self.objectives) == 1 or not fit.stages:
             return self.fit_target(fit.target, options)
+        return self.fit_after(fit.target, fit.stages, options)
+
+    def fit_after(self, target: Target, stages: Sequence[FittedLevel], options: SolverOptions) -> FitResult:
+        """Fit the last level of at least two, from the shape that the others have reached."""
+        shape = stages[-1].reached
         if self.regressor is not None:
-            regressed = self._fit_regressed(fit.target._replace(start=fit.shape), options)
+            regressed = self._fit_regressed(target._replace(start=shape), options)
             if regressed is not None:
                 return regressed
-        from_there = fit.target._replace(start=fit.shape, margin=NEAR)
-        return self.result_of(fit.target, [*fit.stages, *self.coarse_to_fine.fit(from_there, options, first=n_blurred)])
+        from_there = target._replace(start=shape, margin=NEAR)
+        last = self.coarse_to_fine.fit(from_there, options, first=len(self.objectives) - 1)
+        return self.result_of(target, [*stages, *last])
 
     def result_of(self, target: Target, stages: Sequence[FittedLevel], doubt: float = 0.0) -> FitResult:
         """Make the result of a fit from its levels; see :meth:`liaam.fitting.quality.Judge.result_of`.

@@ -88,6 +88,13 @@ class AAM:
     in_pieces : bool
         Whether the mesh leaves out triangles that poses of the object turn over, as where legs cross. It may be in
         pieces, each of which has surroundings of its own, and some landmarks may belong to no triangle.
+    poses : (k, n, 2) float32, optional
+        Shapes of training images from which fits start, aligned to the mean shape, pixels of the reference frame; of
+        models whose mesh is in pieces (:mod:`liaam.fitting.search.poses`).
+    in_box : (n, 2) float64, optional
+        Mean position of each landmark in the box of a training image's landmarks, relative to its centre, in units of
+        its width and height: the best guess in a box where a fit fails. Not of objects that are turned in any
+        direction; older files have none.
     rotations : {"upright", "all"}
         Whether the objects in the training images are about upright, or turned in any direction: what fits search for
         by default.
@@ -120,6 +127,8 @@ class AAM:
     n_missing: np.ndarray | None = None
     scale: Length | None = None
     in_pieces: bool = False
+    poses: np.ndarray | None = None
+    in_box: np.ndarray | None = None
     rotations: str = UPRIGHT
     sides: Sides | None = None
 

@@ -31,8 +31,10 @@ from liaam.model.file_format import (
 from liaam.model.file_parts import (
     limits_of_appearances,
     read_features,
+    read_in_box,
     read_light,
     read_point_map,
+    read_poses,
     read_refiner,
     read_regressor,
     read_relief,
@@ -132,6 +134,8 @@ def _fields(header: dict, tensors: dict[str, np.ndarray]) -> dict[str, Any]:
         "views": checked_views,
         "triangles": triangles,
         "in_pieces": in_pieces,
+        "poses": read_poses(tensors, n),
+        "in_box": read_in_box(tensors, n),
         # The header holds the exact angle with which the appearance was learnt; the camera's is rounded.
         "camera": replace(camera, theta=finite(header["theta"]), response=parse_response(header["response"])),
         "n_images": n_images,

@@ -124,6 +124,10 @@ def _header_of_view(view: View) -> dict[str, Any]:
 def _tensors(model: "AAM") -> dict[str, np.ndarray]:
     """Return the tensors of a model by their names in the file, without those of its other shapes."""
     tensors: dict[str, np.ndarray | None] = {"mean": model.shape_model.mean, "triangles": model.triangles}
+    if model.poses is not None:
+        tensors["poses"] = model.poses.astype(np.float32)
+    if model.in_box is not None:
+        tensors["in_box"] = model.in_box
     if model.search_filter is not None:
         tensors["search_filter"] = _half_if_exact(model.search_filter)
     if model.light is not None:

@@ -56,6 +56,7 @@ STORED = {
     "presence": ("usual", "other", "variances", "contrasts", "spreads"),
 }
 RELIEF_STEPS = 127  # Stored value of a component of 1 of a relief's normal
+MOST_POSES = 100  # Largest number of shapes that fits start from
 MOST_STEPS = 10  # Largest number of steps of a regressor
 MOST_WEIGHT = 1e6  # Largest weight of another landmarker's point
 # How objects are turned in training images: about upright, or in any direction

@@ -35,6 +35,7 @@ from liaam.model.file_format import (
     MAX_VALUE,
     MAX_VARIANCE,
     MOST_EXPANSION,
+    MOST_POSES,
     MOST_STEPS,
     MOST_WEIGHT,
     RELIEF_STEPS,
@@ -153,6 +154,29 @@ def read_refiner(tensors: dict[str, np.ndarray], mean: np.ndarray) -> LandmarkRe
     if "refiner.weights" not in tensors:
         return None
     return read_regressor(tensors, "refiner", _shape_model({}, tensors_below(tensors, "refiner."), mean))
+
+
+def read_poses(tensors: dict[str, np.ndarray], n: int) -> np.ndarray | None:
+    """Return the shapes (k, n, 2) float32 that fits start from; None if the model has none."""
+    if "poses" not in tensors:
+        return None
+    poses = checked_tensor(tensors, "poses", np.float32, (None, n, 2))
+    if not 1 <= len(poses) <= MOST_POSES:
+        raise ValueError(f"there are not 1 to {MOST_POSES} poses")
+    check_magnitude("poses", poses, MAX_DIAGONAL)
+    if min(diagonal_of(pose) for pose in poses) < 1.0:
+        raise ValueError("the landmarks of a pose coincide")
+    return poses
+
+
+def read_in_box(tensors: dict[str, np.ndarray], n: int) -> np.ndarray | None:
+    """Return the mean positions (n, 2) of landmarks in their box, from -0.5 to 0.5; None in older files."""
+    if "in_box" not in tensors:
+        return None
+    positions = checked_tensor(tensors, "in_box", np.float64, (n, 2))
+    if np.abs(positions).max() > 0.5:
+        raise ValueError("positions in the box are not from -0.5 to 0.5")
+    return positions
 
 
 def read_regressor(tensors: dict[str, np.ndarray], kind: str, shapes: ShapeModel) -> LandmarkRegressor | None:

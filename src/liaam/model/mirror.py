@@ -57,6 +57,8 @@ def mirrored_model(model: "AAM", order: np.ndarray) -> "AAM":
         refiner=refiner,
         relief=relief,
         search_filter=search_filter,
+        poses=None if model.poses is None else (model.poses * np.array([-1, 1], np.float32))[:, order],
+        in_box=None if model.in_box is None else (model.in_box * np.array([-1.0, 1.0]))[order],
         n_missing=None if model.n_missing is None else model.n_missing[order],
     )
 

@@ -107,6 +107,16 @@ def in_box(shape: np.ndarray, centre: np.ndarray, diagonal: float) -> np.ndarray
     return (shape - 0.5 * (low + high)) * (diagonal / diagonal_of(shape)) + centre
 
 
+def mean_in_box(shapes: np.ndarray) -> np.ndarray:
+    """Return the mean position of each landmark in the bounding box of its shape (m, n, 2), (n, 2), from -0.5 to 0.5.
+
+    They are relative to the centre of the box, in units of its width and height.
+    """
+    low = shapes.min(axis=1, keepdims=True)
+    size = np.ptp(shapes, axis=1, keepdims=True)
+    return np.clip(((shapes - low) / np.maximum(size, 1e-9)).mean(axis=0) - 0.5, -0.5, 0.5)
+
+
 def shifted_into(shape: np.ndarray, size: tuple[int, int]) -> np.ndarray:
     """Shift a shape (n, 2) into an image of size (width, height), if it fits."""
     return shape - np.minimum(shape.min(axis=0), 0.0) - np.maximum(shape.max(axis=0) - (np.array(size) - 1.0), 0.0)

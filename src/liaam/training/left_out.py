@@ -17,6 +17,7 @@ from liaam.model.views import shape_model_of
 from liaam.photometry.encoding import as_colour
 from liaam.training.entries import Entry, image_of
 from liaam.training.lamps import Copies
+from liaam.training.poses import poses_of
 from liaam.training.regressor import Regression, RegressorData
 from liaam.training.reliability import LeftOutFits, LeftOutImage, calibrate, fit_left_out
 from liaam.training.textures import FITTED, SOURCES, Sampled, Steps, learning_cost
@@ -230,7 +231,9 @@ def _without(
         )
         warp = replace(view.warp, shape_model=shape_model)
         model = model.with_view(name, warp=warp, levels=tuple(levels))
-    return model
+    if model.poses is None:
+        return model
+    return replace(model, poses=poses_of(shapes[others], model.shape_model.mean))
 
 
 def _learnt_again(whole: AppearanceModel, textures: Textures, rows: np.ndarray, variance: Variance) -> AppearanceModel:

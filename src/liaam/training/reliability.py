@@ -21,12 +21,12 @@ from liaam.fitting.search.finder import Finder
 from liaam.fitting.search.templates import is_searchable
 from liaam.model import AAM, Reliability
 from liaam.model.contours import outline_errors
-from liaam.model.shape import align, diagonal_of, rotation, shifted_into
+from liaam.model.shape import align, corners_of, diagonal_of, rotation, shifted_into
 from liaam.photometry import is_grey
 from liaam.training.covariances import Alike, learn_covariances, variance_factor, widened
 from liaam.training.left_out_fits import RIGHT, LeftOutFit, LeftOutFits
 from liaam.training.presence import agreement_of, can_be_judged, learn_presence
-from liaam.training.shrinkage import FINAL_PRIORS, least_shrunk
+from liaam.training.shrinkage import least_shrunk, prior_weights
 
 OPTIONS = SolverOptions(max_iterations=20)  # Right fits converge sooner; wrong ones need not converge
 PLACES = 3  # Places of the search that are fitted in an image, besides those that fill the frame
@@ -76,7 +76,7 @@ def fit_left_out(model: AAM, pictures: Iterable[LeftOutImage], methods: Sequence
     """
     finder = Finder(model)
     fitters = []
-    fits = {method.name: [LeftOutFits(weight) for weight in FINAL_PRIORS] for method in methods}
+    fits = {method.name: [LeftOutFits(weight) for weight in prior_weights(model)] for method in methods}
     for i, picture in enumerate(pictures):
         if not fitters or fitters[0].model is not picture.model:
             fitters = [
@@ -85,12 +85,12 @@ def fit_left_out(model: AAM, pictures: Iterable[LeftOutImage], methods: Sequence
                 for of_weight in fits[method.name]
             ]
         rng = np.random.default_rng([7, i])
-        near = _near(picture, rng)
-        far = _moved(_near(picture, rng), rng, turn=30.0, shift=0.4)
-        starts = (near, shifted_into(far, (picture.image.shape[1], picture.image.shape[0])))
+        starts = starts_of(picture, rng)
         places = []
         if not picture.relit and is_searchable(model):
             places = finder.others_in(LinearImage(picture.image, model.response), PLACES)
+            if model.poses is not None:  # other places are fitted from the mean shape alone
+                places = [place.landmarks for place in places]
         for fitter, of_fitter in zip(fitters, chain.from_iterable(fits.values()), strict=True):
             if not (fitter.objectives[0].method.needs_colour and is_grey(picture.image)):
                 tried = [_fit(picture, fitter, start, k == 0) for k, start in enumerate(starts)]
@@ -184,9 +184,25 @@ def _n_known(model: AAM) -> int | np.ndarray:
     return (model.n_images - model.n_missing)[:, None, None]
 
 
+def starts_of(picture: LeftOutImage, rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
+    """Return a start near the object and a distant one in the image: shapes (n, 2), or boxes of a model with poses."""
+    near = _near(picture, rng)
+    far = _moved(_near(picture, rng), rng, turn=30.0, shift=0.4)
+    far = shifted_into(far, (picture.image.shape[1], picture.image.shape[0]))
+    if picture.model.poses is None:
+        return near, far
+    # Fits start from poses in the box, and not from the mean shape.
+    near = _moved_little(picture.points, rng)
+    return np.concatenate(corners_of(near)), np.concatenate(corners_of(far))
+
+
 def _near(picture: LeftOutImage, rng: np.random.Generator) -> np.ndarray:
     mean = picture.model.shape_model.mean
-    return _moved(align(mean, picture.points)(mean), rng, turn=4.0, shift=0.02)
+    return _moved_little(align(mean, picture.points)(mean), rng)
+
+
+def _moved_little(shape: np.ndarray, rng: np.random.Generator) -> np.ndarray:
+    return _moved(shape, rng, turn=4.0, shift=0.02)
 
 
 def _moved(shape: np.ndarray, rng: np.random.Generator, turn: float, shift: float) -> np.ndarray:

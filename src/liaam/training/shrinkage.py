@@ -13,6 +13,8 @@ from typing import NamedTuple
 
 import numpy as np
 
+from liaam.fitting.loop.objective import PRIOR_OF_POSES
+from liaam.model import AAM
 from liaam.model.file_format import MOST_EXPANSION
 from liaam.model.shape import align
 from liaam.training.left_out_fits import LeftOutFit, LeftOutFits
@@ -33,6 +35,11 @@ MOST_INCREASE = 0.05
 MANY = 20
 FEW = 10
 TRIED = 21  # Number of factors that are compared, from that of the share to 1
+
+
+def prior_weights(model: AAM) -> tuple[float, ...]:
+    """Return the weights of the prior on the shape that are compared for a model, the strongest first."""
+    return FINAL_PRIORS if model.poses is None else (PRIOR_OF_POSES,)
 
 
 def least_shrunk(candidates: Sequence[LeftOutFits]) -> LeftOutFits:

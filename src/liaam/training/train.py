@@ -13,9 +13,17 @@ from liaam.errors import TrainingError
 from liaam.fitting.methods import Method
 from liaam.model import AAM, MESH, SURROUNDINGS, VIEWS, Level, View
 from liaam.model.cost import TooLargeError, check_cost
-from liaam.model.file_format import ALL_ROTATIONS
+from liaam.model.file_format import ALL_ROTATIONS, UPRIGHT
 from liaam.model.missing import Missing
-from liaam.model.shape import Recipe, ShapeModel, choose_recipe, mirror_order, scaled_mean, shape_model_on
+from liaam.model.shape import (
+    Recipe,
+    ShapeModel,
+    choose_recipe,
+    mean_in_box,
+    mirror_order,
+    scaled_mean,
+    shape_model_on,
+)
 from liaam.model.views import shape_model_of
 from liaam.photometry import CameraModel
 from liaam.photometry.camera import check_camera
@@ -39,6 +47,7 @@ from liaam.training.lamps import Copies, LearntLamps, learn_lamps
 from liaam.training.left_out import ViewSettings, calibrated, can_be_calibrated, fitted_of, folds_of, groups_of
 from liaam.training.options import AUTO, TrainingOptions
 from liaam.training.points import Points, map_of_points, points_of
+from liaam.training.poses import poses_of
 from liaam.training.regressor import LEAST_OBJECTS, Regression, RegressorData
 from liaam.training.rotations import rotations_of
 from liaam.training.search_filter import FilterLearner
@@ -315,6 +324,7 @@ def _learn_shapes(data: TrainingData, options: TrainingOptions) -> _Shapes:
 def _without_appearances(data: TrainingData, shapes: _Shapes, task: _Task) -> AAM:
     """Return a model of shapes and mesh, whose views have no levels yet."""
     mesh = shapes.mesh
+    rotations = rotations_of(shapes.landmarks, shapes.mean)
     views = {
         view: View(warp=warp_of(shapes.models[view], mesh.triangles, mesh.in_pieces), levels=())
         for view, warp_of in VIEWS.items()
@@ -323,13 +333,15 @@ def _without_appearances(data: TrainingData, shapes: _Shapes, task: _Task) -> AA
         views=views,
         triangles=mesh.triangles,
         in_pieces=mesh.in_pieces,
+        poses=poses_of(shapes.landmarks, shapes.mean) if mesh.in_pieces else None,
         camera=task.camera,
         n_images=len(data.entries),
         contours=data.contours,
         landmark_names=data.landmark_names,
         name=task.name,
         n_missing=None if data.missing is None else data.missing.counts,
-        rotations=rotations_of(shapes.landmarks, shapes.mean),
+        in_box=mean_in_box(shapes.landmarks) if rotations == UPRIGHT else None,
+        rotations=rotations,
     )
 
 

@@ -32,6 +32,7 @@ FARTHEST = 5.0  # Largest such logarithm that is counted, and that of triangles 
 LEAST_AREA = 1e-4  # Least area on the mean shape, relative to the largest triangle
 # Largest share of a triangle that those chosen before may cover on the mean shape, where parts that cross overlap
 MOST_COVERED = 0.1
+NEIGHBOURS = 3  # Number of landmarks that may be of one part with another, whose distances from it vary least
 # Barycentric weights of points inside a triangle, evenly spaced, (k, 3)
 INSIDE = np.array([(i + 1 / 3, j + 1 / 3, 9 - i - j + 1 / 3) for i in range(10) for j in range(10 - i)]) / 10.0
 
@@ -144,12 +145,30 @@ def steady_triangles(shapes: np.ndarray, mean: np.ndarray) -> np.ndarray:
 
 
 def _candidates(shapes: list[np.ndarray]) -> np.ndarray:
-    """Triangles of the Delaunay triangulations of all shapes, each once, (t, 3)."""
+    """Triangles of the Delaunay triangulations of all shapes, and of each landmark's own part, each once, (t, 3).
+
+    Where parts meet, the triangulation of all landmarks may have no triangle within a part.
+    """
     triangles = []
     for shape in shapes:
         with suppress(TrainingError):  # all landmarks on one line
             triangles.append(delaunay(shape))
+    mean = shapes[0]
+    for part in _rigid_neighbours(np.array(shapes[1:])):
+        with suppress(TrainingError):
+            triangles.append(part[delaunay(mean[part])])
     return np.unique(np.sort(np.concatenate(triangles), axis=1), axis=0)
+
+
+def _rigid_neighbours(shapes: np.ndarray) -> np.ndarray:
+    """Return each landmark and those whose distances from it vary least over shapes (m, n, 2), (n, 1 + NEIGHBOURS)."""
+    distances = np.linalg.norm(shapes[:, :, None] - shapes[:, None], axis=-1)
+    logarithms = np.log(np.maximum(distances, 1e-9))
+    first, second = np.triu_indices(shapes.shape[1], 1)
+    logarithms -= np.median(logarithms[:, first, second], axis=1)[:, None, None]  # sizes of the shapes
+    variation = logarithms.std(axis=0)
+    np.fill_diagonal(variation, -1.0)
+    return np.argsort(variation, axis=1, kind="stable")[:, : 1 + NEIGHBOURS]
 
 
 def _deformations(shapes: np.ndarray, triangles: np.ndarray) -> np.ndarray:

@@ -252,12 +252,13 @@ class Finder:
         best = (search.for_one(only_large=True) or [self._in_the_middle(linear.image)])[0]
         return replace(best, others=search.beside(best))
 
-    def _search_for_one(self, linear: LinearImage) -> "_Search":
+    def _search_for_one(self, linear: LinearImage, known: float = 0.0) -> "_Search":
         """Return the search for one object; that of several parts goes on where it stopped."""
         if not self.model.others:
-            return _Search(self, linear, count=PLACES + PLACES_PER_OBJECT, bank=self.templates)
+            return _Search(self, linear, count=PLACES + PLACES_PER_OBJECT, bank=self.templates, known=known)
         if id(self) not in linear.searches:
-            linear.searches[id(self)] = _Search(self, linear, count=LOOKED * OTHERS_OF_PARTS, bank=self.filters)
+            count = LOOKED * OTHERS_OF_PARTS
+            linear.searches[id(self)] = _Search(self, linear, count, bank=self.filters, known=known)
         return linear.searches[id(self)]
 
     def _find_all(self, linear: LinearImage, most: int) -> list[Detection]:
@@ -265,27 +266,28 @@ class Finder:
         search = _Search(self, linear, count=PLACES + PLACES_PER_OBJECT * most, bank=self.templates)
         return search.for_all() or [self._in_the_middle(linear.image)]
 
-    def others_in(self, linear: LinearImage, most: int = OTHERS) -> list[Detection]:
+    def others_in(self, linear: LinearImage, most: int = OTHERS, known: float = 0.0) -> list[Detection]:
         """Find other places to fit if the first is not the object: the next best, and some that fill the frame.
 
         The best come first, ``most`` at most, then those that fill the frame. Their shapes are the aligned mean shape,
-        because deformations of the reduced model are a bad start.
+        because deformations of the reduced model are a bad start. ``known`` is about the diagonal of the object in
+        pixels, if there is a box around it.
         """
-        search = self._search_for_one(linear)
+        search = self._search_for_one(linear, known)
         if not self.model.others:
-            search = _Search(self, linear, count=LOOKED * most, bank=self.filters)
+            search = _Search(self, linear, count=LOOKED * most, bank=self.filters, known=known)
         best = choose(search.ranked(), are_apart, most)
         return self._with_means(choose([*best, *search.filling()], are_apart))
 
-    def others_in_turn(self, linear: LinearImage) -> Iterator[list[Detection]]:
+    def others_in_turn(self, linear: LinearImage, known: float = 0.0) -> Iterator[list[Detection]]:
         """Yield other places in turn, for as long as none of those before is the object; see :meth:`others_in`.
 
         Those of a model of several parts are a few large ones, and then those of all sizes. Others come at once.
         """
         if not self.model.others:
-            yield self.others_in(linear)
+            yield self.others_in(linear, known=known)
             return
-        search = self._search_for_one(linear)
+        search = self._search_for_one(linear, known)
         large = choose(search.ranked(only_large=True), are_apart, AT_FIRST)
         yield self._with_means(large)
         best = choose([*large, *search.ranked()], are_apart, OTHERS_OF_PARTS)
@@ -393,10 +395,18 @@ class _Search:
         Templates that the image is compared with.
     sizes : (k,) float64, optional
         Diagonals of objects to search for, pixels, from small to large; by default those of :func:`search_sizes`.
+    known : float
+        About the diagonal of the object, pixels; 0 if it is not known.
     """
 
     def __init__(
-        self, finder: Finder, linear: LinearImage, count: int, bank: Bank, sizes: np.ndarray | None = None
+        self,
+        finder: Finder,
+        linear: LinearImage,
+        count: int,
+        bank: Bank,
+        sizes: np.ndarray | None = None,
+        known: float = 0.0,
     ) -> None:
         self.finder = finder
         self.limits = OF_FILTERS if bank.normalised else OF_TEMPLATES
@@ -405,7 +415,7 @@ class _Search:
         self.count = count
         self.bank = bank
         diagonal = finder.small.diagonal
-        self.sizes = search_sizes(self.image.shape[:2], diagonal) if sizes is None else sizes
+        self.sizes = search_sizes(self.image.shape[:2], diagonal, known) if sizes is None else sizes
         # Some are large: the largest size exceeds the image.
         self.is_large = self.sizes >= LARGE * min(self.image.shape[:2])
         self.grey = Grey.of(self.image, linear.response, self.sizes[0] / diagonal)
@@ -622,15 +632,17 @@ def find(
     return Finder(named_model(model)).find(image, limit=limit, least=least, response=response)
 
 
-def search_sizes(size: tuple[int, ...], diagonal: float) -> np.ndarray:
+def search_sizes(size: tuple[int, ...], diagonal: float, known: float = 0.0) -> np.ndarray:
     """Return the diagonals of objects to search for in an image (height, width), pixels, in ratios of ``STEP``.
 
-    ``diagonal`` is that of templates, to which fields are scaled. Fields of all sizes have :data:`MOST_PIXELS` at most.
-    Long images are therefore searched for fewer small objects, and extremely long ones for a single larger size.
+    ``diagonal`` is that of templates, to which fields are scaled. ``known`` is about the diagonal of the object, where
+    a box was given: that of an elongated one is larger than the shorter side of its surroundings. Fields of all sizes
+    have :data:`MOST_PIXELS` at most. Long images are therefore searched for fewer small objects, and extremely long
+    ones for a single larger size.
     """
     shorter_side = min(size)
     smallest = max(SMALLEST * shorter_side, LEAST_PIXELS)
-    largest = LARGEST * shorter_side
+    largest = max(LARGEST * shorter_side, STEP * known)
     while _field_pixels(size, diagonal / largest) > MOST_PIXELS:  # extremely long: not even one field is allowed
         largest *= STEP
     if smallest >= largest:

@@ -17,6 +17,7 @@ from liaam.fitting.one_shape_fitter import Blurred, OneShapeFitter
 from liaam.fitting.result import LEAST_QUALITY, FitResult, FitStatus, with_prior
 from liaam.fitting.search.finder import OTHERS, Finder
 from liaam.fitting.search.parts import HOPEFUL, PartFit, fit_coarsest, fit_further, targets_at
+from liaam.model.shape import diagonal_of
 
 if TYPE_CHECKING:
     from liaam.fitting.low_quality import PlaceOdds
@@ -37,6 +38,11 @@ class PlacedFit:
     target: Target
     detection: Detection | None  # of the place, if it was searched for
     part: int = 0  # index of the model's part that was fitted
+
+    @property
+    def diagonal(self) -> float:
+        """Diagonal of the start if it was given, pixels, which is about that of the object; else 0."""
+        return 0.0 if self.detection is not None else diagonal_of(self.target.start)
 
 
 def likeliest(
@@ -124,7 +130,7 @@ def _other_starts_in_turn(
 ) -> Iterator[list[tuple[Detection, np.ndarray]]]:
     """Yield other places in a region in turn, each with its start; of several parts without that of the first fit."""
     low, high = region
-    for places in finder.others_in_turn(first.target.linear.crop(low, high)):
+    for places in finder.others_in_turn(first.target.linear.crop(low, high), first.diagonal):
         starts = [(place, place.landmarks + low) for place in places]
         if len(finder.parts) > 1:
             starts = [(place, start) for place, start in starts if are_apart(first.target.start, start)]
@@ -133,11 +139,11 @@ def _other_starts_in_turn(
 
 
 def other_starts_in(
-    finder: Finder, target: Target, region: tuple[np.ndarray, np.ndarray], most: int = OTHERS
+    finder: Finder, fit: PlacedFit, region: tuple[np.ndarray, np.ndarray], most: int = OTHERS
 ) -> list[tuple[Detection, np.ndarray]]:
     """Return other places in a region (its corners), at most so many, each with its start (n, 2) in the image."""
     low, high = region
-    places = finder.others_in(target.linear.crop(low, high), most)
+    places = finder.others_in(fit.target.linear.crop(low, high), most, fit.diagonal)
     return [(place, place.landmarks + low) for place in places]
 
 
