@@ -4,35 +4,32 @@ namespace liaam {
 
 namespace {
 
-constexpr std::size_t kTall = 6, kWide = 2;  // a tile of A'A: twelve vectors of sums, and their factors, fill 16 registers
+constexpr std::size_t kTall = 6, kWide = 16;  // a tile of A'A: twelve vectors of sums, and their factors, fill 16 registers
 constexpr std::size_t kVectors = 4;          // vectors of modes that are summed together, so that none waits for its last sum
 
 // Adds the products of six modes from i on with sixteen from j on, of a block of weighted modes.
-void add_tile(const float* block, std::size_t size, std::size_t width, std::size_t i, std::size_t j, Matrix& gram) {
+void add_tile(const float* block, std::size_t size, std::size_t stride, std::size_t i, std::size_t j, Matrix& gram) {
     const std::size_t m = gram.rows();
-    std::size_t rows[kTall], columns[kWide];  // beyond the last: that one again
+    std::size_t rows[kTall];  // beyond the last: that one again
     for (std::size_t t = 0; t < kTall; ++t) rows[t] = std::min(i + t, m - 1);
-    for (std::size_t u = 0; u < kWide; ++u) columns[u] = std::min(j + u * kEight, width - kEight);
-    Eight sums[kTall][kWide]{};
-    for (std::size_t e = 0; e < size; ++e, block += width) {
-        const Eight first = load(block + columns[0]), second = load(block + columns[1]);
+    float sums[kTall][kWide]{};
+    for (std::size_t e = 0; e < size; ++e, block += stride)
         for (std::size_t t = 0; t < kTall; ++t) {
-            sums[t][0] += block[rows[t]] * first;
-            sums[t][1] += block[rows[t]] * second;
+            const float own = block[rows[t]];
+#pragma omp simd
+            for (std::size_t c = 0; c < kWide; ++c) sums[t][c] += own * block[j + c];
         }
-    }
     for (std::size_t t = 0; t < kTall && i + t < m; ++t)
-        for (std::size_t u = 0; u < kWide; ++u)
-            for (std::size_t c = 0, at = j + u * kEight; c < kEight && at + c <= i + t; ++c) gram[i + t][at + c] += sums[t][u][c];
+        for (std::size_t c = 0; c < kWide && j + c <= i + t; ++c) gram[i + t][j + c] += sums[t][c];
 }
 
 // Multiplies the codes of residuals by their weights.
 template <class Lines>
 void weigh_block(const Lines& lines, std::size_t begin, std::size_t size, std::size_t width, const float* sqrt_weights,
-                 float* block) {
+                 std::size_t stride, float* block) {
     for (std::size_t e = 0; e < size; ++e)
         for (std::size_t j = 0; j < width; j += kEight)
-            store(block + e * width + j, sqrt_weights[e] * lines.at((begin + e) * width + j));
+            store(block + e * stride + j, sqrt_weights[e] * lines.at((begin + e) * width + j));
 }
 
 // Adds the products of a block of a column with 32 modes from j on.
@@ -60,15 +57,15 @@ void modes_at_residual(const Modes& modes, std::size_t e, std::span<float> out) 
 void weighted_gram(const Modes& modes, Floats sqrt_weights, std::vector<float>& block, Matrix& gram) {
     const std::size_t m = gram.rows(), width = modes.width();
     gram.fill(0.0);
-    block.resize(kBlock * width);
+    const std::size_t stride = (width + kWide - 1) / kWide * kWide;
+    block.assign(kBlock * stride, 0.0f);
     for (std::size_t begin = 0; begin < sqrt_weights.size(); begin += kBlock) {
         const std::size_t size = std::min(kBlock, sqrt_weights.size() - begin);
         with_lines(modes, [&](const auto& lines) {
-            weigh_block(lines, begin, size, width, sqrt_weights.data() + begin, block.data());
+            weigh_block(lines, begin, size, width, sqrt_weights.data() + begin, stride, block.data());
         });
         for (std::size_t i = 0; i < m; i += kTall)
-            for (std::size_t j = 0; j < std::min(i + kTall, m); j += kWide * kEight)
-                add_tile(block.data(), size, width, i, j, gram);
+            for (std::size_t j = 0; j < std::min(i + kTall, m); j += kWide) add_tile(block.data(), size, stride, i, j, gram);
     }
     for (std::size_t i = 0; i < m; ++i)
         for (std::size_t j = 0; j <= i; ++j) gram[j][i] = gram[i][j] *= static_cast<double>(modes.scales[i]) * modes.scales[j];
