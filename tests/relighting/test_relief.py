@@ -11,7 +11,6 @@ import liaam
 from liaam.datasets import load_face
 from liaam.errors import ModelFileError
 from liaam.fitting import Fitter
-from liaam.io import read_image
 from liaam.model.light_basis import HALF, SIDE
 from liaam.relighting import Relighter
 from liaam.relighting.lamp import normals_of, surface_of
@@ -22,7 +21,7 @@ def ball() -> np.ndarray:
     steps = np.linspace(-HALF, HALF, SIDE)
     x, y = np.meshgrid(steps, steps)
     across = np.stack([x, y], axis=-1)
-    return np.float32(across / np.maximum(1.3 * HALF, np.linalg.norm(across, axis=-1, keepdims=True)))
+    return (across / np.maximum(1.3 * HALF, np.linalg.norm(across, axis=-1, keepdims=True))).astype(np.float32)
 
 
 @pytest.fixture(scope="module")
@@ -32,7 +31,7 @@ def face():
 
 @pytest.fixture(scope="module")
 def relighter(face):
-    image = read_image(load_face().image)
+    image = load_face().read_image()
     fitter = Fitter(face)
     return Relighter.of(fitter, image, fitter.fit(image))
 
