@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from liaam.fitting import FitStatus, Fitter
-from liaam.fitting.fallback import LEAST_OVERLAP, overlap, shape_without_fit, start_if_failed_far
+from liaam.fitting.fallback import LEAST_OVERLAP, is_in_box, overlap, shape_without_fit, start_if_failed_far
 from liaam.fitting.low_quality import is_judged
 from liaam.model import SURROUNDINGS
 from liaam.model.shape import mean_in_box
@@ -105,3 +105,9 @@ def test_models_know_where_landmarks_lie_in_their_box(calibrated, rng):
     np.testing.assert_allclose(positions, np.mean(boxes, axis=0) - 0.5)
     assert calibrated.in_box.shape == (calibrated.n_points, 2)
     np.testing.assert_array_equal(calibrated.reflected.in_box, calibrated.in_box * [-1.0, 1.0])
+
+
+def test_whether_landmarks_fill_a_box():
+    assert is_in_box(SQUARE, (0, 0, 10, 10)) and is_in_box(SQUARE, (1, 1, 10, 10))
+    assert not is_in_box(SQUARE, (5, 5, 15, 15)) and not is_in_box(SQUARE * np.nan, (0, 0, 10, 10))
+    assert not is_in_box(SQUARE, SQUARE) and not is_in_box(SQUARE, None)

@@ -63,6 +63,12 @@ def shape_without_fit(init: Any, start: np.ndarray, in_box: np.ndarray | None) -
     return 0.5 * (box[:2] + box[2:]) + in_box * (box[2:] - box[:2])
 
 
+def is_in_box(landmarks: np.ndarray, init: Any) -> bool:
+    """Return whether a start that was given is a box (x0, y0, x1, y1), and landmarks (n, 2) about fill it."""
+    box = np.asarray(getattr(init, "points", init))
+    return box.shape == (4,) and overlap(landmarks, box.reshape(2, 2)) >= LEAST_OVERLAP
+
+
 def overlap(shape: np.ndarray, other: np.ndarray) -> float:
     """Return the intersection over the union of the boxes around two shapes (n, 2); 0 if one is not finite."""
     if not (np.isfinite(shape).all() and np.isfinite(other).all()):

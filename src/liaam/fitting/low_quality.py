@@ -17,7 +17,7 @@ import numpy as np
 
 from liaam.fitting.damaged import PLACES, without_absent
 from liaam.fitting.detection import Detection
-from liaam.fitting.fallback import shape_without_fit, start_if_failed_far
+from liaam.fitting.fallback import is_in_box, shape_without_fit, start_if_failed_far
 from liaam.fitting.one_shape_fitter import Blurred, OneShapeFitter
 from liaam.fitting.result import LEAST_QUALITY, FitResult, FitStatus, odds_of, with_prior
 from liaam.fitting.search.finder import LARGE, Finder
@@ -126,7 +126,9 @@ def fit_elsewhere(
     if result.absent.any():
         result = without_absent(fitter, fit.target, result, partial(elsewhere.starts_of, fit))
     result = with_prior(result, prior)
-    if is_judged(fitter) and (result.status.lost or _is_likely_wrong(fitter, result)):
+    # The pose that a fit started from has another box than the one that was given.
+    may_be_far = fitter.model.poses is None or not is_in_box(result.landmarks, init)
+    if may_be_far and is_judged(fitter) and (result.status.lost or _is_likely_wrong(fitter, result)):
         # A fit from a start that was given is not compared with a place that was searched for.
         start = (fit if init is None else first).target.start
         result = start_if_failed_far(result, shape_without_fit(init, start, fitter.model.in_box), fitter.shapes)
