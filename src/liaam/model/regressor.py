@@ -27,6 +27,7 @@ from liaam.model.point_map import PointErrors
 from liaam.model.sampling import Patch, make_patch
 from liaam.model.shape import LEAST_NOISE, ShapeModel, Similarity, align, similarity_modes
 from liaam.photometry import Response
+from liaam.workers import one_numpy_thread
 
 BINS = 8  # Orientations of gradients that are counted apart
 CELLS = 4  # Histograms around a landmark, in each direction
@@ -261,8 +262,9 @@ class LandmarkRegressor:
     @cached_property
     def _gains(self) -> list[np.ndarray]:
         """C (C + S)^-1 of each step, (2 n, 2 n)."""
-        covariance = frame_covariance(self.shape_model)
-        return [gain_of(covariance, step.errors) for step in self.steps]
+        with one_numpy_thread():  # so that the bits are the same with any number of threads
+            covariance = frame_covariance(self.shape_model)
+            return [gain_of(covariance, step.errors) for step in self.steps]
 
 
 def frame_covariance(shapes: ShapeModel) -> np.ndarray:
@@ -290,4 +292,5 @@ def combined(shape: np.ndarray, predicted: np.ndarray, mean: np.ndarray, gain: n
     to_mean = align(shape, mean)
     aligned = to_mean(shape)
     deviation = (aligned + predicted - mean).ravel()
-    return to_mean.inverse()(mean + (gain @ deviation).reshape(-1, 2))
+    moved = np.einsum("ij,j->i", gain, deviation)  # the bits of a product by BLAS depend on its threads
+    return to_mean.inverse()(mean + moved.reshape(-1, 2))
