@@ -47,8 +47,8 @@ CARD = ModelCard(
         "10 composites; and copies of these, mirrored, relit, and with the head turned and other expressions"
     ),
     accuracy=(
-        "median errors for unknown persons, % of the distance between the eyes: 1.7 under hard flashes, 3.7 frontal, "
-        "4.5 in spot light, 5.3 smiling, 5.5 turned by 30° (5 % are lost), 3.5 in photographs of any kind (16 % lost)"
+        "median errors for unknown persons, % of the distance between the eyes: 1.6 under hard flashes, 3.5 frontal, "
+        "4.2 in spot light, 4.6 smiling, 5.2 turned by 30° (7 % are lost), 3.2 in photographs of any kind (18 % lost)"
     ),
     limits=(
         "not for heads turned by more than 40°, laughing mouths, thick glasses, black beards, masks and children; not "
@@ -56,15 +56,15 @@ CARD = ModelCard(
     ),
     licence="CC BY 4.0 (https://creativecommons.org/licenses/by/4.0/)",
     credit=(
-        "the liaam developers, and for the photographs, under the same licence, which were reduced, mirrored, relit, "
-        "turned and given other expressions: "
+        "the liaam developers, and for the photographs, under the same licence, which were reduced, mirrored, turned "
+        "and relit: "
         "DeBruine, L. & Jones, B. (2017), Face Research Lab London Set (Version 5), "
         "doi 10.6084/m9.figshare.5047666.v5; "
         "DeBruine, L. & Jones, B. (2017), Young Adult White Faces with Manipulated Versions (Version 1), "
         "doi 10.6084/m9.figshare.4220517.v1; "
         "DeBruine, L. (2016), Young adult composite faces, doi 10.6084/m9.figshare.4055130.v1; "
-        "for the heads on which faces turn, of its lamps and its relief: Li, R. et al. (2020), Learning Formation of "
-        "Physically-Based Face Attributes, CVPR (ICT-FaceKit, MIT licence)"
+        "for the heads behind it: Li, R. et al. (2020), Learning Formation of Physically-Based Face Attributes, "
+        "CVPR (ICT-FaceKit, MIT licence)"
     ),
 )
 """What users of the model should know. The accuracy is that of experiments/notes/face-model.md."""

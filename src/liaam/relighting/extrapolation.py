@@ -135,7 +135,8 @@ def _alike(inside: np.ndarray, own: np.ndarray, reach: float) -> tuple[np.ndarra
     colours = colours - brightness
     mean = colours[inside].mean(axis=0)
     apart = 3.0 * mean_of(np.square(colours - mean))[..., None] / ANOTHER_COLOUR**2
-    saturation = ((colours @ mean)[..., None] + NEUTRAL) / (mean @ mean + NEUTRAL)
+    along = np.einsum("hwc,c->hw", colours, mean)[..., None]  # a matrix product depends on BLAS's number of threads
+    saturation = (along + NEUTRAL) / (np.square(mean).sum() + NEUTRAL)
     pale = smoothstep((VIVID - saturation) / (VIVID - PALE)) * smoothstep(brighter)
     return np.exp(-0.5 * np.maximum(apart - 1.0, 0.0)), 1.0 - (1.0 - pale) * np.exp(-0.5 * np.square(brighter))
 
