@@ -124,6 +124,7 @@ def _smooth_modes(model: AAM) -> np.ndarray:
     return np.array(modes, np.float32)
 
 
+@one_numpy_thread()
 def light_on_image(model: AAM, coordinates: np.ndarray, region: Region) -> np.ndarray:
     """Return the change of log light around an object in a region of an image, (h, w, 3) float32; 0 without lamps."""
     if model.light is None or not coordinates.any():
