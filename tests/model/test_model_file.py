@@ -638,7 +638,7 @@ def test_levels_that_are_not_blurred_are_refused_by_their_work(tmp_path):
         for view in about.get("views", {}).values():
             view["blurs"] = [0.0] * len(view["blurs"])
     message = complaint(tmp_path / "forged.liaam", header, tensors)
-    assert "the model is too large: a fit would take 8.1e+09 multiplications a step" in message
+    assert "the model is too large: a fit would take 6.8e+09 multiplications a step" in message
     assert "train it with a smaller diagonal, fewer modes" in message
 
 

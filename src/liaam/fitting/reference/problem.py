@@ -105,8 +105,12 @@ class Problem:
         self.metric_slope = c * by_sin - s * by_cos
 
     def _project_model(self) -> None:
-        """P(theta_1) A_0 and P(theta_1) A_i, and their gradients, where theta_1 is free."""
-        factors = np.array([1.0, np.cos(self.angles[0]), np.sin(self.angles[0])])[: len(self.mode_parts)]
+        """P(theta_1) A_0 and P(theta_1) A_i, and their gradients."""
+        if len(self.mode_parts) == 1:  # theta_1 is fixed
+            self.modes = self.mode_parts[0]
+            self.mode_gradients = self.mode_gradient_parts[0]
+            return
+        factors = np.array([1.0, np.cos(self.angles[0]), np.sin(self.angles[0])])
         self.modes = np.tensordot(factors, self.mode_parts, axes=1)
         self.mode_gradients = np.tensordot(factors, self.mode_gradient_parts, axes=1)
 
