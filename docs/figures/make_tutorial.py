@@ -27,8 +27,10 @@ def main() -> None:
         fitter = Fitter(model)
         for name, path in (("tutorial-fit", HARD_LIGHT / "head-3.jpg"), ("tutorial-photo", FACE / "lisa.jpg")):
             image = liaam.read_image(path)
-            fitted = overlay_of_fit(image, fitter.fit(path), model)
-            save(name, [Image.fromarray(each) for each in (image, fitted, liaam.relight(model, path))])
+            shown = [image, overlay_of_fit(image, fitter.fit(path), model)]
+            if path.parent == HARD_LIGHT:  # six generated heads do not say how skin looks in a dark photograph
+                shown.append(liaam.relight(model, path))
+            save(name, [Image.fromarray(each) for each in shown])
 
 
 def save(name: str, images: list[Image.Image]) -> None:
