@@ -1,6 +1,7 @@
 """What must stay right: labels, messages, fixed targets, undo, Escape, Back, reloads, and small screens."""
 
 from pathlib import Path
+from urllib.parse import unquote
 
 import pytest
 from people import NAMES, annotate, client, shoot, wait_for, wait_for_state, wait_until
@@ -188,17 +189,32 @@ def test_the_picture_begins_high_on_a_low_page(serve, open_page, marked, artefac
 def test_a_proposal_that_comes_while_a_picture_opens_is_shown(serve, page, folder, portrait_model):
     """A large picture takes seconds to open, in which its marks may change."""
     held, answered = [], []
+    states = {}  # of the pictures, as the page knows them
+
+    def list_pictures(route):
+        response = route.fetch()
+        listed = response.json()
+        if not states and any(picture["state"] == "new" for picture in listed["pictures"]):
+            for picture in listed["pictures"]:  # as before the first proposal; the list is fetched again with the next
+                picture["state"] = picture["state"].replace("proposed", "new")
+        states.update({picture["name"]: picture["state"] for picture in listed["pictures"]})
+        route.fulfill(response=response, json=listed)
 
     def answer(route):
         if route.request.method != "GET" or answered:
             route.continue_()
             return
         answered.append(route)
+        name = unquote(route.request.url.rpartition("/landmarks")[0].partition("/pictures/")[2])
+        if states.get(name) == "proposed":  # the proposal came before the page, which asks for no other marks
+            route.continue_()
+            return
         response = route.fetch()
         marks = response.json()
         before = {"source": "none", "points": [None] * len(marks["points"])}
         route.fulfill(response=response, json={**marks, **before})
 
+    page.route("**/api/project", list_pictures)
     page.route("**/landmarks", answer)
     page.route(SHOWN, lambda route: held.append(route))
     page.goto(serve(folder, "--model", str(portrait_model)).address)
