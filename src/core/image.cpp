@@ -73,14 +73,8 @@ class RowSum {
 
     void begin() { is_empty_ = true; }
     void add(float share, const float* row) {
-        float* sums = sums_.data();
-        if (is_empty_) {
-#pragma omp simd
-            for (std::size_t x = 0; x < n_; ++x) sums[x] = share * row[x];
-        } else {
-#pragma omp simd
-            for (std::size_t x = 0; x < n_; ++x) sums[x] += share * row[x];
-        }
+        if (is_empty_) set_first(share, row);
+        else add_next(share, row);
         is_empty_ = false;
     }
     const std::vector<float>& total() {
@@ -89,6 +83,17 @@ class RowSum {
     }
 
   private:
+    void set_first(float share, const float* row) {
+        float* sums = sums_.data();
+#pragma omp simd
+        for (std::size_t x = 0; x < n_; ++x) sums[x] = share * row[x];
+    }
+    void add_next(float share, const float* row) {
+        float* sums = sums_.data();
+#pragma omp simd
+        for (std::size_t x = 0; x < n_; ++x) sums[x] += share * row[x];
+    }
+
     std::vector<float> sums_;
     std::size_t n_;
     bool is_empty_ = true;
