@@ -54,12 +54,18 @@ def test_shapes_that_are_alike_as_they_are_are_not_reflected(sample):
     assert "compared as they are" in shapes(sample, {})["sides"]
 
 
-def test_shapes_of_the_left_are_reflected_to_the_right(tmp_path, rng):
-    for name in ("left/a", "left/b", "right/c", "right/d"):
-        (tmp_path / name).parent.mkdir(exist_ok=True)
-        write_image(tmp_path / f"{name}.png", np.full((30, 40, 3), 90, np.uint8))
-    project = Project(tmp_path)
+def project_of(folder, names) -> Project:
+    """Give pictures with these names, in subfolders, and a template."""
+    for name in names:
+        (folder / name).parent.mkdir(exist_ok=True)
+        write_image(folder / f"{name}.png", np.full((30, 40, 3), 90, np.uint8))
+    project = Project(folder)
     project.save_template(TEMPLATE)
+    return project
+
+
+def test_shapes_of_the_left_are_reflected_to_the_right(tmp_path, rng):
+    project = project_of(tmp_path, ("left/a", "left/b", "right/c", "right/d"))
     for name in by_name(project):
         points = BASE + rng.normal(0, 0.5, BASE.shape)
         put(project, name, (points * [-1, 1] + [39, 0] if name.startswith("left") else points).tolist())
@@ -69,11 +75,7 @@ def test_shapes_of_the_left_are_reflected_to_the_right(tmp_path, rng):
 
 
 def test_shapes_are_shown_while_some_have_no_side(tmp_path, rng):
-    for name in ("left/a", "left/b", "right/c", "unsorted/d"):
-        (tmp_path / name).parent.mkdir(exist_ok=True)
-        write_image(tmp_path / f"{name}.png", np.full((30, 40, 3), 90, np.uint8))
-    project = Project(tmp_path)
-    project.save_template(TEMPLATE)
+    project = project_of(tmp_path, ("left/a", "left/b", "right/c", "unsorted/d"))
     for name in by_name(project):
         put(project, name, (BASE + rng.normal(0, 0.5, BASE.shape)).tolist())
     found = shapes(project, {})

@@ -57,16 +57,22 @@ def shape_without_fit(init: Any, start: np.ndarray, in_box: np.ndarray | None) -
     in_box : (n, 2) float64, optional
         Mean positions of the landmarks in their box (:attr:`liaam.AAM.in_box`).
     """
-    box = np.asarray(getattr(init, "points", init))
-    if in_box is None or box.shape != (4,):
+    box = _given_box(init)
+    if in_box is None or box is None:
         return start
     return 0.5 * (box[:2] + box[2:]) + in_box * (box[2:] - box[:2])
 
 
 def is_in_box(landmarks: np.ndarray, init: Any) -> bool:
     """Return whether a start that was given is a box (x0, y0, x1, y1), and landmarks (n, 2) about fill it."""
+    box = _given_box(init)
+    return box is not None and overlap(landmarks, box.reshape(2, 2)) >= LEAST_OVERLAP
+
+
+def _given_box(init: Any) -> np.ndarray | None:
+    """Return the box (x0, y0, x1, y1) that a start is; None for other starts."""
     box = np.asarray(getattr(init, "points", init))
-    return box.shape == (4,) and overlap(landmarks, box.reshape(2, 2)) >= LEAST_OVERLAP
+    return box if box.shape == (4,) else None
 
 
 def overlap(shape: np.ndarray, other: np.ndarray) -> float:
