@@ -272,7 +272,7 @@ def test_every_example_has_its_place_in_the_gallery():
 PASTED = {
     "README.md": ("liaam-fits/lisa_fit.png", "lisa_relit.png", "new.pts"),
     "docs/index.md": ("liaam-fits/lisa_fit.png", "lisa_relit.png", "new.pts"),
-    "docs/tutorial/first-model.md": ("faces-model.png", "fits/photo.json", "new.pts", "photo_flat.png"),
+    "docs/tutorial/first-model.md": ("faces-model.png", "fits/photo.json", "new.pts", "new_flat.png"),
 }
 """Pages whose blocks run when they are pasted in order, and some of the files that they write."""
 
