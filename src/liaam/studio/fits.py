@@ -152,7 +152,7 @@ class Fit:
         detection = self.result.found
         if detection is None:
             return None
-        return {"score": round(detection.score, 4), "doubtful": detection.doubtful}
+        return {"score": round(detection.score, 4), "doubtful": self.result.detection_doubtful}
 
     def _boxes(self) -> list[list[float]]:
         """Return boxes (left, top, right, bottom) of all objects, this one first; none if it is the only one."""

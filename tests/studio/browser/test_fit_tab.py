@@ -264,7 +264,7 @@ def test_a_fit_becomes_the_annotation_after_asking(fit_tab, folder, portraits):
     assert np.abs(read_landmarks(folder / "portrait-01.pts").points - shape).max() < 0.01
 
 
-def test_a_fit_of_low_quality_is_shown_in_amber_and_compared_by_quality(fit_tab, lit_file):
+def test_a_fit_is_coloured_by_its_status_and_compared_by_quality(fit_tab, lit_file):
     """The server's answers are changed, so that the fits end with the wanted quality."""
 
     def answer(route):
@@ -277,7 +277,7 @@ def test_a_fit_of_low_quality_is_shown_in_amber_and_compared_by_quality(fit_tab,
     for address in ("**/api/fits", "**/api/uploads?*"):
         fit_tab.route(address, answer)
     dropped(fit_tab, lit_file)
-    fit_tab.locator("[data-testid=fit-status] .badge.warn", has_text="converged, quality 60 %").wait_for()
+    fit_tab.locator("[data-testid=fit-status] .badge.good", has_text="converged, quality 60 %").wait_for()
     fit_tab.locator("[data-testid=tab-compare]").click()
     verdict = fit_tab.locator("[data-testid=compare-verdict]")
     verdict.get_by_text("rgb is more likely to be right: quality 70 %, soft-li: 60 %").wait_for()

@@ -7,7 +7,7 @@ import { test } from "node:test";
 import { fileNameIn } from "./modules/api.js";
 import { shareAfterKey } from "./modules/divider.js";
 import {
-  betterOf, cleaned, comparison, duration, factsOf, FitStore, meanDistance, significant, verdictOf,
+  betterOf, cleaned, comparison, duration, factsOf, FitStore, kindOf, meanDistance, significant, verdictOf,
 } from "./modules/fit-run.js";
 import { relativeCosts } from "./modules/fit-iterations.js";
 import { FrameMeter } from "./modules/ui.js";
@@ -338,7 +338,7 @@ test("a fit that failed or is doubtful says what to do", () => {
   assert.equal(verdictOf(fit()).kind, "good");
   assert.equal(specimenText(fit({ specimen: { name: "tray#2", number: 2, fault: "" } })), `tray#2: ${verdictOf(fit()).title}`);
   const doubt = verdictOf(fit({ found: { score: 0.1, doubtful: true } }));
-  assert.equal(doubt.kind, "warn");
+  assert.match(doubt.title, /search uncertain$/);
   assert.match(doubt.advice, /box/);
   const failed = verdictOf(fit({ ok: false, status: "diverged" }));
   assert.equal(failed.kind, "bad");
@@ -347,10 +347,16 @@ test("a fit that failed or is doubtful says what to do", () => {
   assert.equal(verdictOf(fit({ n_found: 1 })).advice, "");
   assert.equal(verdictOf(fit({ found: null })).kind, "good");
   assert.equal(verdictOf(fit()).title, "converged, quality 93 %");
-  assert.equal(verdictOf(fit({ quality: 0.6 })).kind, "warn");
-  assert.equal(verdictOf(fit({ quality: 0.6 })).isSure, false);
-  const unknown = verdictOf(fit({ quality: null }));
-  assert.deepEqual([unknown.kind, unknown.title, unknown.isSure], ["warn", "converged, quality unknown", true]);
+  assert.equal(verdictOf(fit({ quality: null })).title, "converged, quality unknown");
+});
+
+test("the colour of a fit follows from its status alone, as in overlays", () => {
+  const expected = JSON.parse(readFileSync(`${process.env.LIAAM_INVARIANT}/kinds.json`, "utf8"));
+  for (const [status, { kind, ok }] of Object.entries(expected)) {
+    assert.equal(kindOf(status), kind, status);
+    for (const quality of [0.3, 0.9, null]) assert.equal(verdictOf(fit({ status, ok, quality })).kind, kind, status);
+  }
+  assert.ok(Object.keys(expected).length > 5);
 });
 
 test("numbers are told in people's units", () => {

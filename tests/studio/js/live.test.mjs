@@ -23,7 +23,7 @@ test("the object is searched anew at first, after a pause, and after a step back
 
 test("a row of the server is a fit", () => {
   const fit = parseRow(found);
-  assert.equal(fit.status, "found");
+  assert.deepEqual([fit.status, fit.fitStatus], ["found", "converged"]);
   assert.ok(fit.ok);
   assert.equal(fit.quality, 0.875);
   assert.deepEqual(fit.shape, [[1.5, 2], [3, 4.25]]);
@@ -60,8 +60,8 @@ test("the timeline has a mark for each frame", () => {
   const track = new Track(header);
   track.set(0, found);
   track.set(0.5, lost);
-  assert.deepEqual(track.marks(0.8), [[0, "good"], [0.5, "bad"]]);
-  assert.deepEqual(track.marks(0.9)[0], [0, "warn"]);
+  track.set(1, found.replace("converged", "max iterations"));
+  assert.deepEqual(track.marks(), [[0, "good"], [0.5, "bad"], [1, "warn"]]);
 });
 
 test("graphs show the rows of the table, in the order of time, with gaps where the object is lost", () => {
@@ -92,6 +92,8 @@ test("advice is for a camera or for a file, and only about what is known", () =>
   assert.match(said(gone), /facing the camera/);
   assert.equal(said(gone, { isFile: true }), "The object is lost in this frame.");
   assert.equal(said(frame), "The object is found, quality 88 %.");
+  const kind = verdictOfFrame(frame, { isFile: false, isFlat: false, rate: null }).kind;
+  assert.equal(kind, "good"); // by the status of the fit, not by that of the track
   assert.equal(said(frame, { isFlat: true }), said(frame)); // the frame was sent before
   assert.match(said({ ...frame, asked: true }, { isFlat: true }), /must have colour/);
   assert.match(said(frame, { rate: 7.25 }), /slow: 7.3 frames/);

@@ -68,14 +68,14 @@ export function offer(select, model) {
 export const entries = (rows) => rows.map(([term, value]) => h("div", h("dt", term), h("dd.number", value)));
 const FAR = 1e4; // css pixels
 
-/** Fits are yellow like all landmarks; failed ones and those of low quality are orange and dashed. */
+/** Fits that may be used are yellow like all landmarks; others are orange and dashed. */
 const GOOD = { colour: "#ffd166", dash: [] };
 const UNSURE = { colour: "#ff8c5a", dash: [6, 4] };
 const ABSENT = "#ff2828"; // rings around the places of landmarks that are not there
 
 /** Draw a fit's shape, or that of an iteration, with the overlays in a set of names; opacity: of overlays, by name. */
 export function drawFit(ctx, viewer, fit, shown, { shape = fit.shape, final = true, opacity = {} } = {}) {
-  const { colour, dash } = verdictOf(fit).isSure ? GOOD : UNSURE;
+  const { colour, dash } = verdictOf(fit).kind === "good" ? GOOD : UNSURE;
   const draw = (name, work) => {
     ctx.globalAlpha = opacity[name] ?? 1;
     if (shown.has(name)) work();

@@ -63,29 +63,25 @@ export function cleaned(fit) {
   };
 }
 
-/** Quality from which a fit is shown as good: fewer than one in five such fits is wrong. */
-export const SURE = 0.8;
 const percent = (fraction) => `${Math.round(100 * fraction)} %`;
+const KINDS = { converged: "good", "light unobservable": "good", doubtful: "warn", "max iterations": "warn" };
 
-/** Assessment of a fit: {kind of its badge, title, advice or "", isSure: whether nothing speaks against it}. */
+/** Kind of a status of a fit, by the rule of FitStatus.colour in fitting/result.py: "good", "warn" or "bad". */
+export const kindOf = (status) => KINDS[status] ?? "bad";
+
+/** Assessment of a fit: {kind of its badge, title, advice or ""}. A frame of a video also has the status of a track. */
 export function verdictOf(fit) {
-  const { ok, status, quality } = fit;
-  const isUnknown = quality == null;
-  if (!ok) {
-    const kind = ["doubtful", "max iterations"].includes(status) ? "warn" : "bad";
-    const advice = "Draw a box around the object, or drag the mean shape onto it:";
-    return { kind, title: status, advice, isSure: false };
-  }
-  const title = `${status}, quality ${isUnknown ? "unknown" : percent(quality)}`;
-  const isSure = isUnknown || quality >= SURE;
+  const { ok, status, fitStatus = status, quality } = fit;
+  const kind = kindOf(fitStatus);
+  if (!ok) return { kind, title: status, advice: "Draw a box around the object, or drag the mean shape onto it:" };
+  const title = `${status}, quality ${quality == null ? "unknown" : percent(quality)}`;
   if (fit.found?.doubtful) {
     const advice = "The search may not have found the object. If the points are wrong, draw a box around it:";
-    return { kind: "warn", title: `${title}, search uncertain`, advice, isSure };
+    return { kind, title: `${title}, search uncertain`, advice };
   }
   const more = (fit.n_found ?? 1) - 1;
   const others = more > 0 ? `${several(more, "more object")} in the picture. Fit them in turn, or draw a box around one:` : "";
-  if (isSure) return { kind: isUnknown ? "warn" : "good", title, advice: others, isSure };
-  return { kind: "warn", title, advice: "Check the points. If they are wrong, draw a box around the object:", isSure };
+  return { kind, title, advice: others };
 }
 
 export function duration(seconds) {

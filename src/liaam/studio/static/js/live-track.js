@@ -1,6 +1,6 @@
 // The track of a video: the row of each frame as the server writes it. This module is independent of the page.
 
-import { verdictOf } from "./fit-run.js";
+import { kindOf, verdictOf } from "./fit-run.js";
 
 const FACTS = 10; // columns before those of the points
 const PER_POINT = 7; // x, y, fitted x and y, variances and covariance
@@ -25,7 +25,7 @@ export function parseRow(row) {
   if (ok)
     for (let i = FACTS; i < cells.length; i += PER_POINT) points.push(cells.slice(i, i + PER_POINT).map(Number));
   return {
-    status: cells[2], ok, quality: numberIn(cells[4]),
+    status: cells[2], fitStatus: cells[3], ok, quality: numberIn(cells[4]),
     roll: numberIn(cells[6]), size: numberIn(cells[7]), centre: [cells[8], cells[9]].map(numberIn),
     shape: points.map(([x, y]) => [x, y]),
     covariances: points.map(([, , , , xx, xy, yy]) => [[xx, xy], [xy, yy]]),
@@ -61,16 +61,16 @@ export class Track {
   set(time, row) {
     const fit = parseRow(row);
     this.end = time;
-    const { quality, roll, size, shape } = fit;
-    this.rows.set(key(time), { row, time, quality, roll, size, shape: Float32Array.from(shape.flat()) });
+    const { fitStatus, quality, roll, size, shape } = fit;
+    this.rows.set(key(time), { row, time, fitStatus, quality, roll, size, shape: Float32Array.from(shape.flat()) });
     return fit;
   }
 
   at(time) { return this.rows.get(key(time))?.row ?? null; }
 
-  /** Time in seconds and kind of each frame: "good", "warn" or "bad", by its quality. */
-  marks(sure) {
-    const kind = ({ shape, quality }) => (!shape.length ? "bad" : quality >= sure ? "good" : "warn");
+  /** Time in seconds and kind of each frame: that of its fit, and "bad" where the object is lost. */
+  marks() {
+    const kind = ({ shape, fitStatus }) => (shape.length ? kindOf(fitStatus) : "bad");
     return [...this.rows.values()].map((frame) => [frame.time, kind(frame)]);
   }
 

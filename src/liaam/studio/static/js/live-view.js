@@ -2,7 +2,6 @@
 
 import { Divider } from "./divider.js";
 import { drawFit, drawOver, entries, modelNeeded, Overlays } from "./fit-draw.js";
-import { SURE } from "./fit-run.js";
 import { LiveGraphs } from "./live-graphs.js";
 import { button, fileField, FrameMeter, h, icon, perFrame, press, relist, slider } from "./ui.js";
 import { Viewer } from "./viewer.js";
@@ -165,7 +164,7 @@ export class LiveView {
     this._time.textContent = `${currentTime.toFixed(1)} / ${duration.toFixed(1)} s`;
     const width = (this._strip.width = this._strip.clientWidth);
     const [ctx, style] = [this._strip.getContext("2d"), getComputedStyle(this._strip)];
-    for (const [time, kind] of track.marks(SURE)) {
+    for (const [time, kind] of track.marks()) {
       ctx.fillStyle = style.getPropertyValue(`--${kind}`);
       ctx.fillRect(Math.floor((time / duration) * width), 0, Math.ceil(width / (25 * duration)), 8);
     }
