@@ -33,7 +33,7 @@ def test_enter_on_an_untouched_mean_shape_saves_nothing(blank, marked):
     opened(blank, NAMES[2])
     assert warning.count() == 0
     wait_for_state(blank, NAMES[1], "unchecked")
-    blank.locator(f"[data-testid=strip] [data-name='{NAMES[1]}']", has_text="not checked").wait_for()
+    blank.locator(f"[data-testid=strip] [data-name='{NAMES[1]}']", has_text="mean shape").wait_for()
     assert not list(marked.glob("portrait-02.*json"))
     blank.reload()
     opened(blank, NAMES[2])

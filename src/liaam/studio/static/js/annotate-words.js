@@ -53,4 +53,4 @@ export function missingText(names, left) {
 
 export const UNTOUCHED =
   "This is the mean shape, and no point of it was moved. Move it into place, or press Enter again to leave the " +
-  "picture as not checked.";
+  "picture without points.";

@@ -1,7 +1,7 @@
 // What the list of pictures shows: the state of each picture, and which pictures match. Needs no page.
 
 const STATES = {
-  reading: "reading…", new: "no points", unchecked: "not checked", done: "done", proposed: "proposed",
+  reading: "reading…", new: "no points", unchecked: "mean shape", done: "done", proposed: "proposed",
   broken: "cannot be read",
 };
 
