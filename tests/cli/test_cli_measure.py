@@ -182,6 +182,7 @@ def test_matching_symmetry_is_printed_and_written(run, wings, tmp_path):
     code, out, err = run(*given, "--permutations", 99, "--seed", 5, "--plot", tmp_path / "t.png")
     assert (code, err) == (0, "")
     assert "error: from 2 replicates of each side" in out
+    assert " records" in out.splitlines()[0]  # of fewer specimens
     assert "t.png: asymmetry" in out and (tmp_path / "t.png").stat().st_size > 1000
     anova = pd.read_csv(tmp_path / "t_anova.csv").set_index(["trait", "effect"])
     assert anova["df"].tolist() == [5, 1, 5, 12, 23] * 2

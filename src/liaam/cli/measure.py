@@ -145,8 +145,8 @@ def measure(
         list[Path] | None,
         typer.Option(
             metavar="LABELS",
-            help="Landmarks of the same specimens that a person has placed, a file or a folder: say whether those that "
-            "are measured are fit for statistics. Give a second person's with another --compare.",
+            help="Landmarks that a person has placed on the same specimens, a file or a folder: print whether those "
+            "that are measured are good enough for statistics. Give a second person's with another --compare.",
         ),
     ] = None,
     permutations: Annotated[int, typer.Option(help="Random permutations for the tests of asymmetry and groups.")] = 999,
@@ -196,7 +196,8 @@ def measure(
         variation = morphometry.shape_variation(specimens, columns, of_groups, permutations, seed)
     agreement = _agreement(specimens, compare, of_groups, reading) if compare else None
     write_columns(output, columns)
-    say(f"{output}: {count_of(len(specimens), 'specimen')}{_unit_said(columns)}")
+    what = "specimen" if replicates is None else "record"
+    say(f"{output}: {count_of(len(specimens), what)}{_unit_said(columns)}")
     if scale is None or scale in UNITS:
         _say_sources(specimens)
     if reflected:
