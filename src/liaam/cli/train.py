@@ -233,12 +233,15 @@ def report(model: "AAM", output: Path, light: "LearntLamps | Literal['auto'] | N
     if not len(model.shape_model.modes):
         say("the shape is rigid, without shape modes: fits find position, size and rotation only")
     if light == inputs.AUTO and model.n_lamps:
-        say("the objects are faces, so the lamps are those of rendered heads (--lamps none for none)")
+        say(
+            "the objects are faces, so the copies are under lamps that were learned from rendered heads (--lamps none "
+            "for no copies in other light)"
+        )
     view = model.views[METHODS[DEFAULT_METHOD].view]
     bound = view.shape_model.left_out_bound
     say(
-        f"limit of accuracy: {bound / model.diagonal:.1%} of the object's size, the error of the best shapes of the "
-        "model for left-out images. Fits have larger errors; more training images lower both"
+        f"limit of accuracy: {bound / model.diagonal:.1%} of the diagonal of the landmarks' box, the mean error of the "
+        "model's best shapes for left-out images. Fits have larger errors. More training images lower both"
     )
     if model.points is not None:
         away = model.points.deviation
