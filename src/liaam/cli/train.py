@@ -234,14 +234,14 @@ def report(model: "AAM", output: Path, light: "LearntLamps | Literal['auto'] | N
         say("the shape is rigid, without shape modes: fits find position, size and rotation only")
     if light == inputs.AUTO and model.n_lamps:
         say(
-            "the objects are faces, so the copies are under lamps that were learned from rendered heads (--lamps none "
-            "for no copies in other light)"
+            "the objects are faces, so liaam trained on copies under lamps of rendered heads (--lamps none for no such "
+            "copies)"
         )
     view = model.views[METHODS[DEFAULT_METHOD].view]
     bound = view.shape_model.left_out_bound
     say(
-        f"limit of accuracy: {bound / model.diagonal:.1%} of the diagonal of the landmarks' box, the mean error of the "
-        "model's best shapes for left-out images. Fits have larger errors. More training images lower both"
+        f"limit of accuracy: perfect fits to left-out images would have a mean error of {bound / model.diagonal:.1%} "
+        "of the diagonal of the landmarks' box. Real fits have larger errors. More training images lower both"
     )
     if model.points is not None:
         away = model.points.deviation
