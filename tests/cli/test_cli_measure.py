@@ -379,7 +379,8 @@ def test_the_agreement_with_people_and_the_variance_of_groups_are_written(run, t
     options = ("--compare", tmp_path / "first.csv", "--compare", tmp_path / "second.csv", "--groups", groups)
     code, out, err = run("measure", folder, "-o", tmp_path / "t.csv", *options)
     assert code == 0, err
-    assert "between people" in out and "for Methods: " in out and "a – b: means" in out and "reliability ratio" in out
+    assert "of the shapes of two people" in out and "for the section Methods of a paper: " in out
+    assert "a – b: means" in out and "reliability ratio" in out
     agreement = json.loads((tmp_path / "t_agreement.json").read_text())
     assert agreement["n_specimens"] == 12 and 0.8 < agreement["slope"] < 1.2
     scores = pd.read_csv(tmp_path / "t_scores.csv")
@@ -388,5 +389,5 @@ def test_the_agreement_with_people_and_the_variance_of_groups_are_written(run, t
     assert json.loads((tmp_path / "t_variation.json").read_text())["tests"][0]["specimens"] == 12
     assert (tmp_path / "t_agreement.png").exists() and len(pd.read_csv(tmp_path / "t_bias.csv")) == 4
     code, _, err = run("measure", folder, "-o", tmp_path / "u.csv", "--compare", folder)
-    assert code == 1 and "the labels are copies of the automatic landmarks (12 of 12 specimens)" in err
+    assert code == 1 and "the landmarks by hand are copies of the automatic landmarks (12 of 12 specimens)" in err
     assert not (tmp_path / "u.csv").exists()

@@ -388,7 +388,8 @@ def test_report(tmp_path: Path) -> None:
     add_pair(tmp_path, "few", SQUARE[:3])
     assert load_folder(tmp_path).report().splitlines() == [
         f"3 samples from {tmp_path}",
-        "4 landmarks each, 1 missing in total; 300-W points (.pts): 3",
+        "4 landmarks in each sample, 1 missing in total",
+        "landmark files by format: 300-W points (.pts): 3",
         "left out 1: 3 landmarks where most have 4 (few.pts)",
         "  first: those of few",
         "left out 4: the image has no landmarks (p.png, q.png, r.png, s.png)",

@@ -79,10 +79,10 @@ def test_wrong_input_is_refused_by_name(rng):
     truth = specimens(rng, 8)
     with pytest.raises(LiaamError, match="4 specimens with all landmarks: variances of shape are compared from 5"):
         compare_shapes(truth[:4] + 0.1, truth[:4])
-    with pytest.raises(LiaamError, match="the labels are copies of the automatic landmarks"):
+    with pytest.raises(LiaamError, match="the landmarks by hand are copies of the automatic landmarks"):
         compare_shapes(truth, truth)
     alike = np.tile(truth[0], (8, 1, 1))
-    with pytest.raises(LiaamError, match="the labels of all specimens have one shape"):
+    with pytest.raises(LiaamError, match="the landmarks by hand of all specimens have the same shape"):
         compare_shapes(truth, alike + rng.normal(size=(8, 1, 2)))
     with pytest.raises(LiaamError, match="3 specimens with all landmarks"):
         compare_shapes(truth, np.where(np.arange(8)[:, None, None] < 5, 7.0, truth + 0.1))  # all in one place
@@ -169,7 +169,7 @@ def test_labels_that_are_copies_are_left_out_and_counted(rng):
     labels[7, 0] = automatic[7, 0]
     found = compare_shapes(automatic, labels)
     assert (found.n_specimens, found.n_copied) == (13, 7)
-    assert "7 left out, whose labels are copies of the automatic landmarks" in found.report()
+    assert "7 left out, whose landmarks by hand are copies of the automatic landmarks" in found.report()
     labels[7:17] = automatic[7:17]
     with pytest.raises(LiaamError, match=r"copies of the automatic landmarks \(17 of 20 specimens\)"):
         compare_shapes(automatic, labels)

@@ -47,8 +47,8 @@ def test_fits_are_right_refused_silent_or_lost(mixed):
     np.testing.assert_allclose(mixed.errors, [0.02, 0.03, 0.032, 0.1, np.inf])
     report = mixed.report()
     assert "median 3.20, 90th percentile inf, largest inf" in report
-    assert "lost (error above 3.0%): 3 of 5, of which silent (called right): 1" in report
-    assert "refused (right, but called doubtful or failed): 1" in report
+    assert "wrong (error above 3.0%): 3 of 5, 1 of them silent (the status is converged)" in report
+    assert "refused (error within this limit, but the status is doubtful or failed): 1" in report
     assert mixed.worst(2).tolist() == [4, 3]
     assert mixed.coverage == 1.0  # of im0 and im2
     assert evaluation([2.4, 2.5], (OK, OK)).coverage == 0.5  # the radius is 2.45 standard deviations
@@ -199,7 +199,7 @@ def test_the_command_writes_tables_and_pictures(run, folder, tmp_path):
     code, out, _ = run("evaluate", folder / "face.liaam", folder / "faces", *options)
     assert code == 0
     assert "4 images; mean error in % of the diagonal of the landmarks' box" in out
-    assert "lost (error above 20.0%): 0 of 4" in out
+    assert "wrong (error above 20.0%): 0 of 4" in out
     tables = {name: (tmp_path / f"out/{name}.csv").open() for name in ("errors", "images", "landmarks")}
     rows = {name: list(csv.DictReader(table)) for name, table in tables.items()}
     assert [len(own) for own in rows.values()] == [4 * 5, 4, 5]
@@ -212,7 +212,7 @@ def test_the_command_trains_on_folds(run, folder, tmp_path, monkeypatch):
     monkeypatch.setattr(measure, "train", lambda data, **options: liaam.train(data, **options | changed))
     run_folds = partial(run, "evaluate", "--folds", 4, "-m", "grey", "--limit", 50, "-o", tmp_path / "e.csv")
     code, out, _ = run_folds(folder / "faces")
-    assert code == 0 and "lost (error above 50.0%): 0 of 4" in out
+    assert code == 0 and "wrong (error above 50.0%): 0 of 4" in out
     assert len((tmp_path / "e.csv").read_text().splitlines()) == 1 + 4 * 5
     for more, words in (
         ((folder / "face.liaam", folder / "faces"), "give the folder only, or leave --folds out"),
@@ -263,7 +263,8 @@ def test_the_command_compares_shapes_with_those_of_two_people_and_of_groups(run,
     options = ("-m", "grey", "--init", faces, "--limit", 50, "-o", tmp_path / "out", "--groups", groups)
     code, out, err = run("evaluate", folder / "face.liaam", faces, *options, "--second", tmp_path / "second")
     assert code == 0, err
-    assert "between people" in out and "for Methods: Automatic landmarks of 6 specimens" in out
+    assert "of the shapes of two people" in out
+    assert "for the section Methods of a paper: Automatic landmarks of 6 specimens" in out
     read = json.loads((tmp_path / "out/shapes.json").read_text())
     assert read["n_specimens"] == 6 and read["attenuation"] is not None and read["repeatability_of_people"] < 1
     assert (tmp_path / "out/shapes.png").read_bytes()[:4] == b"\x89PNG"
@@ -283,7 +284,7 @@ def test_points_that_the_studio_proposed_are_no_labels(run, folder, scenes, tmp_
     options = ("-m", "grey", "--init", faces, "--limit", 50, "-o", tmp_path / "out")
     code, out, err = run("evaluate", folder / "face.liaam", faces, *options)
     assert code == 0
-    assert "2 points of 1 image left out, which were accepted as they were proposed, and are no labels: f1" in err
+    assert "2 points of 1 image left out, because they were accepted as the studio proposed them: f1" in err
     assert "shapes of 5 specimens (1 left out, which lack landmarks)" in out
     rows = [row for row in csv.DictReader((tmp_path / "out/errors.csv").open()) if row["image"] == "f1"]
     assert [row["true_x"] == "" for row in rows] == [True, True, False, False, False]
@@ -311,7 +312,7 @@ def test_the_command_measures_a_learning_curve(run, tmp_path, monkeypatch, rng):
     options = ("--learning-curve", "-m", "grey", "--limit", 50, "-o", tmp_path / "out")
     code, out, err = run("evaluate", faces, *options)
     assert code == 0, err
-    assert "forecast for 16 pictures: median error" in out
+    assert "forecast for 16 training images: median error" in out
     rows = list(csv.DictReader((tmp_path / "out/learning-curve.csv").open()))
     assert [row["pictures"] for row in rows] == ["5", "6"]
     read = json.loads((tmp_path / "out/learning-curve.json").read_text())

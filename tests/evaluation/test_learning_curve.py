@@ -37,11 +37,11 @@ def test_many_pictures_decide_the_exponent(rng):
 
 def test_the_report_says_whether_more_pictures_help(rng):
     falling = curve(rng, 0.5, 500)
-    assert "these are enough" not in falling.report()
+    assert "images are enough" not in falling.report()
     flat = curve(rng, 0.0, 500, people=0.03)
-    assert "twice as many pictures would gain 0.0" in flat.report() and "these are enough" in flat.report()
-    assert "people repeat their landmarks within 3.00 %: 5 pictures reach it" in flat.report()
-    assert "it is not reached yet" in curve(rng, 0.0, 500, people=0.001).report()
+    assert "would lower the error by only 0.0" in flat.report() and "the images are enough" in flat.report()
+    assert "people's landmarks are 3.00 % apart; models of 5 images or more are as near" in flat.report()
+    assert "no model is as near yet" in curve(rng, 0.0, 500, people=0.001).report()
 
 
 def test_the_curve_is_kept_as_numbers(rng):

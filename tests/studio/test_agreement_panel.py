@@ -81,5 +81,5 @@ def test_the_command_leaves_out_labels_that_were_only_accepted(two, tmp_path, ru
     anna.store.close()
     code, out, err = run("measure", first.root, "-o", tmp_path / "t.csv", "--compare", first.root / "anna")
     assert code == 0, err
-    assert "1 specimen of" in err and "accepted as they were proposed" in err
+    assert "1 specimen of" in err and "accepted as the studio proposed them" in err
     assert "shapes of 9 specimens" in out

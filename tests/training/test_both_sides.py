@@ -280,7 +280,7 @@ def test_the_command_line_says_how_many_are_of_each_side(both, tmp_path, run):
     folder = folder_of(tmp_path / "w", both[:N_TRAINED], names)
     quick = "--no-leave-out", "--copies", "0", "--diagonal", "50"
     code, out, err = run("train", folder, "-o", tmp_path / "m.liaam", *quick)
-    said = "of the 15 training images, 5 are left and reflected to the 10 right ones; fits try both"
+    said = "10 right and 5 left training images; the left ones are reflected; fits try both sides"
     assert (code, err) == (0, "") and said in " ".join(out.split())
     code, out, _ = run("show", tmp_path / "m.liaam", "-o", tmp_path / "m.json")
     assert code == 0 and said in " ".join(out.split())
@@ -292,7 +292,7 @@ def test_the_command_line_says_how_many_are_of_each_side(both, tmp_path, run):
     code, _, err = run("fit", tmp_path / "m.liaam", image, "-o", tmp_path / "fits", "--side", "up")
     assert code == 1 and "unknown side 'up'; choose from auto, both, right, left" in err
     code, out, _ = run("check", folder)
-    assert code == 0 and "5 of 15 images left, and compared reflected" in " ".join(out.split())
+    assert code == 0 and "side left: 5 of 15 images, whose landmarks are compared reflected" in " ".join(out.split())
     code, out, _ = run("evaluate", tmp_path / "m.liaam", tmp_path / "new", "-o", tmp_path / "errors")
     assert code == 0 and "sides: 1 left; fits of the wrong side: 0" in " ".join(out.split())
 
@@ -305,7 +305,8 @@ def test_a_few_mirrored_images_are_named_by_the_check(both, right, tmp_path, run
         out.split()
     )
     code, out, err = run("train", folder, "-o", tmp_path / "m.liaam", "--no-leave-out", "--copies", "0")
-    assert (code, err) == (0, "") and "1 is mirrored and reflected to the 11 original ones" in " ".join(out.split())
+    said = "11 original and 1 mirrored training images; the mirrored ones are reflected"
+    assert (code, err) == (0, "") and said in " ".join(out.split())
 
 
 def test_points_of_another_landmarker_are_reflected_with_their_image(both):

@@ -26,12 +26,12 @@ def fit_off_by(error: float, near: bool = True) -> LeftOutFit:
 def test_the_accuracy_counts_fits_from_near_starts_alone():
     fits = [fit_off_by(0.01), fit_off_by(0.02), fit_off_by(0.2), fit_off_by(0.2, near=False)]
     assert LeftOutFits(fits=fits, n_near=4).describe() == (
-        "2 of 4 fits to left-out training images, from starts near the object, have an error of at most 3% of its "
-        "size; these are off by 1.5% on average"
+        "in left-out images, 2 of 4 fits from starts near the object are right (error at most 3% of the "
+        "diagonal of the landmarks' box); the mean error of right fits is 1.5%"
     )
 
 
 def test_the_accuracy_is_not_stated_where_nothing_was_fitted_or_nothing_was_right():
     assert LeftOutFits().describe() == ""
     none_right = LeftOutFits(fits=[fit_off_by(0.2)], n_near=1).describe()
-    assert none_right.startswith("0 of 1 fit ") and "average" not in none_right
+    assert "0 of 1 fit " in none_right and "mean error" not in none_right

@@ -557,7 +557,8 @@ def test_pictures_whose_names_tell_nothing_are_left_out_one_by_one_or_in_a_few_f
     assert [fold.tolist() for fold in folds_of(["face1", "face2", "face3"])] == [[0], [1], [2]]
     assert describe_objects(["face1", "face2", "face3"]) == describe_objects(["anna", "bob", "carl"]) == ""
     together = (
-        "cross-validation leaves out all images of an object together, by their names: anna (2), bob (1), carl (1)"
+        "images of the same object, by their names: anna (2), bob (1), carl (1); cross-validation leaves them out "
+        "together"
     )
     assert describe_objects(["anna-1", "bob-1", "anna-2", "carl-1"]) == together
     assert describe_objects(["1", "2", "a1", "b1"]) == ""  # numbers alone name no object

@@ -51,7 +51,7 @@ def check(
     unusable = check_pixels(data)
     faults = faults_by_sample(list(data), inputs.parse_shapes(shapes), sides)
     if not faults:
-        say(f"no {'other ' if unusable else ''}faults found in the landmarks of single images")
+        say(f"no {'other ' if unusable else ''}faults found in the landmarks")
         n_landmarks = len(data.samples[0].landmarks.points)
         if n_landmarks < LEAST_POINTS:
             say(
@@ -61,7 +61,7 @@ def check(
         if unusable:
             raise typer.Exit(1)
         return
-    table = table_of("image", "landmarks")
+    table = table_of("image", "fault")
     for sample, faults_of_sample in faults:
         for fault in faults_of_sample:
             table.add_row(cell(sample.name), cell(fault.message))
@@ -172,8 +172,8 @@ def reflected_before(samples: list[Sample], sides: str) -> np.ndarray:
         return np.zeros(len(samples), bool)
     if found.sides.n_other:
         which = some_names([samples[i].name for i in np.flatnonzero(found.is_other).tolist()])
-        images = count_of(len(samples), "image")
-        say(f"{found.sides.n_other} of {images} {found.sides.other}, and compared reflected: {which}")
+        count = f"{found.sides.n_other} of {count_of(len(samples), 'image')}"
+        say(f"side {found.sides.other}: {count}, whose landmarks are compared reflected: {which}")
     return found.is_other
 
 

@@ -40,9 +40,9 @@ def evaluate(
     folds: Annotated[
         int | None,
         typer.Option(
-            help="Cross-validate without a MODEL: divide the images into so many parts, and evaluate on each a model "
-            "of the others. Images of one person or object, by their names, stay together. As many parts as images: "
-            "leave one out.",
+            help="Number of parts for cross-validation without a MODEL: the images are divided into parts, and for "
+            "each part a model that was trained on the other parts is evaluated. Images of one person or object, "
+            "according to their names, are in one part.",
             min=2,
         ),
     ] = None,
@@ -50,22 +50,22 @@ def evaluate(
         bool,
         typer.Option(
             "--learning-curve",
-            help="Instead of a given model, measure the errors of models of 5, 10, 20, ... pictures of the folder on "
-            "others, and forecast those of twice as many.",
+            help="Train models on 5, 10, 20, ... images of the folder, measure their errors on other images of it, and "
+            "forecast the error of a model trained on twice as many images as there are. Give no MODEL.",
         ),
     ] = False,
     second: Annotated[
         Path | None,
         typer.Option(
-            help="Landmarks of the same images by another person, or by the same person again: a file or a folder. "
-            "The variance of shape is then estimated without the errors of people."
+            help="Landmarks that another person placed on the same images, or the same person again: a file or a "
+            "folder. The variance of shape is then estimated without the errors of people."
         ),
     ] = None,
     groups: Annotated[
         Path | None,
         typer.Option(
-            help="Table .csv with the columns specimen (or image) and group, to say by how much differences between "
-            "groups are attenuated."
+            help="Table .csv with the columns specimen (or image) and group, to estimate how much smaller differences "
+            "between groups appear in automatic shapes."
         ),
     ] = None,
     init: Annotated[
@@ -79,15 +79,15 @@ def evaluate(
         str | None,
         typer.Option(
             metavar="A-B",
-            help="Give errors in % of the distance between two landmarks, by numbers from 1 or by names. By default of "
-            "the diagonal of the landmarks' box.",
+            help="Two landmarks, by their numbers from 1 or their names. Errors are then in % of the distance between "
+            "them. By default, errors are in % of the diagonal of the landmarks' box.",
         ),
     ] = None,
     limit: Annotated[
         float | None,
         typer.Option(
-            help="Largest mean error of a right fit, in %. By default 3 % of the diagonal, up to which training counts "
-            "fits as right, or 8 % with --normalise.",
+            help="Largest mean error of a right fit, in %. By default 3 % of the diagonal, as in training, or 8 % with "
+            "--normalise.",
             min=0.01,
         ),
     ] = None,
@@ -98,10 +98,11 @@ def evaluate(
     y_down: inputs.YDownOption = False,
     stored_orientation: inputs.StoredOption = False,
 ) -> None:
-    """Fit landmarked images and compare: errors, lost fits, coverage of the 95 % ellipses, and variance of shape.
+    """Fit images that have landmarks, and compare the fits with these landmarks.
 
-    Writes the errors of each landmark and image as tables, their cumulative distribution, the worst ten fits, and how
-    automatic shapes agree with labelled ones, with sentences for Methods.
+    Prints the errors, the number of wrong fits, how many landmarks are inside their 95 % ellipses, and whether
+    automatic shapes vary as much as those placed by hand. Writes the errors of each landmark and each image as tables,
+    and pictures of the ten worst fits.
     """
     from liaam.evaluation import cross_validate, evaluate as evaluated, learning_curve as curve_of
     from liaam.model import load_model
@@ -140,7 +141,7 @@ def evaluate(
     show_landmarks(evaluation)
     say(evaluation.report())
     if evaluation.agreement is not None:
-        say(f"for Methods: {evaluation.agreement.methods()}")
+        say(f"for the section Methods of a paper: {evaluation.agreement.methods()}")
     say(f"written to {output}")
 
 
@@ -193,8 +194,8 @@ def without_proposals(data: "Dataset", folder: Path) -> "Dataset":
         samples.append(replace(sample, landmarks=replace(sample.landmarks, points=own)))
     if changed:
         complain(
-            f"{count_of(n_points, 'point')} of {count_of(len(changed), 'image')} left out, which were accepted as they "
-            f"were proposed, and are no labels: {some_names(changed)}; move or confirm each in the studio"
+            f"{count_of(n_points, 'point')} of {count_of(len(changed), 'image')} left out, because they were accepted "
+            f"as the studio proposed them: {some_names(changed)}; move or confirm each point in the studio"
         )
     return replace(data, samples=tuple(samples))
 
@@ -235,7 +236,7 @@ def write_curve(output: Path, curve: "LearningCurve") -> None:
     from liaam.plotting import save_figure
 
     columns = curve.to_columns()
-    table = table_of("pictures", "median", "90th percentile", "lost", "slope of shapes")
+    table = table_of("images", "median", "90th percentile", "wrong", "slope of shapes")
     for size, *percents, slope in zip(*columns.values(), strict=True):
         shown = [f"{percents[0]:.2f} %", f"{percents[1]:.2f} %", f"{percents[2]:.0f} %"]
         table.add_row(str(size), *shown, "–" if slope != slope else f"{slope:.2f}")

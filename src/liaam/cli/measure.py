@@ -291,8 +291,8 @@ def _labels(path: Path, reading: Reading) -> "list[Specimen]":
         specimens.append(replace(specimen, points=own) if n_proposed else specimen)
     if changed:
         complain(
-            f"{count_of(len(changed), 'specimen')} of {path} left out, since points were accepted as they were "
-            f"proposed, and are no labels: {some_names(changed)}; move or confirm each in the studio"
+            f"{count_of(len(changed), 'specimen')} of {path} left out, because points were accepted as the studio "
+            f"proposed them: {some_names(changed)}; move or confirm each point in the studio"
         )
     return specimens
 
@@ -307,7 +307,7 @@ def _write_agreement(agreement: "ShapeAgreement", output: Path) -> None:
     write_text_atomically(everything, agreement.to_json())
     save_figure(agreement.plot(), figure)
     say(agreement.report())
-    say(f"for Methods: {agreement.methods()}")
+    say(f"for the section Methods of a paper: {agreement.methods()}")
     say(f"{everything}: agreement with people's landmarks; also {shapes.name}, {bias.name} and {figure.name}")
 
 

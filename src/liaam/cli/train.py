@@ -62,22 +62,24 @@ def train(
     copies: Annotated[
         int | None,
         typer.Option(
-            help="Copies of each image under other lamps; every second copy is mirrored if the object is symmetric. "
-            "Without lamps one mirrored copy. 0 for none."
+            help="Number of copies of each image under other lamps. If the object is symmetric, every second copy is "
+            "mirrored, and without lamps there is one mirrored copy. 0 for none."
         ),
     ] = None,
     points: Annotated[
         Path | None,
         typer.Option(
-            help="Folder with another landmarker's points on the images, in files named as the images, or 'mediapipe' "
-            "for its face mesh. Fits can then start from its points with --init, and weigh them in."
+            help="Folder with the points that another program found on the images, in files with the names of the "
+            "images; or 'mediapipe' for its face mesh. Fits can then start from such points with --init, and use them "
+            "as a prior."
         ),
     ] = None,
     contour: Annotated[
         list[str] | None,
         typer.Option(
-            help="Landmarks along a line such as the jaw, along which they are less certain than across, by numbers "
-            "from 1: 1-17, or 37-42,37 for a closed line. May be repeated. By default the lines of the landmark files."
+            help="Landmarks on a contour such as the jaw, by numbers from 1: 1-17, or 37-42,37 for a closed contour. "
+            "They are less certain along the contour than across it. May be repeated. By default the contours of the "
+            "landmark files."
         ),
     ] = None,
     methods: MethodsOption = "",
@@ -233,12 +235,15 @@ def report(model: "AAM", output: Path, light: "LearntLamps | Literal['auto'] | N
     if not len(model.shape_model.modes):
         say("the shape is rigid, without shape modes: fits find position, size and rotation only")
     if light == inputs.AUTO and model.n_lamps:
-        say("the objects are faces, so the lamps are those of rendered heads (--lamps none for none)")
+        say(
+            "the objects are faces, so liaam trained on copies under lamps of rendered heads (--lamps none for no such "
+            "copies)"
+        )
     view = model.views[METHODS[DEFAULT_METHOD].view]
     bound = view.shape_model.left_out_bound
     say(
-        f"limit of accuracy: {bound / model.diagonal:.1%} of the object's size, the error of the best shapes of the "
-        "model for left-out images. Fits have larger errors; more training images lower both"
+        f"limit of accuracy: perfect fits to left-out images would have a mean error of {bound / model.diagonal:.1%} "
+        "of the diagonal of the landmarks' box. Real fits have larger errors. More training images lower both"
     )
     if model.points is not None:
         away = model.points.deviation

@@ -156,8 +156,8 @@ class Dataset:
             formats = ", ".join(f"{kind}: {n}" for kind, n in kinds.items())
             n_missing = sum(int(sample.landmarks.missing.sum()) for sample in self.samples)
             missing = f", {n_missing} missing in total" if n_missing else ""
-            count = f"{len(self.samples[0].landmarks)} landmarks each{missing}"
-            lines.append(f"{count}; {formats}" if formats else count)
+            lines.append(f"{len(self.samples[0].landmarks)} landmarks in each sample{missing}")
+            lines += [f"landmark files by format: {formats}"] if formats else []
         counts = Counter(sample.image for sample in self.samples if isinstance(sample.image, Path))
         if shared := [image for image, count in counts.items() if count > 1]:
             n_objects = sum(counts[image] for image in shared)

@@ -155,12 +155,13 @@ class ShapeAgreement:
         by_chance = "as by chance" if self.p_of_means > 0.05 else "more than by chance"
         people = ""
         if np.isfinite(self.repeatability_of_people):
-            people = f", between people {self.repeatability_of_people:.3f}"
+            people = f"; of the shapes of two people: {self.repeatability_of_people:.3f}"
         lines = [
-            f"shapes of {specimens}{self._left_out()}: automatic ones have {self.variance_ratio:.2f} times the "
-            f"variance of the labels, and a slope of {self.slope:.2f} ({_range(self.slope_interval)}) on them",
-            f"intraclass correlation of automatic and labelled shapes: {self.repeatability:.3f}{people}; reliability "
-            f"ratio {self.reliability:.2f}, factor of regression calibration {self.calibration:.2f}",
+            f"shapes of {specimens}{self._left_out()}: automatic shapes have {self.variance_ratio:.2f} times the "
+            f"variance of shapes placed by hand; slope on these {self.slope:.2f} ({_range(self.slope_interval)})",
+            f"intraclass correlation of automatic shapes and shapes placed by hand: {self.repeatability:.3f}{people}",
+            f"squared correlation with {self._compared_with}: {self.reliability:.2f}; factor of regression "
+            f"calibration: {self.calibration:.2f}",
             f"mean shapes: {self.mean_distance:.1f} standard errors apart, {by_chance} (P = {self.p_of_means:.3f})",
             f"centroid sizes: correlation {self.size_correlation:.3f}, ratio {self.size_ratio:.3f}",
             f"a difference between groups appears multiplied by about {self._of_groups()}",
@@ -180,10 +181,10 @@ class ShapeAgreement:
             f"Automatic landmarks of {specimens} were compared with landmarks {people}, after a Procrustes "
             f"superimposition: automatic shapes had {self.variance_ratio:.2f} times their variance, a slope of "
             f"{self.slope:.2f} on them (95 % confidence interval {_range(self.slope_interval)}), an intraclass "
-            f"correlation of {self.repeatability:.2f}{repeated} and a reliability ratio of {self.reliability:.2f}. The "
-            f"mean shapes were {self.mean_distance:.1f} standard errors apart ({probability}), the correlation of "
-            f"centroid sizes was {self.size_correlation:.3f}, and a difference between groups is expected to appear "
-            f"multiplied by {self._of_groups()} (attenuation)."
+            f"correlation of {self.repeatability:.2f}{repeated} and a squared correlation of {self.reliability:.2f} "
+            f"with {self._compared_with}. The mean shapes were {self.mean_distance:.1f} standard errors apart "
+            f"({probability}), the correlation of centroid sizes was {self.size_correlation:.3f}, and a difference "
+            f"between groups is expected to appear multiplied by {self._of_groups()} (attenuation)."
         )
 
     def to_json(self) -> str:
@@ -204,8 +205,13 @@ class ShapeAgreement:
         if self.n_left_out:
             counts.append(f"{self.n_left_out} left out, which lack landmarks")
         if self.n_copied:
-            counts.append(f"{self.n_copied} left out, whose labels are copies of the automatic landmarks")
+            counts.append(f"{self.n_copied} left out, whose landmarks by hand are copies of the automatic landmarks")
         return f" ({'; '.join(counts)})" if counts else ""
+
+    @property
+    def _compared_with(self) -> str:
+        """The shapes of the squared correlation: their errors are known only if two people have placed landmarks."""
+        return "the true shapes" if np.isfinite(self.repeatability_of_people) else "the shapes placed by hand"
 
     def _of_groups(self) -> str:
         """Return the attenuation of given groups, with its interval, or else the slope."""
@@ -341,9 +347,9 @@ def _chosen(sets: Sequence[np.ndarray]) -> _Choice:
         return choice
     if copied.any():
         raise LiaamError(
-            f"the labels are copies of the automatic landmarks ({int(copied.sum())} of "
-            f"{count_of(len(complete), 'specimen')}), with which these cannot be compared: give landmarks that "
-            "people have placed"
+            f"the landmarks by hand are copies of the automatic landmarks ({int(copied.sum())} of "
+            f"{count_of(len(complete), 'specimen')}), and cannot be compared with them: give landmarks that people "
+            "have placed"
         )
     raise LiaamError(
         f"{count_of(n, 'specimen')} with all landmarks: variances of shape are compared from {FEWEST} specimens on"
@@ -357,7 +363,9 @@ def _superimposed(sets: Sequence[np.ndarray]) -> _Superimposed:
     deviations = positions - positions.mean(axis=1, keepdims=True)
     first = deviations[1]
     if _product(first, first) < len(first) * LEAST_VARIED**2:
-        raise LiaamError("the labels of all specimens have one shape, with whose variance none can be compared")
+        raise LiaamError(
+            "the landmarks by hand of all specimens have the same shape, so there is no variance to compare"
+        )
     return _Superimposed(positions, ours=deviations[0], first=first, other=deviations[-1])
 
 

@@ -146,15 +146,16 @@ class LearningCurve:
         error, lowest, highest = (100 * each for each in self.forecast())
         now = 100 * float(np.exp(np.log(self.medians[-1]) - self._exponent()[0] * np.log(n / self.sizes[-1])))
         lines = [
-            f"forecast for {2 * n} pictures: median error {error:.2f} % of {self.normaliser} (95 % interval "
-            f"{lowest:.2f} to {highest:.2f}), {now:.2f} % with all {n}"
+            f"forecast for {2 * n} training images: median error {error:.2f} % of {self.normaliser} (95 % interval "
+            f"{lowest:.2f} to {highest:.2f}); with all {n} images: {now:.2f} %"
         ]
         if error > (1 - GAIN) * now:
-            lines.append(f"twice as many pictures would gain {max(0.0, now - error):.2f} %: these are enough")
+            gain = max(0.0, now - error)
+            lines.append(f"twice as many images would lower the error by only {gain:.2f} %: the images are enough")
         if np.isfinite(self.people):
             reached = [size for size, median in zip(self.sizes, self.medians, strict=True) if median <= self.people]
-            what = f"{reached[0]} pictures reach it" if reached else "it is not reached yet"
-            lines.append(f"people repeat their landmarks within {100 * self.people:.2f} %: {what}")
+            what = f"models of {reached[0]} images or more are as near" if reached else "no model is as near yet"
+            lines.append(f"two people's landmarks are {100 * self.people:.2f} % apart; {what} to people's landmarks")
         return "\n".join(lines)
 
 

@@ -290,29 +290,29 @@ class Evaluation:
     def report(self) -> str:
         """Summarise the errors, the outcomes and the coverage, as text."""
         k = len(self)
-        held = "unknown, since no fit is called right" if np.isnan(self.coverage) else f"{self.coverage:.1%}"
+        held = "unknown, since no fit may be used" if np.isnan(self.coverage) else f"{self.coverage:.1%}"
         median, p90, largest = (_percentile(100 * self.errors, q) for q in (50, 90, 100))
-        lost, refused = self._lost_and_refused(self.outcomes)
+        wrong, refused = self._wrong_and_refused(self.outcomes)
         lines = [
             f"{count_of(k, 'image')}; mean error in % of {self.normaliser}: median {median:.2f}, 90th percentile "
             f"{p90:.2f}, largest {largest:.2f}",
-            f"lost (error above {self.limit:.1%}): {lost}",
-            f"refused (right, but called doubtful or failed): {refused}",
-            f"landmarks inside their 95 % ellipses, of fits called right: {held}",
+            f"wrong (error above {self.limit:.1%}): {wrong}",
+            f"refused (error within this limit, but the status is doubtful or failed): {refused}",
+            f"landmarks inside their 95 % ellipses, in fits that may be used: {held}",
         ]
         if self.sides:
             counts = ", ".join(f"{self.sides.count(side)} {side}" for side in sorted(set(self.sides)))
             lines.append(f"sides: {counts}; fits of the wrong side: {int(self.on_wrong_side.sum())}")
         if self.contours:
-            lost, refused = self._lost_and_refused(self.outline_outcomes)
+            wrong, refused = self._wrong_and_refused(self.outline_outcomes)
             along, held_along = self._in_direction(0)
             across, held_across = self._in_direction(1)
             lines += [
-                "by outline (of landmarks on contours, the distance to the contour): median "
-                f"{_percentile(100 * self.outline_errors, 50):.2f}, lost {lost}, refused {refused}",
-                f"landmarks on contours: median error along {_percentile(along.ravel(), 50):.2f}, across "
-                f"{_percentile(across.ravel(), 50):.2f}; inside their 95 % intervals along "
-                f"{100 * _mean(held_along):.1f} %, across {100 * _mean(held_across):.1f} %",
+                "by outline (errors of landmarks on contours are distances from the contour): median "
+                f"{_percentile(100 * self.outline_errors, 50):.2f}; wrong {wrong}; refused {refused}",
+                f"landmarks on contours: median error along the contour {_percentile(along.ravel(), 50):.2f}, across "
+                f"it {_percentile(across.ravel(), 50):.2f}; inside the 95 % interval along the contour "
+                f"{100 * _mean(held_along):.1f} %, across it {100 * _mean(held_across):.1f} %",
             ]
         if isinstance(self._compared, ShapeAgreement):
             lines.append(self._compared.report())
@@ -322,11 +322,11 @@ class Evaluation:
             lines.append(f"left out {len(self.left_out)}: {some_names(self.left_out, 3, '; ')}")
         return "\n".join(lines)
 
-    def _lost_and_refused(self, outcomes: list[str]) -> tuple[str, int]:
-        """Return how many images are lost, and how many of these are silent, in words; and how many are refused."""
+    def _wrong_and_refused(self, outcomes: list[str]) -> tuple[str, int]:
+        """Return how many fits are wrong, and how many of these are silent, in words; and how many are refused."""
         silent = outcomes.count("silent")
-        lost = f"{outcomes.count('lost') + silent} of {len(self)}, of which silent (called right): {silent}"
-        return lost, outcomes.count("refused")
+        wrong = f"{outcomes.count('lost') + silent} of {len(self)}, {silent} of them silent (the status is converged)"
+        return wrong, outcomes.count("refused")
 
     def worst(self, count: int = 10) -> np.ndarray:
         """Return the indices of the images with the largest errors, (min(k, count),) int64, the largest first."""

@@ -47,14 +47,11 @@ class Sides:
 
     def describe(self) -> str:
         """Describe the sides of the training images, and what is done about them."""
-        tried = f"fits try both, and say whether an object is {self.own} or {self.other}"
+        tried = f"fits try both sides, and state whether an object is {self.own} or {self.other}"
         if not self.n_other:
             return f"the training images are {self.own}, and {tried}"
-        is_or_are = "is" if self.n_other == 1 else "are"
-        return (
-            f"of the {self.n_own + self.n_other} training images, {self.n_other} {is_or_are} {self.other} and "
-            f"reflected to the {self.n_own} {self.own} ones; {tried}"
-        )
+        images = f"{self.n_own} {self.own} and {self.n_other} {self.other} training images"
+        return f"{images}; the {self.other} ones are reflected; {tried}"
 
 
 def reflected_image(image: np.ndarray) -> np.ndarray:

@@ -175,7 +175,7 @@ def describe_objects(names: Sequence[str]) -> str:
     if max(counts.values(), default=1) == 1:
         return ""
     shown = some_names([f"{name} ({count})" for name, count in counts.items()], 4)
-    return f"cross-validation leaves out all images of an object together, by their names: {shown}"
+    return f"images of the same object, by their names: {shown}; cross-validation leaves them out together"
 
 
 def folds_of(names: Sequence[str], most: int = LEFT_OUT_FOLDS) -> list[np.ndarray]:

@@ -161,6 +161,6 @@ class LeftOutFits:
         """Describe the accuracy of fits from starts near the object, for a model's card; empty if there are none."""
         if not self.n_near:
             return ""
-        counts = f"{self.n_near_right} of {count_of(self.n_near, 'fit')} to left-out training images"
-        right = f"{counts}, from starts near the object, have an error of at most {RIGHT:.0%} of its size"
-        return f"{right}; these are off by {self.near_error:.1%} on average" if self.n_near_right else right
+        counts = f"{self.n_near_right} of {count_of(self.n_near, 'fit')} from starts near the object are right"
+        right = f"in left-out images, {counts} (error at most {RIGHT:.0%} of the diagonal of the landmarks' box)"
+        return f"{right}; the mean error of right fits is {self.near_error:.1%}" if self.n_near_right else right
