@@ -678,12 +678,17 @@ def test_a_page_of_errors_alone_is_said_to_be_written(run, model_file, tmp_path)
 @pytest.mark.parametrize(
     ("output", "formats", "more", "said"),
     [
-        ("fits", "json", {}, "which are empty in the files: see the message in .json, or give --absent estimate"),
-        ("fits", "json", {"absent": "estimate"}, "which are estimates in the files: see the message in .json"),
-        ("fits", "tps", {}, "empty in the files: --format json names them, or give --absent estimate"),
-        ("a.png", "json", {}, "which have red rings in the picture"),
-        ("fits", "json", {"scheme": "ibug-68"}, "some of ibug-68 are estimates: fit without --scheme to see which"),
-        ("report.html", "json", {}, "empty in the table of the page: the messages there name them, or give --absent"),
+        ("fits", "json", {}, "in the files are empty (the messages in the .json files name them). --absent estimate"),
+        (
+            "fits",
+            "json",
+            {"absent": "estimate"},
+            "in the files are estimates (the messages in the .json files name them)",
+        ),
+        ("fits", "tps", {}, "in the files are empty (--format json writes their names). --absent estimate"),
+        ("a.png", "json", {}, "the picture has red rings at their places"),
+        ("fits", "json", {"scheme": "ibug-68"}, "some of ibug-68 are estimates; fit without --scheme to see which"),
+        ("report.html", "json", {}, "in the table of the page are empty (the messages there name them). --absent"),
     ],
 )
 def test_what_is_said_of_absent_landmarks_is_true_of_the_files(tmp_path, output, formats, more, said):

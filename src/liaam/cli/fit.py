@@ -372,16 +372,19 @@ class Outputs:
     def on_absent(self) -> str:
         """What is said of a fit with absent landmarks: how they are in its files, and where they are named."""
         if self.report is None and not self.suffixes:
-            return "absent landmarks, which have red rings in the picture"
+            return "some landmarks are absent; the picture has red rings at their places"
         if self.scheme is not None:
-            return f"absent landmarks, so that some of {self.scheme} are estimates: fit without --scheme to see which"
+            return (
+                f"some landmarks are absent, so some of {self.scheme} are estimates; fit without --scheme to see which"
+            )
         place = "the files" if self.report is None else "the table of the page"
-        named = "--format json names them" if self.report is None else "the messages there name them"
+        named = "--format json writes their names" if self.report is None else "the messages there name them"
         if ".json" in self.suffixes:
-            named = "see the message in .json"
+            named = "the messages in the .json files name them"
         if self.absent == "estimate":
-            return f"absent landmarks, which are estimates in {place}: {named}"
-        return f"absent landmarks, which are empty in {place}: {named}, or give --absent estimate"
+            return f"some landmarks are absent; their positions in {place} are estimates ({named})"
+        empty = f"some landmarks are absent; their positions in {place} are empty ({named})"
+        return f"{empty}. --absent estimate writes estimates instead"
 
     def path_of(self, name: str, suffix: str) -> Path:
         """Return the path of a landmark file for the fit of a name."""
