@@ -229,21 +229,22 @@ def report(model: "AAM", output: Path, light: "LearntLamps | Literal['auto'] | N
     if model.n_all_missing.any():
         say(f"missing landmarks: {describe_missing(model)}")
     if model.sides is not None:
-        say(f"sides: {model.sides.describe()} (--sides one to use all as they are)")
+        say(f"sides: {model.sides.describe()} (to train on all images as they are, use --sides one)")
     if model.others:
         say(f"kinds of shape: {describe_shapes(model)} (--shapes 1 for one model)")
     if not len(model.shape_model.modes):
         say("the shape is rigid, without shape modes: fits find position, size and rotation only")
     if light == inputs.AUTO and model.n_lamps:
         say(
-            "the objects are faces, so liaam trained on copies under lamps of rendered heads (--lamps none for no such "
-            "copies)"
+            "the objects are faces, so liaam also trained on copies in the light of lamps that it knows from rendered "
+            "heads (to train without such copies, use --lamps none)"
         )
     view = model.views[METHODS[DEFAULT_METHOD].view]
     bound = view.shape_model.left_out_bound
     say(
-        f"limit of accuracy: perfect fits to left-out images would have a mean error of {bound / model.diagonal:.1%} "
-        "of the diagonal of the landmarks' box. Real fits have larger errors. More training images lower both"
+        "limit of accuracy: the best shapes that the model can make for left-out images are off by "
+        f"{bound / model.diagonal:.1%} of the diagonal of the landmarks' box. Fits have larger errors. With more "
+        "training images, this limit and the errors become smaller"
     )
     if model.points is not None:
         away = model.points.deviation
