@@ -236,7 +236,8 @@ class Evaluation:
         columns["p90_percent"] = _percentiles(self._percent, 90)
         columns["inside_percent"] = _percent_inside(self.inside[self.called_right])
         if self.contours:
-            for name, (errors, inside) in {"along": self._in_direction(0), "across": self._in_direction(1)}.items():
+            for axis, name in enumerate(("along", "across")):
+                errors, inside = self._in_direction(axis)
                 columns[f"{name}_percent"] = _percentiles(errors, 50)
                 columns[f"inside_{name}_percent"] = _percent_inside(inside)
         return columns
@@ -291,25 +292,27 @@ class Evaluation:
         """Summarise the errors, the outcomes and the coverage, as text."""
         k = len(self)
         held = "unknown, since no fit is called right" if np.isnan(self.coverage) else f"{self.coverage:.1%}"
-        median, p90, largest = (_percentile(100 * self.errors, q) for q in (50, 90, 100))
-        lost, refused = self._lost_and_refused(self.outcomes)
+        median = _percentile(100 * self.errors, 50)
+        p90 = _percentile(100 * self.errors, 90)
+        largest = _percentile(100 * self.errors, 100)
         lines = [
             f"{count_of(k, 'image')}; mean error in % of {self.normaliser}: median {median:.2f}, 90th percentile "
             f"{p90:.2f}, largest {largest:.2f}",
-            f"lost (error above {self.limit:.1%}): {lost}",
-            f"refused (right, but called doubtful or failed): {refused}",
+            f"lost (error above {self.limit:.1%}): {_lost_said(self.outcomes)}",
+            f"refused (right, but called doubtful or failed): {self.outcomes.count('refused')}",
             f"landmarks inside their 95 % ellipses, of fits called right: {held}",
         ]
         if self.sides:
             counts = ", ".join(f"{self.sides.count(side)} {side}" for side in sorted(set(self.sides)))
             lines.append(f"sides: {counts}; fits of the wrong side: {int(self.on_wrong_side.sum())}")
         if self.contours:
-            lost, refused = self._lost_and_refused(self.outline_outcomes)
+            outcomes = self.outline_outcomes
             along, held_along = self._in_direction(0)
             across, held_across = self._in_direction(1)
             lines += [
                 "by outline (of landmarks on contours, the distance to the contour): median "
-                f"{_percentile(100 * self.outline_errors, 50):.2f}, lost {lost}, refused {refused}",
+                f"{_percentile(100 * self.outline_errors, 50):.2f}, lost {_lost_said(outcomes)}, refused "
+                f"{outcomes.count('refused')}",
                 f"landmarks on contours: median error along {_percentile(along.ravel(), 50):.2f}, across "
                 f"{_percentile(across.ravel(), 50):.2f}; inside their 95 % intervals along "
                 f"{100 * _mean(held_along):.1f} %, across {100 * _mean(held_across):.1f} %",
@@ -321,12 +324,6 @@ class Evaluation:
         if self.left_out:
             lines.append(f"left out {len(self.left_out)}: {some_names(self.left_out, 3, '; ')}")
         return "\n".join(lines)
-
-    def _lost_and_refused(self, outcomes: list[str]) -> tuple[str, int]:
-        """Return how many images are lost, and how many of these are silent, in words; and how many are refused."""
-        silent = outcomes.count("silent")
-        lost = f"{outcomes.count('lost') + silent} of {len(self)}, of which silent (called right): {silent}"
-        return lost, outcomes.count("refused")
 
     def worst(self, count: int = 10) -> np.ndarray:
         """Return the indices of the images with the largest errors, (min(k, count),) int64, the largest first."""
@@ -341,6 +338,13 @@ class Evaluation:
         shown = self.worst(count)
         titles = [f"{self.names[i]}\n{self.errors[i]:.1%}, {self.statuses[i]}" for i in shown]
         return figure_of_worst([self.images[i] for i in shown], self.truths[shown], self.landmarks[shown], titles)
+
+
+def _lost_said(outcomes: list[str]) -> str:
+    """Say how many fits are wrong, and how many of these are called right."""
+    silent = outcomes.count("silent")
+    wrong = outcomes.count("lost") + silent
+    return f"{wrong} of {len(outcomes)}, of which silent (called right): {silent}"
 
 
 def _percentile(values: np.ndarray, percent: float) -> float:
