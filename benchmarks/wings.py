@@ -8,25 +8,37 @@ import numpy as np
 from liaam.datasets import load_folder
 from liaam.io import Landmarks, write_collection, write_image
 
+# Standard deviations of what sets a picture apart from the photograph
+TURN = np.radians(5)  # Of its angle
+SCALE = 0.04  # Of the logarithm of its size
+SHIFT = 0.02  # Of its position, relative to the width
+BEND = 0.01  # Of the movement of its parts, relative to the width; between 4 x 4 places it is interpolated
+GAMMA = 0.15  # Of the logarithm of the exponent of its values
+NOISE = 2.0  # Of the noise of its values, which are up to 255
+
+STEPS = 20  # Of the iteration that inverts the bent map: more than enough, since the bend changes slowly
+
 
 def deformed(image: np.ndarray, points: np.ndarray, rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
     """Turn, scale, move and bend a picture, and change its light and noise; return it with its landmarks (n, 2)."""
     import cv2
 
     height, width = image.shape[:2]
-    turn, size = rng.normal(0, np.radians(5)), np.exp(rng.normal(0, 0.04))
+    turn = rng.normal(0, TURN)
+    size = np.exp(rng.normal(0, SCALE))
     matrix = size * np.array([[np.cos(turn), -np.sin(turn)], [np.sin(turn), np.cos(turn)]])
     middle = np.array([width, height]) / 2
-    shift = middle + rng.normal(0, 0.02 * width, 2) - matrix @ middle
-    bend = cv2.resize(rng.normal(0, 0.01 * width, (4, 4, 2)), (width, height), interpolation=cv2.INTER_CUBIC)
+    shift = middle + rng.normal(0, SHIFT * width, 2) - matrix @ middle
+    bend = cv2.resize(rng.normal(0, BEND * width, (4, 4, 2)), (width, height), interpolation=cv2.INTER_CUBIC)
     pixels = np.stack(np.meshgrid(np.arange(width), np.arange(height)), -1)
     source = ((pixels - shift) @ np.linalg.inv(matrix).T + bend).astype(np.float32)
     warped = cv2.remap(image, source[..., 0], source[..., 1], cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
+    # The picture is looked up at the place in the photograph of each pixel, so that landmarks go the other way.
     placed = points @ matrix.T + shift
-    for _ in range(20):  # the inverse of the bent map
-        at = np.clip(placed.round().astype(int), 0, [width - 1, height - 1])
-        placed = (points - bend[at[:, 1], at[:, 0]]) @ matrix.T + shift
-    lit = 255 * (warped / 255.0) ** np.exp(rng.normal(0, 0.15)) + rng.normal(0, 2, warped.shape)
+    for _ in range(STEPS):
+        x, y = np.clip(placed.round().astype(int), 0, [width - 1, height - 1]).T
+        placed = (points - bend[y, x]) @ matrix.T + shift
+    lit = 255 * (warped / 255.0) ** np.exp(rng.normal(0, GAMMA)) + rng.normal(0, NOISE, warped.shape)
     return np.clip(lit, 0, 255).astype(np.uint8), placed
 
 
@@ -37,10 +49,15 @@ def write_wings(data: Path, folder: Path, count: int, labelled: int, slip: bool 
     """
     wings = [(sample.read_image(), sample.landmarks.points) for sample in load_folder(data).samples]
     random.Random(1).shuffle(wings)
-    rng, half, truth = np.random.default_rng(1), len(wings) // 2, {}
+    half = len(wings) // 2
+    of_labelled = wings[:half]
+    of_others = wings[half:]
+    rng = np.random.default_rng(1)
+    truth = {}
     for i in range(count):
-        which = i % half if i < labelled else half + i % (len(wings) - half)
-        image, truth[name := f"wing-{i:03d}.jpg"] = deformed(*wings[which], rng)
+        source = of_labelled[i % len(of_labelled)] if i < labelled else of_others[i % len(of_others)]
+        name = f"wing-{i:03d}.jpg"
+        image, truth[name] = deformed(*source, rng)
         write_image(folder / name, image)
     given = {name: truth[name].copy() for name in list(truth)[:labelled]}
     if slip:

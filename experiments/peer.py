@@ -5,7 +5,7 @@ and under three changed lights. Errors are divided by 0.3 diagonals of the landm
 slightly disturbed.
 """
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from functools import lru_cache, partial
 from pathlib import Path
@@ -35,11 +35,15 @@ PER_FOLD = 2
 AT_LEAST = 2
 """Minimum number of images of a person."""
 
-SCALE, TURN, SHIFT = 0.05, float(np.deg2rad(3.0)), 0.03
+SCALE = 0.05
+TURN = float(np.deg2rad(3.0))
+SHIFT = 0.03
 """Largest disturbance of a start: change of scale, rotation in radians, and shift per axis divided by the box's
 diagonal."""
 
-ORIENTATIONS, RAW = "menpofit, orientations", "menpofit, raw RGB"
+ORIENTATIONS = "menpofit, orientations"
+RAW = "menpofit, raw RGB"
+"""Names of the peer's methods."""
 
 PUBLISHED: dict[bool, dict[str, Table]] = {
     False: {
@@ -85,21 +89,24 @@ def get_folds(folder: Path, unseen: bool) -> tuple[tuple[Fold, ...], tuple[str, 
     """
     persons, left_out = group_by_person(folder, AT_LEAST)
     if not unseen:
-        samples = persons.values()
-        return (Fold(_all(s[0::2] for s in samples), _all(s[1::2] for s in samples)),), left_out
+        training = _all(samples[0::2] for samples in persons.values())
+        tested = _all(samples[1::2] for samples in persons.values())
+        return (Fold(training, tested),), left_out
     if len(persons) <= PER_FOLD:
         raise LiaamError(
             f"{folder}: {len(persons)} persons; with {PER_FOLD} left out none is left to train on: add some, or fit "
             "persons seen in training (without --unseen)"
         )
-    groups, folds = list(persons.values()), []
+    groups = list(persons.values())
+    folds = []
     for first in range(0, len(groups), PER_FOLD):
-        out = groups[first : first + PER_FOLD]
-        folds.append(Fold(_all(group for group in groups if group not in out), _all(out)))
+        end = first + PER_FOLD
+        folds.append(Fold(training=_all(groups[:first] + groups[end:]), tested=_all(groups[first:end])))
     return tuple(folds), left_out
 
 
-def _all(groups) -> tuple[Sample, ...]:
+def _all(groups: Iterable[Sequence[Sample]]) -> tuple[Sample, ...]:
+    """Return the samples of all groups."""
     return tuple(sample for group in groups for sample in group)
 
 
@@ -119,6 +126,7 @@ def box_start(mean: np.ndarray, truth: np.ndarray, rng: np.random.Generator) -> 
 
 
 def _middle(shape: np.ndarray) -> np.ndarray:
+    """Return the middle (2,) of the box around a shape (n, 2)."""
     return 0.5 * (shape.min(axis=0) + shape.max(axis=0))
 
 
@@ -126,14 +134,16 @@ def fit_picture(unseen: bool, request: Request, task: Named) -> list[Row]:
     """Fit one image under every light; a start is the same under all of them."""
     trained = get_trained(request, unseen, task.group)
     sample = next(s for s in get_folds(request.data, unseen)[0][task.group].tested if s.name == task.name)
-    image, truth = eight_bit(sample), sample.landmarks.points
+    image = eight_bit(sample)
+    truth = sample.landmarks.points
+    size = FACE * diagonal_of(truth)
     rows = []
     for trial in range(request.trials):
         start = box_start(trained.mean, truth, request.rng(sample.name, trial))
         for light in SHOWN:
             changed = LIGHTS[light](image, truth, request.rng(sample.name, trial, light))
             labels = {"picture": sample.name, "light": light, "trial": trial}
-            rows += trained.fit(changed, truth, FACE * diagonal_of(truth), start, **labels)
+            rows += trained.fit(changed, truth, size, start, **labels)
     return rows
 
 
@@ -171,7 +181,8 @@ def peer_experiment(
 def draw_pictures(request: Request, unseen: bool) -> "Figure":
     """First tested image under every light."""
     sample = get_folds(request.data, unseen)[0][0].tested[0]
-    image, truth = eight_bit(sample), sample.landmarks.points
+    image = eight_bit(sample)
+    truth = sample.landmarks.points
     return figure_of_pictures(
         [{light: LIGHTS[light](image, truth, request.rng(sample.name, 0, light)) for light in SHOWN}]
     )

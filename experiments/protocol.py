@@ -50,13 +50,21 @@ EYES_BY_COUNT = {58: EYES, 68: (slice(36, 42), slice(42, 48)), 73: (slice(16, 24
 """Landmarks of the two eyes by the number of landmarks (IMM, 300-W, and IMM frontal), counting from 0."""
 
 CONTOURS_BY_COUNT = {
-    58: [(0, 12), (13, 20, True), (21, 28, True), (29, 33), (34, 38), (39, 46, True), (47, 57)],
+    58: [
+        (0, 12, False),
+        (13, 20, True),
+        (21, 28, True),
+        (29, 33, False),
+        (34, 38, False),
+        (39, 46, True),
+        (47, 57, False),
+    ],
     68: [
-        (0, 16),
-        (17, 21),
-        (22, 26),
-        (27, 30),
-        (31, 35),
+        (0, 16, False),
+        (17, 21, False),
+        (22, 26, False),
+        (27, 30, False),
+        (31, 35, False),
         (36, 41, True),
         (42, 47, True),
         (48, 59, True),
@@ -123,10 +131,20 @@ class Trained:
             began = time.perf_counter()
             result = fitter.fit(image, start)
             seconds = time.perf_counter() - began
-            row = {"method": method, **labels, "nme": nme(result.landmarks, truth, unit), "bound": bound}
-            row |= {"iterations": result.n_iterations, "status": str(result.status), "quality": result.quality}
-            row |= by_outline(result, truth, unit, self.model.contours)
-            rows.append(row | {"held_95": held(result, truth, 95), "seconds": seconds})
+            rows.append(
+                {
+                    "method": method,
+                    **labels,
+                    "nme": nme(result.landmarks, truth, unit),
+                    "bound": bound,
+                    "iterations": result.n_iterations,
+                    "status": str(result.status),
+                    "quality": result.quality,
+                    **by_outline(result, truth, unit, self.model.contours),
+                    "held_95": held(result, truth, 95),
+                    "seconds": seconds,
+                }
+            )
         return rows
 
 
@@ -173,6 +191,7 @@ def group_by_person(folder: Path, at_least: int) -> tuple[dict[str, tuple[Sample
 
 
 def _fault_of(samples: Sequence[Sample], at_least: int) -> str | None:
+    """Return why the images of a person are not used; None if they are."""
     if len(samples) < at_least:
         return f"{len(samples)} pictures where {at_least} are needed"
     return "the pictures are grey" if is_grey(samples[0].read_image()) else None
@@ -203,7 +222,11 @@ def contours_of(sample: Sample) -> list[list[int]] | None:
     lines = CONTOURS_BY_COUNT.get(len(sample.landmarks.points), ())
     if sample.landmarks.contours or not lines:
         return None
-    return [[*range(first, last + 1), *([first] if closed else [])] for first, last, *closed in lines]
+    contours = []
+    for first, last, is_closed in lines:
+        indices = list(range(first, last + 1))
+        contours.append([*indices, first] if is_closed else indices)
+    return contours
 
 
 def by_outline(result: FitResult, truth: np.ndarray, unit: float, contours: Contours) -> Row:
@@ -213,13 +236,16 @@ def by_outline(result: FitResult, truth: np.ndarray, unit: float, contours: Cont
     ``across`` are median errors along and across contours, and ``along_95`` and ``across_95`` the fractions inside the
     95 % intervals of that direction.
     """
-    directions, errors = contour_directions(truth, contours), result.landmarks - truth
+    directions = contour_directions(truth, contours)
+    errors = result.landmarks - truth
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", RuntimeWarning)  # without contours all values are NaN
-        along, across = np.nanmedian(np.abs(along_and_across(errors, directions)), axis=0) / unit
-        held = np.nanmean(within_intervals(errors, result.landmark_covariances, directions), axis=0)
+        components = np.abs(along_and_across(errors, directions))
+        are_inside = within_intervals(errors, result.landmark_covariances, directions)
+        along, across = np.nanmedian(components, axis=0) / unit
+        along_95, across_95 = np.nanmean(are_inside, axis=0)
     outline = float(np.mean(outline_errors(result.landmarks, truth, contours))) / unit
-    return {"outline": outline, "along": along, "across": across, "along_95": held[0], "across_95": held[1]}
+    return {"outline": outline, "along": along, "across": across, "along_95": along_95, "across_95": across_95}
 
 
 def is_right(row: Row, error: str = "nme") -> bool:
@@ -237,15 +263,24 @@ def largest_bias(rows: Sequence[Row]) -> float | None:
 
     None if there are none, or qualities are unknown.
     """
-    quality, right = (np.array(each) for each in ([r["quality"] for r in rows], [is_right(r, "outline") for r in rows]))
-    bins = [np.clip(10 * quality, 0, 9).astype(int) == i for i in range(10)] if np.isfinite(quality).all() else []
-    return max((float(abs(quality[b].mean() - right[b].mean())) for b in bins if b.sum() >= FEWEST), default=None)
+    qualities = np.array([row["quality"] for row in rows])
+    are_right = np.array([is_right(row, "outline") for row in rows])
+    if not np.isfinite(qualities).all():
+        return None
+    tenths = np.clip(10 * qualities, 0, 9).astype(int)
+    differences = []
+    for tenth in range(10):
+        members = tenths == tenth
+        if members.sum() >= FEWEST:
+            differences.append(abs(float(qualities[members].mean() - are_right[members].mean())))
+    return max(differences, default=None)
 
 
 def qualities_of(rows: Sequence[Row]) -> tuple[np.ndarray, np.ndarray]:
     """Qualities of right and of wrong fits; 0 if unknown."""
-    known = [(float(np.nan_to_num(row["quality"])), is_right(row)) for row in rows]
-    return tuple(np.array([quality for quality, right in known if right is wanted]) for wanted in (True, False))  # type: ignore[return-value]
+    qualities = np.array([np.nan_to_num(row["quality"]) for row in rows], float)
+    are_right = np.array([is_right(row) for row in rows], bool)
+    return qualities[are_right], qualities[~are_right]
 
 
 def select(rows: Iterable[Row], **labels: Any) -> list[Row]:
@@ -326,15 +361,16 @@ def fits_experiment(
 
 def summarise(methods: Sequence[str], labels: tuple[str, ...], rows: list[Row]) -> dict[str, Any]:
     """Statistics by method and condition, in the order of the rows."""
-    found = list(dict.fromkeys(tuple(row[label] for label in labels) for row in rows))
-    conditions = {", ".join(values) or ALL: dict(zip(labels, values, strict=True)) for values in found}
-    return {
-        "bound_median": median_bound(rows),
-        "methods": {
-            method: {name: statistics(select(rows, method=method, **own)) for name, own in conditions.items()}
-            for method in methods
-        },
-    }
+    conditions = {}  # the values of the labels, by the name of the condition
+    for row in rows:
+        values = {label: row[label] for label in labels}
+        conditions[", ".join(values.values()) or ALL] = values
+    by_method = {}
+    for method in methods:
+        by_method[method] = {
+            name: statistics(select(rows, method=method, **values)) for name, values in conditions.items()
+        }
+    return {"bound_median": median_bound(rows), "methods": by_method}
 
 
 def table(summary: dict[str, Any], published: Mapping[str, Table]) -> tuple[Header, Table]:
@@ -344,11 +380,10 @@ def table(summary: dict[str, Any], published: Mapping[str, Table]) -> tuple[Head
         for method, cells in summary["methods"].items():
             cell = cells[condition]
             errors = (percent(cell["nme_median"]), percent(cell["nme_p90"]), percent(cell["beyond"], 0))
-            rows.append(
-                [condition, method, *errors, or_dash(cell["seconds_median"] and 1000 * cell["seconds_median"], ".0f")]
-            )
+            seconds = cell["seconds_median"]
+            rows.append([condition, method, *errors, or_dash(None if seconds is None else 1000 * seconds, ".0f")])
         rows += [[condition, *row] for row in published.get(condition, ())]
-    rows.append([ALL, "bound", percent(summary["bound_median"]), *"–––"])
+    rows.append([ALL, "bound", percent(summary["bound_median"]), "–", "–", "–"])
     return ["pictures", "method", "median, %", "p90, %", "> 8 %", "ms"], rows
 
 
@@ -358,6 +393,9 @@ def draw(rows: list[Row], summary: dict[str, Any]) -> "Figure":
     conditions = list(next(iter(methods.values())))
     if conditions == [ALL]:
         errors = {method: [row["nme"] for row in select(rows, method=method)] for method in methods}
-        return figure_of_errors(errors, {row["picture"]: row["bound"] for row in rows}.values(), CONVERGED)
-    medians = {name: in_percent({m: cells[name]["nme_median"] for m, cells in methods.items()}) for name in conditions}
+        bound_of_picture = {row["picture"]: row["bound"] for row in rows}  # the same for all methods
+        return figure_of_errors(errors, bound_of_picture.values(), CONVERGED)
+    medians = {}
+    for name in conditions:
+        medians[name] = in_percent({method: cells[name]["nme_median"] for method, cells in methods.items()})
     return figure_of_bars(medians, "median error, %")

@@ -15,7 +15,11 @@ from liaam.formatting import short_repr
 from scenes.camera import Camera, matrices_at
 from scenes.light import Radiator, check_kelvin
 
-CHART_ROWS, CHART_COLUMNS = 4, 6
+CHART_ROWS = 4
+CHART_COLUMNS = 6
+BLACK = 0.03
+"""Reflectance of the chart's background."""
+
 GREYS = (0.88, 0.58, 0.36, 0.19, 0.09, 0.035)
 """Reflectances of the chart's last row, similar to those of commercial charts."""
 
@@ -65,8 +69,8 @@ def colour_chart(patch: int = 30, gap: int = 6) -> tuple[np.ndarray, np.ndarray]
     """
     colours = np.array([*CHART_COLOURS, *[(grey,) * 3 for grey in GREYS]])
     step = patch + gap
-    reflectance = np.full((CHART_ROWS * step + gap, CHART_COLUMNS * step + gap, 3), 0.03)
-    corners = [(gap + step * c, gap + step * r) for r in range(CHART_ROWS) for c in range(CHART_COLUMNS)]
+    reflectance = np.full((CHART_ROWS * step + gap, CHART_COLUMNS * step + gap, 3), BLACK)
+    corners = [(gap + step * column, gap + step * row) for row in range(CHART_ROWS) for column in range(CHART_COLUMNS)]
     boxes = np.array([(x, y, x + patch, y + patch) for x, y in corners])
     for (x0, y0, x1, y1), colour in zip(boxes, colours, strict=True):
         reflectance[y0:y1, x0:x1] = colour
@@ -88,21 +92,23 @@ def poster(size: tuple[int, int] = (240, 320), seed: int = 0) -> np.ndarray:
     (h, w, 3) float64, which may not be written to
         Coefficients of the reflectance in its red, green and blue parts.
     """
-    rng = np.random.default_rng([seed, 0x905])
+    rng = np.random.default_rng([seed, 0x905])  # a stream of its own, apart from those of lights and cameras
     height, width = _checked(size)
     y, x = np.mgrid[:height, :width].astype(float)
     sheet = np.broadcast_to(rng.uniform(0.25, 0.7, 3), (height, width, 3)).copy()
-    for i in range(36):
+    for i in range(36):  # from large to small, so that the small ones are on top
         colour = np.exp(rng.uniform(np.log(0.06), np.log(0.85), 3))
         radius = 0.35 * min(height, width) * 0.92**i
-        cx, cy = rng.uniform(0, width), rng.uniform(0, height)
-        if i % 3 == 2:
+        from_x = x - rng.uniform(0, width)
+        from_y = y - rng.uniform(0, height)
+        is_stripe = i % 3 == 2
+        if is_stripe:
             angle = rng.uniform(0, np.pi)
-            across = np.abs(np.cos(angle) * (x - cx) + np.sin(angle) * (y - cy)) - 0.25 * radius
-            along = np.abs(np.sin(angle) * (x - cx) - np.cos(angle) * (y - cy)) - 2.0 * radius
-            outside = np.maximum(across, along)
+            across = np.abs(np.cos(angle) * from_x + np.sin(angle) * from_y) - 0.25 * radius
+            along = np.abs(np.sin(angle) * from_x - np.cos(angle) * from_y) - 2.0 * radius
+            outside = np.maximum(across, along)  # distance from the border, negative inside
         else:
-            outside = np.hypot(x - cx, (y - cy) * rng.uniform(0.6, 1.6)) - radius
+            outside = np.hypot(from_x, from_y * rng.uniform(0.6, 1.6)) - radius
         cover = np.clip(0.5 - outside / 1.5, 0, 1)[..., None]  # an edge a pixel or two wide
         sheet = sheet * (1 - cover) + colour * cover
     noise = cv2.GaussianBlur(rng.standard_normal((height, width)), (0, 0), 2.0)
@@ -132,24 +138,40 @@ def uneven_light(
         Colour temperatures, kelvin.
     shadow : float
         Fraction of the light that comes from the lamp and is missing in shadows, 0 to 1.
+
+    Returns
+    -------
+    PlaneLight
     """
     check_kelvin("lamp_K", lamp_K)
     check_kelvin("sky_K", sky_K)
     if not 0 <= shadow < 1:
         raise LiaamError(f"shadow is {shadow!r}: give a fraction from 0 to below 1")
-    rng = np.random.default_rng([seed, 0x11947])
+    rng = np.random.default_rng([seed, 0x11947])  # a stream of its own, apart from those of posters and cameras
     height, width = _checked(size)
     y, x = np.mgrid[-1 : 1 : height * 1j, -1 : 1 : width * 1j]
-    slope = rng.normal(0, 0.28, 2)
-    lamp = np.exp(slope[0] * x + slope[1] * y - 0.15 * (x**2 + y**2))
+    slope_x, slope_y = rng.normal(0, 0.28, 2)
+    lamp = np.exp(slope_x * x + slope_y * y - 0.15 * (x**2 + y**2))
     for _ in range(2):
-        angle, offset = rng.uniform(0, 2 * np.pi), rng.uniform(-0.4, 0.4)
-        distance = np.cos(angle) * x + np.sin(angle) * y - offset + 0.12 * np.sin(3 * (x * np.sin(angle) - y) + angle)
-        width_of_shadow, edge = rng.uniform(0.15, 0.45), rng.uniform(0.01, 0.06)
-        lamp = lamp * (0.02 + 0.98 * np.clip(0.5 + (np.abs(distance) - width_of_shadow) / edge, 0, 1))
-    lamp, sky = shadow * lamp, (1 - shadow) * np.exp(rng.normal(0, 0.1) * x)
+        lamp = lamp * _outside_shadow(x, y, rng)
+    lamp = shadow * lamp
+    sky = (1 - shadow) * np.exp(rng.normal(0, 0.1) * x)
     share = lamp / (lamp + sky)
-    return PlaneLight(lamp + sky, share * 1e6 / lamp_K + (1 - share) * 1e6 / sky_K)
+    return PlaneLight(strength=lamp + sky, mired=share * 1e6 / lamp_K + (1 - share) * 1e6 / sky_K)
+
+
+def _outside_shadow(x: np.ndarray, y: np.ndarray, rng: np.random.Generator) -> np.ndarray:
+    """Return how much light of a lamp passes beside a wavy band, (h, w): 1, falling to 0.02 in its shadow.
+
+    ``x`` and ``y`` (h, w) are from -1 to 1 over the plane.
+    """
+    angle = rng.uniform(0, 2 * np.pi)
+    offset = rng.uniform(-0.4, 0.4)
+    wave = 0.12 * np.sin(3 * (x * np.sin(angle) - y) + angle)
+    distance = np.abs(np.cos(angle) * x + np.sin(angle) * y - offset + wave)  # from the middle of the band
+    half_width = rng.uniform(0.15, 0.45)
+    edge = rng.uniform(0.01, 0.06)
+    return 0.02 + 0.98 * np.clip(0.5 + (distance - half_width) / edge, 0, 1)
 
 
 def even_light(size: tuple[int, int], kelvin: float = 5000.0, strength: float = 1.0) -> PlaneLight:
@@ -193,7 +215,9 @@ def photograph(
     camera = camera or Camera()
     matrices = matrices_at(camera, light.mired, radiator)
     linear = np.einsum("hwkj,hwj->hwk", matrices, reflectance) * light.strength[..., None]
-    exposure = exposure or camera.exposure or 0.85 / float(np.percentile(linear.max(axis=-1), 99))
+    exposure = exposure or camera.exposure
+    if not exposure:
+        exposure = 0.85 / float(np.percentile(linear.max(axis=-1), 99))
     linear = linear * exposure
     if homography is not None:
         size = (linear.shape[1], linear.shape[0])
@@ -204,6 +228,7 @@ def photograph(
 
 
 def _checked(size: tuple[int, int]) -> tuple[int, int]:
+    """Return a size (height, width). Raise if it is none, or too small or large."""
     if len(size) != 2 or not all(8 <= s <= 8192 for s in size):
         raise LiaamError(f"a plane's size is {size!r}: give height and width, 8 to 8192 pixels")
     return size

@@ -44,6 +44,7 @@ _MEMBRANE = np.array([176.0, 168.0, 150.0])
 _VEIN = np.array([84.0, 66.0, 48.0])
 _REACH = 110.0  # pixels over which landmarks move together
 _TORN = 330.0  # x beyond which a torn wing is missing, pixels
+_SHIFT = 4  # bits of the fraction of a coordinate, as OpenCV draws lines at 16ths of a pixel
 
 
 @dataclass(frozen=True)
@@ -89,14 +90,16 @@ def draw_wing(landmarks: np.ndarray, rng: np.random.Generator, *, is_left: bool 
     placed = landmarks @ _turn(rng.normal(0, 0.04)).T
     placed += np.array(SHAPE[::-1]) / 2 - placed.mean(axis=0) + rng.normal(0, 5, 2)
     picture = _painted(placed, rng)
+    # The x of the tear in each row, a random walk; it is drawn of whole wings, too, whose noise is then the same.
     tear = _TORN + rng.normal(0, 6) + 5 * np.cumsum(rng.normal(size=SHAPE[0])) / 10
+    is_there = np.ones(len(placed), bool)
     if is_torn:
         beyond = np.arange(SHAPE[1]) > tear[:, None]
         picture = np.where(beyond[..., None], _ground(), picture)
+        rows = np.clip(placed[:, 1].astype(int), 0, SHAPE[0] - 1)
+        is_there = placed[:, 0] < tear[rows]
     picture = cv2.GaussianBlur(picture, (0, 0), 0.7) + rng.normal(0, 2.5, picture.shape)
     image = np.clip(np.rint(picture), 0, 255).astype(np.uint8)
-    rows = np.clip(placed[:, 1].astype(int), 0, SHAPE[0] - 1)
-    is_there = (placed[:, 0] < tear[rows]) | (not is_torn)
     if is_left:
         image = image[:, ::-1]
         placed = placed * [-1.0, 1.0] + [SHAPE[1] - 1.0, 0.0]
@@ -105,6 +108,7 @@ def draw_wing(landmarks: np.ndarray, rng: np.random.Generator, *, is_left: bool 
 
 
 def _turn(angle: float) -> np.ndarray:
+    """Return the matrix (2, 2) of a rotation by an angle in radians."""
     return np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]])
 
 
@@ -121,7 +125,7 @@ def _painted(landmarks: np.ndarray, rng: np.random.Generator) -> np.ndarray:
     fine = cv2.resize(ground, None, fx=FINE, fy=FINE)
     blade = np.zeros(fine.shape[:2], np.float32)
     outline = _through(landmarks[[*_MARGIN, 0]], is_closed=True)
-    cv2.fillPoly(blade, [_fixed(outline)], 1.0, cv2.LINE_8, 4)
+    cv2.fillPoly(blade, [_fixed(outline)], 1.0, cv2.LINE_8, _SHIFT)
     grain = cv2.GaussianBlur(rng.standard_normal(blade.shape, np.float32), (0, 0), 1.2) * 14  # hairs of the membrane
     shade = cv2.resize(rng.normal(0, 4, (4, 6)), blade.shape[::-1], interpolation=cv2.INTER_CUBIC)
     membrane = _MEMBRANE + (grain + shade)[..., None]
@@ -142,8 +146,11 @@ def _through(points: np.ndarray, is_closed: bool = False) -> np.ndarray:
 
 
 def _fixed(points: np.ndarray) -> np.ndarray:
-    return np.rint(((points + 0.5) * FINE - 0.5) * 16).astype(np.int32)
+    """Return points (n, 2) of the photograph in the fine picture, as OpenCV's whole numbers with ``_SHIFT``."""
+    fine = (points + 0.5) * FINE - 0.5  # 0 is the centre of the first pixel
+    return np.rint(fine * 2**_SHIFT).astype(np.int32)
 
 
-def _line(fine: np.ndarray, points: np.ndarray, thick: float) -> None:
-    cv2.polylines(fine, [_fixed(points)], False, _VEIN.tolist(), round(thick * FINE), cv2.LINE_8, 4)
+def _line(fine: np.ndarray, points: np.ndarray, thickness: float) -> None:
+    """Draw a vein through points (n, 2) of the photograph into the fine picture, as thick as so many of its pixels."""
+    cv2.polylines(fine, [_fixed(points)], False, _VEIN.tolist(), round(thickness * FINE), cv2.LINE_8, _SHIFT)

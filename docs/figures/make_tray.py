@@ -24,6 +24,8 @@ N_TRAYS = 20
 PERIOD = 8.0  # pixels of a millimetre
 GREEN = (64, 255, 140)
 RED = (200, 30, 30)
+FONT = (cv2.FONT_HERSHEY_SIMPLEX, 0.5, 1)  # font, size and thickness of names
+GAP = 9  # pixels between a name and the leaf below it, or the border of the picture
 
 
 def run(*arguments: str) -> None:
@@ -89,9 +91,19 @@ def draw() -> None:
         for x, y in np.rint(points * 16).astype(int).tolist():
             cv2.circle(picture, (x, y), 45, (0, 0, 0), -1, cv2.LINE_AA, 4)
             cv2.circle(picture, (x, y), 32, GREEN, -1, cv2.LINE_AA, 4)
-        x, y = np.rint((points[:, 0].max() + 6, points[:, 1].mean())).astype(int).tolist()
-        cv2.putText(picture, facts["specimen"], (x, y), cv2.FONT_HERSHEY_SIMPLEX, 0.5, RED, 1, cv2.LINE_AA)
+        write_above(picture, facts["specimen"], points)
     cv2.imwrite(str(HERE / "tray.jpg"), picture[:, :, ::-1], [cv2.IMWRITE_JPEG_QUALITY, 85])
+
+
+def write_above(picture: np.ndarray, name: str, points: np.ndarray) -> None:
+    """Write a name above the points (n, 2) of a leaf, inside the picture."""
+    (width, height), _ = cv2.getTextSize(name, *FONT)
+    x = points[:, 0].mean() - width / 2
+    y = points[:, 1].min() - GAP
+    x = np.clip(x, GAP, picture.shape[1] - width - GAP)
+    y = max(y, height + GAP)
+    font, size, thickness = FONT
+    cv2.putText(picture, name, (round(x), round(y)), font, size, RED, thickness, cv2.LINE_AA)
 
 
 if __name__ == "__main__":

@@ -32,12 +32,12 @@ def all_cores() -> int:
 def fresh_interpreters() -> SpawnContext:
     """Return the context that starts processes as fresh interpreters; a fork would copy threads' locks in any state.
 
-    OpenCV is imported first. A process gets the module path of its parent, and while a thread of the parent imports
-    OpenCV, that path has a folder whose ``typing`` hides Python's: the process would end at once. An ``import`` may
-    return while another thread is at the end of importing it, so that OpenCV's own mark of its loader decides.
+    OpenCV is imported first, and this waits until no thread imports it any more: a new process gets the ``sys.path`` of
+    its parent, to which OpenCV adds, while it is imported, a folder whose ``typing`` hides Python's.
     """
     import cv2  # noqa: F401
 
+    # The import above may return while another thread is at the end of its own. OpenCV sets this mark meanwhile.
     while hasattr(sys, "OpenCV_LOADER"):
         time.sleep(0.001)
         import_module("cv2")  # raises where the other thread could not import it
@@ -81,7 +81,7 @@ def flow(
             if not future.cancelled() and future.exception() is None:
                 fill()  # first, so that workers continue while this process handles the result
             yield item, future
-        fill()
+        fill()  # also after failed items, which the caller has now seen
 
 
 def in_threads(perform: Callable[[Item], Result], items: Sequence[Item]) -> list[Result]:
@@ -201,9 +201,10 @@ _blas_with_scipy = _WithSciPy()
 
 
 def one_numpy_thread() -> _Hold:
-    """Limit the BLAS of NumPy to one thread, for the whole process: where SciPy, which takes long to load, has no part.
+    """Limit the BLAS of NumPy to one thread, for the whole process, and that of SciPy only if it is loaded already.
 
-    Sums then have a fixed order, and products of the size of a fit's are no slower.
+    For work without SciPy, which takes long to load. Sums then have a fixed order, and products of the size of a fit's
+    are no slower.
     """
     return _blas
 

@@ -675,6 +675,9 @@ def test_the_command(run, world, expected, tmp_path, monkeypatch):
     assert "13 images done" in out
     assert "13 rows: 9 converged, 4 error" in out
     assert "4 images could not be fitted; see the column 'message'" in err
+    said = " ".join(err.split())
+    faults = [" ".join(row["message"].split()) for row in expected if row["status"] == "error"]
+    assert [fault in said for fault in faults] == [True, True, True, False]
     assert rows_of(tmp_path / "r.csv") == expected
     assert "nothing to do" in run("batch", world.model, f"{world.pictures}/**", *options)[1]
     options[-1] = tmp_path / "zero.csv"
@@ -682,6 +685,8 @@ def test_the_command(run, world, expected, tmp_path, monkeypatch):
         code, out, err = run("batch", world.model, world.pictures / "zero.png", *options)
         assert (code, said in out, "1 row: 1 error" in out) == (1, True, True)
         assert "1 image could not be fitted" in err
+        [row] = rows_of(tmp_path / "zero.csv")
+        assert " ".join(row["message"].split()) in " ".join(err.split())
     code, _, err = run("batch", world.model, *options)
     assert (code, "give the images, too, as in 'liaam batch MODEL IMAGE...'" in err) == (1, True)
     code, _, err = run("batch", *options)
@@ -799,7 +804,7 @@ def test_a_journal_with_a_damaged_cell_says_how_to_go_on(world, tmp_path, change
     "change",
     [
         *({"statuses": value} for value in (None, [], {"converged": "x"}, {"converged": -1}, {"converged": 1e400})),
-        *({"settings": []}, {"settings": None}, {"pictures": {}}, {"bytes": []}),
+        *({"settings": []}, {"settings": None}, {"pictures": {}}, {"bytes": []}, {"faults": "x"}, {"faults": [3]}),
     ],
     ids=str,
 )

@@ -85,7 +85,7 @@ def test_train_and_show(run, portraits, tmp_path):
     assert "5 samples" in out
     assert "trained on 5 images and 15 copies in other light (300 lamps); shape modes: " in out
     assert "limit of accuracy: the best shapes that the model can make for left-out images are off by " in out
-    assert "% of the diagonal of the landmarks' box. Real fits have larger errors" in out
+    assert "% of the diagonal of the landmarks' box. Fits have larger errors" in out
     code, out, _ = run("show", model, "-o", tmp_path / "drawn.png")
     assert code == 0
     assert "me (" in out

@@ -106,5 +106,7 @@ def test_a_missing_file_is_named_once(run, tmp_path, monkeypatch, how):
 def test_what_cannot_be_done_is_one_line(run, tmp_path, monkeypatch, arguments, words):
     monkeypatch.chdir(tmp_path)
     write_image(tmp_path / "a.png", np.zeros((120, 120, 3), np.uint8))
-    code, _, err = run("scale", tmp_path / "a.png", *arguments)
+    code, out, err = run("scale", tmp_path / "a.png", *arguments)
     assert code == 1 and words in " ".join(err.split())
+    assert not out
+    assert [path.name for path in tmp_path.iterdir()] == ["a.png"]

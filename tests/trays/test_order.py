@@ -75,3 +75,9 @@ def test_in_a_single_row_steps_are_even() -> None:
     assert unplaced(shapes, [True] * 3 + [False]) == []
     assert unplaced([*shapes[:3], SQUARE + 300.0 * np.array([1.5, 0])], [True] * 3 + [False]) == [3]
     assert unplaced(shapes[2:], [True, False]) == []  # nothing is known
+
+
+def test_two_certain_objects_at_one_place_do_not_hide_the_step() -> None:
+    shapes = [SQUARE + 300.0 * np.array([along, 0]) for along in (0, 1, 1, 2, 3)]
+    assert unplaced(shapes, [True] * 4 + [False]) == []
+    assert unplaced([*shapes[:4], SQUARE + 300.0 * np.array([3.5, 0])], [True] * 4 + [False]) == [4]

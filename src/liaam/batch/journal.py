@@ -23,7 +23,8 @@ from liaam.io.files import json_object, make_folder
 PAGE = 1000  # Number of images read from the journal at a time
 
 # Of each image: `place` is its key for sorting, `state` the size and time of its file and of its start, `seen` whether
-# it is in the current list, `begun` how often work on it has started without an end, and `digest` that of its row.
+# it is in the current list, `begun` how often work on it has started without an end, `status` and `row` the status of
+# its fit and the row of the table as JSON, NULL until it is finished, and `digest` that of the row.
 _TABLES = """
 CREATE TABLE IF NOT EXISTS facts (text TEXT NOT NULL);
 CREATE TABLE IF NOT EXISTS pictures (
@@ -60,7 +61,7 @@ class Journal:
 
     def __init__(self, folder: Path) -> None:
         self.folder = folder
-        self._in_progress: set[str] = set()
+        self._in_progress: set[str] = set()  # paths of images that this process has begun and not finished
         self._file = folder / "journal.sqlite"
         make_folder(folder)
         with self._explained():
@@ -80,7 +81,7 @@ class Journal:
     def __exit__(self, *_: object) -> None:
         if self._in_progress:  # stopped, not killed
             with contextlib.suppress(LiaamError), self._change():
-                self._count_begun(-1, *self._in_progress)
+                self._count_begun(self._in_progress, -1)
         self._database.close()
 
     @property
@@ -110,14 +111,14 @@ class Journal:
             self._database.execute("DELETE FROM facts")
             self._database.execute("INSERT INTO facts VALUES (?)", (json.dumps(facts),))
 
-    def list(self, pictures: Iterable[str], start_of: Callable[[str], Path | None]) -> None:
+    def list(self, paths: Iterable[str], start_of: Callable[[str], Path | None]) -> None:
         """Store the list of images without duplicates. Keep the rows of images whose files have not changed.
 
         ``start_of`` returns the file with the start of an image, or None.
         """
         with self._change():
             self._database.execute("UPDATE pictures SET seen = 0")
-            self._database.executemany(_LIST, map(partial(_entry, start_of), pictures))
+            self._database.executemany(_LIST, map(partial(_entry, start_of), paths))
             self._database.execute("DELETE FROM pictures WHERE NOT seen")
 
     @property
@@ -150,7 +151,7 @@ class Journal:
     def begin(self, path: str) -> str:
         """Note on disk that an image is now in progress, and return its path."""
         with self._change():
-            self._count_begun(1, path)
+            self._count_begun([path], 1)
         self._in_progress.add(path)
         return path
 
@@ -165,9 +166,9 @@ class Journal:
             )
         self._in_progress.discard(path)
 
-    def _count_begun(self, number: int, *paths: str) -> None:
-        """Add a number to how often work on images has started; inside a transaction."""
-        entries = [(number, place_of(path), os.fsencode(path)) for path in paths]
+    def _count_begun(self, paths: Iterable[str], change: int) -> None:
+        """Change how often work on images has started without an end; inside a transaction."""
+        entries = [(change, place_of(path), os.fsencode(path)) for path in paths]
         self._database.executemany("UPDATE pictures SET begun = begun + ? WHERE place = ? AND path = ?", entries)
 
     def rows(self) -> Iterator[str]:

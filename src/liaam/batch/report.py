@@ -35,6 +35,13 @@ REPORT_SUFFIXES = (".html", ".htm")
 THUMBNAIL = 256
 """Larger side of the pictures in pixels: with 8 kB each, a page of 2,000 has 20 MB."""
 JPEG_QUALITY = 65
+"""Of the pictures, which are to be looked at and not measured; it gives those 8 kB."""
+HEAD_BYTES = 1000
+"""Beginning of a page in which the mark of a report is looked for."""
+UNKNOWN_QUALITY = 2.0
+"""Place in the order of fits whose quality is unknown: after all others, whose quality is at most 1."""
+MOST_PLACES = 2
+"""Places of a part in the page: the title is in its head and its body."""
 GENERATOR = b'<meta name="generator" content="liaam">'
 """Near the start of each report, to tell it from other pages."""
 
@@ -127,12 +134,12 @@ def write_report(
     """
     page = check_report(path)
     check_absent(absent)
-    given = [getattr(result, "image", None) for result in results] if images is None else list(images)
-    if len(given) != len(results):
-        raise LiaamError(f"{len(results)} results and {len(given)} images: give the image of each result")
+    fitted = [getattr(result, "image", None) for result in results] if images is None else list(images)
+    if len(fitted) != len(results):
+        raise LiaamError(f"{len(results)} results and {len(fitted)} images: give the image of each result")
     entries = []
     with reported("pictures", progress) as tell:
-        for i, (result, image) in enumerate(zip(results, given, strict=True)):
+        for i, (result, image) in enumerate(zip(results, fitted, strict=True)):
             tell(i, len(results), "pictures")
             entries.append(_entry(result, image, f"images[{i}]", absent))
     fits = [result for result in results if isinstance(result, FitResult)]
@@ -140,14 +147,14 @@ def write_report(
     write_entries(page, entries, len(fits[0].landmarks) if fits else 0, names, title)
 
 
-def _entry(result: FitResult | LiaamError, image: Any, otherwise: str, absent: str) -> Entry:
-    """Make the entry of a result, whose image may be an array; it is then named by its place."""
-    path = os.fspath(image) if isinstance(image, (str, os.PathLike)) else otherwise
+def _entry(result: FitResult | LiaamError, image: Any, name_of_array: str, absent: str) -> Entry:
+    """Make the entry of a result. An image that is an array has no path, and gets a name."""
+    path = os.fspath(image) if isinstance(image, (str, os.PathLike)) else name_of_array
     name = Path(path).name
     if isinstance(result, LiaamError):
         return entry_of_error(result, path, name)
     if image is None:
-        raise LiaamError(f"{otherwise}: the result does not name its image; give images=")
+        raise LiaamError(f"{name_of_array}: the result does not name its image; give images=")
     return entry_of_fit(result, load_picture(image, path)[0], path, name, absent=absent)
 
 
@@ -166,7 +173,7 @@ def refuse_other_page(page: Path) -> None:
     if not page.is_file():
         return
     with page.open("rb") as file:
-        if GENERATOR not in file.read(1000):
+        if GENERATOR not in file.read(HEAD_BYTES):
             raise LiaamError(f"{page} exists and is not a report of liaam; give another name to keep it")
 
 
@@ -181,24 +188,25 @@ def write_entries(path: Path, entries: Iterable[Entry], n_points: int, names: Se
             )
     counts = Counter(entry.row["status"] for entry in ordered)
     title = title or count_of(len(ordered), "fit")
+    by_path = sorted(ordered, key=lambda entry: natural_key(entry.row["path"]))
     parts = {
         "title": html.escape(title),
         "filters": "\n".join(_filter(status, number) for status, number in counts.items()),
         "meanings": "\n".join(_meaning(status) for status in counts),
         "cards": "\n".join(_card(i, entry, path) for i, entry in enumerate(ordered)),
         "rows": "\n".join(_table_row(i, entry) for i, entry in enumerate(ordered)),
-        "csv": _in_script(_csv_of(sorted(ordered, key=lambda entry: natural_key(entry.row["path"])), n_points, names)),
+        "csv": _in_script(_csv_of(by_path, n_points, names)),
     }
     text = (files("liaam.batch") / "report.html").read_text("utf-8")
     for name, part in parts.items():
-        text = text.replace(f"<!--{name}-->", part, 2)
+        text = text.replace(f"<!--{name}-->", part, MOST_PLACES)
     write_text_atomically(path, text)
 
 
 def _order(entry: Entry) -> tuple:
     """Return the place of an entry on the page: errors, failed, doubtful and good fits, each by rising quality."""
     row = entry.row
-    quality = 2.0 if row["quality"] is None else row["quality"]
+    quality = UNKNOWN_QUALITY if row["quality"] is None else row["quality"]
     return _grade(row["status"]), quality, natural_key(entry.name), row["object"] or 0
 
 
@@ -213,11 +221,13 @@ def _grade(status: str) -> int:
 
 
 def _dot(status: str) -> str:
+    """Return a dot in the colour of the landmarks of such fits."""
     colour = (LOST, LOST, DOUBTFUL, LANDMARK)[_grade(status)]
     return f'<span class="dot" style="background:{colour}"></span>'
 
 
 def _filter(status: str, number: int) -> str:
+    """Return the check box that shows or hides the fits of a status, with their number."""
     return (
         f'<label><input type="checkbox" name="status" value="{status}" checked> {_dot(status)}{status} '
         f"<b>{number}</b></label>"
@@ -252,6 +262,7 @@ def _linked(entry: Entry, page: Path) -> str:
 
 
 def _card(i: int, entry: Entry, page: Path) -> str:
+    """Return the picture of an entry with what is said below it."""
     row = entry.row
     picture = ""
     if entry.picture:
@@ -267,6 +278,7 @@ def _card(i: int, entry: Entry, page: Path) -> str:
 
 
 def _table_row(i: int, entry: Entry) -> str:
+    """Return the row of an entry in the page's table."""
     row = entry.row
     numbers = (_number(row["quality"], 2), _number(row["score"], 2), _number(entry.sd, 1), row["iterations"])
     cells = "".join(f"<td>{'' if number is None else number}</td>" for number in numbers)
@@ -278,6 +290,7 @@ def _table_row(i: int, entry: Entry) -> str:
 
 
 def _number(value: float | None, decimals: int) -> str:
+    """Return a number as text, empty if it is unknown."""
     return "" if value is None or not np.isfinite(value) else f"{value:.{decimals}f}"
 
 

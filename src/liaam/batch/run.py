@@ -6,7 +6,7 @@ import os
 from collections import Counter
 from collections.abc import Generator, Iterable, Iterator
 from contextlib import closing, contextmanager, suppress
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import partial
 from importlib.util import find_spec
 from pathlib import Path
@@ -17,7 +17,7 @@ from liaam import __version__
 from liaam.batch.journal import Journal
 from liaam.batch.pictures import find_pictures
 from liaam.batch.tables import BatchTable, ParsedRow, check_format, row_of, write_table
-from liaam.batch.work import FitJob, FitRow, JournalRow, Pool, Settings
+from liaam.batch.work import ERROR, FitJob, FitRow, JournalRow, Pool, Settings
 from liaam.errors import LiaamError, installing
 from liaam.fitting.result import USABLE
 from liaam.io import Contour, write_text_atomically
@@ -28,6 +28,7 @@ from liaam.models import model_file
 from liaam.progress import Progress
 from liaam.workers import all_cores, flow, limited_threads, one_thread
 
+REASONS = 3  # Images that could not be fitted whose reasons are said; the table has all
 DEATHS = 2  # An image is given up, with an error in its row, if so many processes died while it was in progress
 
 
@@ -46,6 +47,8 @@ class Summary:
         Time of this run's fits.
     absent : int
         Number of fits that may be used, with landmarks that are absent.
+    faults : tuple of str
+        Why images could not be fitted, with their names: of the first three.
     """
 
     output: Path
@@ -53,6 +56,7 @@ class Summary:
     fitted: int = 0
     seconds: float = 0.0
     absent: int = 0
+    faults: tuple[str, ...] = ()
 
     @property
     def total(self) -> int:
@@ -167,7 +171,8 @@ class _Batch:
                 raise LiaamError(f"{self.output}: there is no image to fit; give images, or a folder of images")
             earlier = None if restart else earlier_summary(self.output)
             if earlier is not None and (earlier["settings"], earlier["pictures"]) == (self.facts, journal.digest()):
-                summary = Summary(self.output, earlier["statuses"], absent=earlier.get("absent", 0))
+                faults = tuple(earlier.get("faults", ()))
+                summary = Summary(self.output, earlier["statuses"], absent=earlier.get("absent", 0), faults=faults)
             else:
                 summary = self._finish(journal)
             journal.remove()
@@ -210,27 +215,25 @@ class _Batch:
         model = self.job.model
         contours = Contour.all_of(model.contours)
         names = model.landmark_names
-        tally: Counter[str] = Counter()
+        tally = _Tally()
         table = BatchTable(
             self._rows(journal, tally), model.n_points, self.job.settings.covariance, self.facts, contours, names
         )
         write_table(self.output, table)
-        summary = replace(summary, absent=tally["absent"])
+        summary = replace(summary, absent=tally.absent, faults=tuple(tally.faults))
         facts = {
             "settings": self.facts,
             "statuses": summary.statuses,
             "absent": summary.absent,
+            "faults": list(summary.faults),
             "pictures": journal.digest(),
             "bytes": self.output.stat().st_size,
         }
         write_text_atomically(summary_file(self.output), json.dumps(facts, indent=1) + "\n")
         return summary
 
-    def _rows(self, journal: Journal, tally: Counter[str]) -> Iterator[ParsedRow]:
-        """Iterate over all rows, as text and parsed, and count those with absent landmarks.
-
-        Raise if one is damaged or missing.
-        """
+    def _rows(self, journal: Journal, tally: "_Tally") -> Iterator[ParsedRow]:
+        """Iterate over all rows, as text and parsed, and add them to a tally. Raise if one is damaged or missing."""
         n_rows = 0
         for text in journal.rows():
             n_rows += 1
@@ -238,7 +241,7 @@ class _Batch:
                 row = row_of(each, self.job.model.n_points, self.job.settings.covariance)
                 if row is None:
                     raise journal.damage("a row cannot be read")
-                tally["absent"] += has_absent(row)
+                tally.add(row)
                 yield each, row
         if n_rows != journal.total:
             raise journal.damage(f"{journal.total - n_rows} rows are missing")
@@ -301,6 +304,22 @@ class _Batch:
         return Summary(self.output, dict(sorted(statuses.items())), statuses.total() - before, perf_counter() - begin)
 
 
+@dataclass
+class _Tally:
+    """What is said of the rows of a table besides their statuses."""
+
+    absent: int = 0  # number of fits that may be used, with absent landmarks
+    faults: list[str] = field(default_factory=list)  # why images could not be fitted, of the first
+
+    def add(self, row: FitRow) -> None:
+        """Add a row."""
+        self.absent += has_absent(row)
+        if row["status"] == ERROR and len(self.faults) < REASONS:
+            message = row["message"]
+            names_image = message.startswith(row["path"])
+            self.faults.append(message if names_image else f"{row['path']}: {message}")
+
+
 def has_absent(row: FitRow) -> bool:
     """Return whether the row of a fit that may be used has absent landmarks."""
     present = row["present"] or ()
@@ -318,7 +337,9 @@ def earlier_summary(output: Path) -> dict[str, Any] | None:
         summary = json.loads(summary_file(output).read_bytes())
         unchanged = summary["bytes"] == output.stat().st_size
         statuses, settings, pictures = (summary[key] for key in ("statuses", "settings", "pictures"))
+        faults = summary.get("faults", [])
         sound = isinstance(settings, dict) and isinstance(pictures, str) and isinstance(statuses, dict)
+        sound = sound and isinstance(faults, list) and all(isinstance(fault, str) for fault in faults)
         counted = sound and all(map(_is_count, (*statuses.values(), summary.get("absent", 0))))
     except (OSError, ValueError, KeyError, TypeError, RecursionError):
         return None

@@ -97,7 +97,10 @@ def batch(
     say(f"{count_of(summary.total, 'row')}: {in_words(summary.statuses)}")
     for folder in sorted(set(closed)):
         complain(f"skipped {folder}: it cannot be read; check its permissions")
-    if errors := summary.statuses.get(ERROR, 0):
+    errors = summary.statuses.get(ERROR, 0)
+    if errors:
+        for fault in summary.faults:
+            complain(fault)
         complain(f"{count_of(errors, 'image')} could not be fitted; see the column 'message'")
     if summary.absent:
         what = "estimates" if absent == "estimate" else "empty"

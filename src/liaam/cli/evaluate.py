@@ -15,9 +15,10 @@ from liaam.io import image_size, make_folder, write_columns
 from liaam.io.atomic import check_output, write_text_atomically
 from liaam.io.files import count_of, real_path, some_names
 from liaam.io.landmarks.reading import Reading
+from liaam.tables import Columns
 
 if TYPE_CHECKING:
-    from liaam import Evaluation
+    from liaam import AAM, Evaluation
     from liaam.datasets import Dataset
     from liaam.evaluation import LearningCurve
 
@@ -104,45 +105,36 @@ def evaluate(
     automatic shapes vary as much as those placed by hand. Writes the errors of each landmark and each image as tables,
     and pictures of the ten worst fits.
     """
-    from liaam.evaluation import cross_validate, evaluate as evaluated, learning_curve as curve_of
     from liaam.model import load_model
-    from liaam.training.left_out import describe_objects
 
     if learning_curve:
         refuse_beside_curve({"--folds": folds, "--groups": groups, "--init": init})
-    model_file, folder = (None, folder_of_curve(sources)) if learning_curve else model_and_folder(sources, folds, init)
+        model_file = None
+        folder = folder_of_curve(sources)
+    else:
+        model_file, folder = model_and_folder(sources, folds, init)
     model = None if model_file is None else load_model(model_file)
     reading = Reading(strict, category, y_down, stored_orientation)
-    data = without_proposals(inputs.read_folder(folder, reading), inputs.folder_of(folder)[0])
-    if real_path(output).is_relative_to(real_path(inputs.folder_of(folder)[0])):  # it would be read as landmarks later
-        raise LiaamError(f"{output} is inside the folder of landmarks; give another place with -o")
-    (check_output if output.suffix.lower() == ".csv" else make_folder)(output)
-    paths = [sample.image for sample in data if isinstance(sample.image, Path)]
-    camera = inputs.camera_for(paths, given_camera, None if model is None else model.camera)
-    options: dict[str, Any] = {"method": method, "normalise": normalise, "camera": camera}
-    options["limit"] = None if limit is None else limit / 100
-    people = None if second is None else second_points(second, inputs.folder_of(folder)[0], data, reading)
+    root, *_ = inputs.folder_of(folder)
+    data = without_proposals(inputs.read_folder(folder, reading), root)
+    prepare_output(output, root)
+    camera = inputs.camera_for(image_files(data), given_camera, None if model is None else model.camera)
+    people = None if second is None else second_points(second, root, data, reading)
+    options: dict[str, Any] = {
+        "method": method,
+        "normalise": normalise,
+        "camera": camera,
+        "limit": None if limit is None else limit / 100,
+    }
     if learning_curve:
-        curve = curve_of(data, second=people, training={"camera": camera}, **options)
-        write_curve(output, curve)
-        say(curve.report())
-        say(f"written to {output}")
+        show_and_write_curve(output, measure_curve(data, people, options))
         return
-    if model is None:
-        if together := describe_objects([sample.name for sample in data]):
-            say(together)
-        evaluation = cross_validate(data, folds or 2, training={"camera": camera}, **options)
+    if model is not None:
+        evaluation = evaluate_model(model, data, init, options)
     else:
-        # Of several objects in an image there is one start.
-        starts = None if init is None else [read_start(init, path, image_size(path)) for path in dict.fromkeys(paths)]
-        evaluation = evaluated(model, data, starts, **options)
-    evaluation = with_people(evaluation, people, groups)
-    write(output, evaluation)
-    show_landmarks(evaluation)
-    say(evaluation.report())
-    if evaluation.agreement is not None:
-        say(f"for the section Methods of a paper: {evaluation.agreement.methods()}")
-    say(f"written to {output}")
+        assert folds is not None  # model_and_folder raises without both
+        evaluation = evaluate_folds(data, folds, options)
+    show_and_write(output, with_people(evaluation, people, groups))
 
 
 def refuse_beside_curve(options: dict[str, Any]) -> None:
@@ -174,24 +166,39 @@ def model_and_folder(sources: list[Path], folds: int | None, init: str | None) -
     return None, sources[0]
 
 
+def prepare_output(output: Path, root: Path) -> None:
+    """Raise unless the output can be written, and is outside the folder of landmarks; make it if it is a folder."""
+    if real_path(output).is_relative_to(real_path(root)):  # it would be read as landmarks later
+        raise LiaamError(f"{output} is inside the folder of landmarks; give another place with -o")
+    if output.suffix.lower() == ".csv":
+        check_output(output)
+    else:
+        make_folder(output)
+
+
+def image_files(data: "Dataset") -> list[Path]:
+    """Return the files of the images; one that holds several objects comes once for each."""
+    return [sample.image for sample in data if isinstance(sample.image, Path)]
+
+
 def without_proposals(data: "Dataset", folder: Path) -> "Dataset":
     """Return landmarked images without points that the studio proposed and nobody placed, moved or confirmed.
 
     They would confirm the model that proposed them.
     """
-    from liaam.studio.origins import saved_proposals, without_proposals as own_of
+    from liaam.studio import origins
 
-    proposals = saved_proposals(folder) if folder.is_dir() else {}
+    proposals_of = origins.saved_proposals(folder) if folder.is_dir() else {}
     samples = []
     changed = []
     n_points = 0
     for sample in data:
-        known = proposals.get(_picture_of(sample.image, folder))
-        own, n_proposed = own_of(sample.landmarks.points, known)
+        proposals = proposals_of.get(_picture_of(sample.image, folder))
+        points, n_proposed = origins.without_proposals(sample.landmarks.points, proposals)
         if n_proposed:
             changed.append(sample.name)
             n_points += n_proposed
-        samples.append(replace(sample, landmarks=replace(sample.landmarks, points=own)))
+        samples.append(replace(sample, landmarks=replace(sample.landmarks, points=points)))
     if changed:
         complain(
             f"{count_of(n_points, 'point')} of {count_of(len(changed), 'image')} left out, because they were accepted "
@@ -218,6 +225,29 @@ def second_points(second: Path, folder: Path, data: "Dataset", reading: Reading)
     return points_by_name(read_specimens(second, complain, reading), names)
 
 
+def evaluate_model(model: "AAM", data: "Dataset", init: str | None, options: dict[str, Any]) -> "Evaluation":
+    """Evaluate a model, from the start ``init`` in each image if there is one."""
+    from liaam.evaluation import evaluate as evaluate_fits
+
+    if init is None:
+        starts = None
+    else:
+        paths = dict.fromkeys(image_files(data))  # of several objects in an image there is one start
+        starts = [read_start(init, path, image_size(path)) for path in paths]
+    return evaluate_fits(model, data, starts, **options)
+
+
+def evaluate_folds(data: "Dataset", folds: int, options: dict[str, Any]) -> "Evaluation":
+    """Evaluate models of the others on each of so many parts of the images; say which images stay together."""
+    from liaam.evaluation import cross_validate
+    from liaam.training.left_out import describe_objects
+
+    together = describe_objects([sample.name for sample in data])
+    if together:
+        say(together)
+    return cross_validate(data, folds, training={"camera": options["camera"]}, **options)
+
+
 def with_people(evaluation: "Evaluation", people: dict[str, np.ndarray] | None, groups: Path | None) -> "Evaluation":
     """Return an evaluation with the landmarks of a second person, and with groups."""
     from liaam.evaluation.observers import points_of
@@ -231,22 +261,56 @@ def with_people(evaluation: "Evaluation", people: dict[str, np.ndarray] | None, 
     return evaluation
 
 
-def write_curve(output: Path, curve: "LearningCurve") -> None:
-    """Print a learning curve; write it as a table, and into a folder also as text in JSON and as a figure."""
+def measure_curve(data: "Dataset", people: dict[str, np.ndarray] | None, options: dict[str, Any]) -> "LearningCurve":
+    """Measure the errors of models of more and more images, beside those of a second person if there is one."""
+    from liaam.evaluation import learning_curve
+
+    return learning_curve(data, second=people, training={"camera": options["camera"]}, **options)
+
+
+def show_and_write_curve(output: Path, curve: "LearningCurve") -> None:
+    """Print and write a learning curve, and print its report."""
+    columns = curve.to_columns()
+    show_curve(columns)
+    write_curve(output, curve, columns)
+    say(curve.report())
+    say(f"written to {output}")
+
+
+def show_curve(columns: Columns) -> None:
+    """Print the columns of a learning curve."""
+    table = table_of("images", "median", "90th percentile", "wrong", "slope of shapes")
+    for i, slope in enumerate(columns["slope"]):
+        table.add_row(
+            str(columns["pictures"][i]),
+            f"{columns['median_percent'][i]:.2f} %",
+            f"{columns['p90_percent'][i]:.2f} %",
+            f"{columns['lost_percent'][i]:.0f} %",
+            "–" if np.isnan(slope) else f"{slope:.2f}",
+        )
+    show_table(table)
+
+
+def write_curve(output: Path, curve: "LearningCurve", columns: Columns) -> None:
+    """Write a learning curve as a table, and into a folder also as text in JSON and as a figure."""
     from liaam.plotting import save_figure
 
-    columns = curve.to_columns()
-    table = table_of("images", "median", "90th percentile", "wrong", "slope of shapes")
-    for size, *percents, slope in zip(*columns.values(), strict=True):
-        shown = [f"{percents[0]:.2f} %", f"{percents[1]:.2f} %", f"{percents[2]:.0f} %"]
-        table.add_row(str(size), *shown, "–" if slope != slope else f"{slope:.2f}")
-    show_table(table)
     if output.suffix.lower() == ".csv":
         write_columns(output, columns)
         return
     write_columns(output / "learning-curve.csv", columns)
     write_text_atomically(output / "learning-curve.json", curve.to_json() + "\n")
     save_figure(curve.plot().figure, output / "learning-curve.png")  # type: ignore[arg-type]
+
+
+def show_and_write(output: Path, evaluation: "Evaluation") -> None:
+    """Write an evaluation, and print its landmarks and its report."""
+    write(output, evaluation)
+    show_landmarks(evaluation)
+    say(evaluation.report())
+    if evaluation.agreement is not None:
+        say(f"for the section Methods of a paper: {evaluation.agreement.methods()}")
+    say(f"written to {output}")
 
 
 def write(output: Path, evaluation: "Evaluation") -> None:
@@ -269,13 +333,17 @@ def write(output: Path, evaluation: "Evaluation") -> None:
 
 
 def show_landmarks(evaluation: "Evaluation") -> None:
-    """Print the landmarks with the largest errors."""
+    """Print the landmarks with the largest errors, in the order of their numbers."""
     columns = evaluation.by_landmark()
-    order = sorted(range(len(columns["landmark"])), key=lambda i: -columns["median"][i])[:SHOWN]
+    worst_first = sorted(range(len(columns["landmark"])), key=lambda i: -columns["median"][i])
     table = table_of("landmark", "median", "90th percentile", "in 95 % ellipse")
-    for i in sorted(order):
+    for i in sorted(worst_first[:SHOWN]):
         name = f" {columns['name'][i]}" if columns["name"][i] else ""
-        errors = (f"{columns[f'{q}_percent'][i]:.2f} % ({columns[q][i]:.1f} px)" for q in ("median", "p90"))
         inside = columns["inside_percent"][i]
-        table.add_row(cell(f"{i + 1}{name}"), *errors, "–" if inside != inside else f"{inside:.0f} %")
+        table.add_row(
+            cell(f"{i + 1}{name}"),
+            f"{columns['median_percent'][i]:.2f} % ({columns['median'][i]:.1f} px)",
+            f"{columns['p90_percent'][i]:.2f} % ({columns['p90'][i]:.1f} px)",
+            "–" if np.isnan(inside) else f"{inside:.0f} %",
+        )
     show_table(table)

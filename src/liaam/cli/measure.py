@@ -1,11 +1,12 @@
 """The command ``liaam measure``."""
 
+import math
 import re
 from collections import defaultdict
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import numpy as np
 import typer
@@ -30,24 +31,33 @@ if TYPE_CHECKING:
 
 FIGURES = (".png", ".pdf", ".svg")
 
-ERRORS = "replicates.csv"
-"""End of the name of the table of measurement error, which is beside the output."""
+# Ends of the names of the files that are written beside the output, whose name begins alike
 
-SHAPES = ("shapes.csv", "bias.csv", "agreement.json", "agreement.png")
-"""Ends of the names of the files on the agreement with people's landmarks: by component and landmark, all, a figure."""
+ERRORS_TABLE = "replicates.csv"
+"""Measurement error."""
 
-VARIATION = ("scores.csv", "groups.csv", "variation.json")
-"""Ends of the names of the files on the variance of shape: by specimen, by group, and all of it."""
+AGREEMENT_BY_COMPONENT = "shapes.csv"
+AGREEMENT_BY_LANDMARK = "bias.csv"
+AGREEMENT_JSON = "agreement.json"
+AGREEMENT_FIGURE = "agreement.png"
+AGREEMENT_FILES = (AGREEMENT_BY_COMPONENT, AGREEMENT_BY_LANDMARK, AGREEMENT_JSON, AGREEMENT_FIGURE)
+"""Agreement with people's landmarks."""
 
-ASYMMETRY = "asymmetry.json"
-"""End of the name of the file that holds all of the asymmetry."""
+VARIATION_BY_SPECIMEN = "scores.csv"
+VARIATION_BY_GROUP = "groups.csv"
+VARIATION_JSON = "variation.json"
+VARIATION_FILES = (VARIATION_BY_SPECIMEN, VARIATION_BY_GROUP, VARIATION_JSON)
+"""Variance of shape."""
 
-ASYMMETRY_TABLES = {
-    "anova.csv": "analysis of variance",
-    "asymmetry.csv": "asymmetry of {}",
-    "components.csv": "symmetric, directional and fluctuating components of shape",
-}
-"""Ends of the names of its tables, and what these hold."""
+ANOVA_TABLE = "anova.csv"
+ASYMMETRY_BY_INDIVIDUAL = "asymmetry.csv"
+ASYMMETRY_BY_COMPONENT = "components.csv"
+ASYMMETRY_JSON = "asymmetry.json"
+ASYMMETRY_FILES = (ANOVA_TABLE, ASYMMETRY_BY_INDIVIDUAL, ASYMMETRY_BY_COMPONENT, ASYMMETRY_JSON)
+"""Asymmetry."""
+
+LEAST_REPEATABLE = 5
+"""Number of landmarks with the largest measurement errors to name."""
 
 
 def measure(
@@ -164,76 +174,93 @@ def measure(
     """Measure specimens: distances, angles, areas, centroid size and Procrustes coordinates, with standard errors."""
     from liaam import morphometry
 
-    more = (*(SHAPES if compare else ()), *(VARIATION if scores or groups is not None else ()))
-    _check_outputs(results, [*_tables(output, replicates, symmetry), *(_beside(output, end) for end in more)], plot)
+    wants_variation = scores or groups is not None
+    ends = [
+        *((ERRORS_TABLE,) if replicates is not None else ()),
+        *(ASYMMETRY_FILES if symmetry is not None else ()),
+        *(AGREEMENT_FILES if compare else ()),
+        *(VARIATION_FILES if wants_variation else ()),
+    ]
+    _check_outputs(results, [output, *(_beside(output, end) for end in ends)], plot)
     if pairs is not None and symmetry != morphometry.OBJECT:
         raise LiaamError("--pairs are the landmarks of both sides of one structure: give --symmetry object, too")
     reading = Reading(strict, category)
-    specimens = morphometry.read_specimens(results, complain, reading, replicates is not None)
-    specimens = specimens if resample is None else morphometry.with_even_curves(specimens, resample)
-    specimens, left_out = morphometry.alike(specimens)
-    _refuse_or_complain(left_out, "have other landmarks than most", strict)
+    specimens = _comparable_specimens(results, reading, resample, has_replicates=replicates is not None)
     specimens, reflected = morphometry.of_one_side(specimens, side, replicates)
     if scale is not None and scale.lower().endswith(".csv"):
         specimens = morphometry.with_lengths(specimens, morphometry.read_lengths(scale))
-        scale = None
+        scale = None  # each specimen now has its own
     if estimate is not None:
-        specimens, left = morphometry.with_estimated_landmarks(specimens, estimate, scale)
-        _refuse_or_complain(left, "keep missing landmarks", strict)
+        specimens, incomplete = morphometry.with_estimated_landmarks(specimens, estimate, scale)
+        _refuse_or_complain(incomplete, "keep missing landmarks", strict)
+
+    # Everything is computed before anything is written, so that an error leaves no part of the files.
     columns = morphometry.measure(specimens, measures or (), scale, slide)
-    error = None if replicates is None else morphometry.measurement_error(specimens, columns, replicates, bool(slide))
-    found = None
+    error = None
+    if replicates is not None:
+        error = morphometry.measurement_error(specimens, columns, replicates, slid=slide is not None)
+    asymmetry = None
     if symmetry is not None:
-        twins = _twins(pairs, results, specimens) if symmetry == morphometry.OBJECT else None
-        options = {"pairs": twins, "by": replicates, "permutations": permutations, "seed": seed}
-        found = morphometry.asymmetry(specimens, columns, symmetry, **options)
-        _refuse_or_complain(found.left_out, "are not compared", strict)
-    of_groups = None
+        asymmetry = morphometry.asymmetry(
+            specimens,
+            columns,
+            symmetry,
+            pairs=_twins(pairs, results, specimens) if symmetry == morphometry.OBJECT else None,
+            by=replicates,
+            permutations=permutations,
+            seed=seed,
+        )
+        _refuse_or_complain(asymmetry.left_out, "are not compared", strict)
+    group_of = None
     if groups is not None:
-        of_groups = morphometry.groups_of([specimen.name for specimen in specimens], morphometry.read_groups(groups))
+        group_of = morphometry.groups_of([specimen.name for specimen in specimens], morphometry.read_groups(groups))
     variation = None
-    if scores or of_groups is not None:
-        variation = morphometry.shape_variation(specimens, columns, of_groups, permutations, seed)
-    agreement = _agreement(specimens, compare, of_groups, reading) if compare else None
+    if wants_variation:
+        variation = morphometry.shape_variation(specimens, columns, group_of, permutations, seed)
+    agreement = _agreement(specimens, compare, group_of, reading) if compare else None
+
     write_columns(output, columns)
     what = "specimen" if replicates is None else "record"
     say(f"{output}: {count_of(len(specimens), what)}{_unit_said(columns)}")
-    if scale is None or scale in UNITS:
+    if scale is None or scale in UNITS:  # then nobody gave the length of a pixel
         _say_sources(specimens)
     if reflected:
         say(reflected)
-    if found is not None:
-        _write_asymmetry(found, output)
+    if asymmetry is not None:
+        _write_asymmetry(asymmetry, output)
     if variation is not None:
         _write_variation(variation, output)
     if agreement is not None:
         _write_agreement(agreement, output)
     if plot is not None:
-        _draw(columns, found, specimens, plot)
+        _draw(columns, asymmetry, specimens, plot)
     if error is not None:
-        beside = _beside(output, ERRORS)
-        write_columns(beside, error)
-        _show(error)
-        say(f"{beside}: measurement error")
+        _write_error(error, output)
         for line in morphometry.exchanged_landmarks(specimens, replicates or ""):
             complain(line)
     _complain_of_estimates(columns)
-    _complain_of_gaps(columns)
+    _complain_of_specimens_without_scale(columns)
+    _complain_of_unlike_scales(columns)
+    _complain_of_specimens_without_shape(columns)
+
+
+def _comparable_specimens(
+    results: Path, reading: Reading, resample: str | None, *, has_replicates: bool
+) -> "tuple[Specimen, ...]":
+    """Read specimens, place points evenly along their curves if asked, and leave out those with other landmarks."""
+    from liaam import morphometry
+
+    specimens: Iterable[Specimen] = morphometry.read_specimens(results, complain, reading, has_replicates)
+    if resample is not None:
+        specimens = morphometry.with_even_curves(specimens, resample)
+    alike, left_out = morphometry.alike(specimens)
+    _refuse_or_complain(left_out, "have other landmarks than most", reading.strict)
+    return alike
 
 
 def _beside(output: Path, end: str) -> Path:
     """Return the path of a further file beside the output, whose name begins alike."""
     return output.with_name(f"{output.stem}_{end}")
-
-
-def _tables(output: Path, replicates: str | None, symmetry: str | None) -> list[Path]:
-    """Return the paths of all files that are written besides the figure."""
-    ends = []
-    if replicates is not None:
-        ends.append(ERRORS)
-    if symmetry is not None:
-        ends += [*ASYMMETRY_TABLES, ASYMMETRY]
-    return [output, *(_beside(output, end) for end in ends)]
 
 
 def _check_outputs(results: Path, tables: Sequence[Path], plot: Path | None) -> None:
@@ -301,62 +328,85 @@ def _write_agreement(agreement: "ShapeAgreement", output: Path) -> None:
     """Print the agreement with people's landmarks, and write it beside the output."""
     from liaam.plotting import save_figure
 
-    shapes, bias, everything, figure = (_beside(output, end) for end in SHAPES)
-    write_columns(shapes, agreement.by_component())
-    write_columns(bias, agreement.by_landmark())
+    by_component = _beside(output, AGREEMENT_BY_COMPONENT)
+    by_landmark = _beside(output, AGREEMENT_BY_LANDMARK)
+    everything = _beside(output, AGREEMENT_JSON)
+    figure = _beside(output, AGREEMENT_FIGURE)
+    write_columns(by_component, agreement.by_component())
+    write_columns(by_landmark, agreement.by_landmark())
     write_text_atomically(everything, agreement.to_json())
     save_figure(agreement.plot(), figure)
     say(agreement.report())
     say(f"for the section Methods of a paper: {agreement.methods()}")
-    say(f"{everything}: agreement with people's landmarks; also {shapes.name}, {bias.name} and {figure.name}")
+    others = f"{by_component.name}, {by_landmark.name} and {figure.name}"
+    say(f"{everything}: agreement with people's landmarks; also {others}")
 
 
 def _write_variation(variation: "ShapeVariation", output: Path) -> None:
     """Print the variance of shape, and write scores and group means beside the output."""
-    by_specimen, by_group, everything = (_beside(output, end) for end in VARIATION)
     say(variation.report())
+    by_specimen = _beside(output, VARIATION_BY_SPECIMEN)
     write_columns(by_specimen, variation.by_specimen())
     say(f"{by_specimen}: scores of principal components")
     if variation.means:
+        by_group = _beside(output, VARIATION_BY_GROUP)
         write_columns(by_group, variation.by_group())
         say(f"{by_group}: mean shapes of {count_of(len(variation.means), 'group')}")
-    write_text_atomically(everything, variation.to_json())
+    write_text_atomically(_beside(output, VARIATION_JSON), variation.to_json())
 
 
-def _write_asymmetry(found: "AsymmetryResult", output: Path) -> None:
+def _write_asymmetry(asymmetry: "AsymmetryResult", output: Path) -> None:
     """Print the analysis of variance, and write the tables of asymmetry beside the output."""
-    anova = found.anova()
+    anova = asymmetry.anova()
     _show_anova(anova)
-    say(_about_error(found))
-    tables = (anova, found.indices(), found.components())
-    individuals = count_of(len(found.individuals), "individual")
-    for (end, about), table in zip(ASYMMETRY_TABLES.items(), tables, strict=True):
-        beside = _beside(output, end)
-        write_columns(beside, table)
-        say(f"{beside}: {about.format(individuals)}")
-    beside = _beside(output, ASYMMETRY)
-    write_text_atomically(beside, found.to_json())
-    say(f"{beside}: all of it")
+    say(_about_error(asymmetry))
+    individuals = count_of(len(asymmetry.individuals), "individual")
+    tables = (
+        (ANOVA_TABLE, anova, "analysis of variance"),
+        (ASYMMETRY_BY_INDIVIDUAL, asymmetry.indices(), f"asymmetry of {individuals}"),
+        (
+            ASYMMETRY_BY_COMPONENT,
+            asymmetry.components(),
+            "symmetric, directional and fluctuating components of shape",
+        ),
+    )
+    for end, table, description in tables:
+        path = _beside(output, end)
+        write_columns(path, table)
+        say(f"{path}: {description}")
+    everything = _beside(output, ASYMMETRY_JSON)
+    write_text_atomically(everything, asymmetry.to_json())
+    say(f"{everything}: all of it")
+
+
+def _write_error(error: Columns, output: Path) -> None:
+    """Write the table of measurement error beside the output, and print it."""
+    path = _beside(output, ERRORS_TABLE)
+    write_columns(path, error)
+    _show_error(error)
+    say(f"{path}: measurement error")
 
 
 def _show_anova(anova: Columns) -> None:
-    """Print the analyses of variance as geomorph does."""
-    table = table_of("trait", "effect", "df", "SS", "MS", "R2", "F", "Z", "P")
-    for row in (dict(zip(anova, values, strict=True)) for values in zip(*anova.values(), strict=True)):
-        numbers = [
-            "" if row[name] != row[name] else f"{row[name]:.4g}" for name in ("df", "SS", "MS", "R2", "F", "Z", "P")
-        ]
-        table.add_row(cell(row["trait"]), cell(row["effect"]), *numbers)
+    """Print the analyses of variance as geomorph does: numbers that an effect lacks are left blank."""
+    numbers = ("df", "SS", "MS", "R2", "F", "Z", "P")
+    table = table_of("trait", "effect", *numbers)
+    for row in _rows(anova):
+        cells = ["" if math.isnan(row[name]) else f"{row[name]:.4g}" for name in numbers]
+        table.add_row(cell(row["trait"]), cell(row["effect"]), *cells)
     show_table(table)
 
 
-def _about_error(found: "AsymmetryResult") -> str:
+def _about_error(asymmetry: "AsymmetryResult") -> str:
     """Say what fluctuating asymmetry is compared with."""
-    without = f", without {count_of(found.n_estimated, 'record')} with estimated landmarks" if found.n_estimated else ""
-    if found.analysis.error == "replicates":
-        what = "side" if found.analysis.kind == MATCHING else "individual"
-        return f"error: from {found.replicates} replicates of each {what}{without}"
-    if found.analysis.error == "covariances":
+    without = ""
+    if asymmetry.n_estimated:
+        without = f", without {count_of(asymmetry.n_estimated, 'record')} with estimated landmarks"
+    analysis = asymmetry.analysis
+    if analysis.error == "replicates":
+        what = "side" if analysis.kind == MATCHING else "individual"
+        return f"error: from {asymmetry.replicates} replicates of each {what}{without}"
+    if analysis.error == "covariances":
         return f"error: expected from the covariances of the fitted landmarks, as there are no replicates{without}"
     return (
         "error: unknown, so that fluctuating asymmetry is not tested, and includes it; digitise twice, and give "
@@ -364,38 +414,50 @@ def _about_error(found: "AsymmetryResult") -> str:
     )
 
 
-def _draw(columns: Columns, found: "AsymmetryResult | None", specimens: "Sequence[Specimen]", plot: Path) -> None:
+def _draw(columns: Columns, asymmetry: "AsymmetryResult | None", specimens: "Sequence[Specimen]", plot: Path) -> None:
     """Write the figure of the shapes, or of their asymmetry."""
     from liaam.plotting import save_figure
     from liaam.plotting.specimens import figure_of_asymmetry, figure_of_specimens
 
-    if found is None:
+    if asymmetry is None:
         save_figure(figure_of_specimens(columns), plot)
         say(f"{plot}: shapes")
         return
-    save_figure(figure_of_asymmetry(**found.drawing(specimens)), plot)
+    save_figure(figure_of_asymmetry(**asymmetry.drawing(specimens)), plot)
     say(f"{plot}: asymmetry")
 
 
-def _show(error: Columns) -> None:
-    """Print the measurement error: the measures, and the least repeatable landmarks."""
-    rows = [dict(zip(error, values, strict=True)) for values in zip(*error.values(), strict=True)]
+def _show_error(error: Columns) -> None:
+    """Print the measurement error: the measures, and the least repeatable landmarks.
+
+    Rows of landmarks have no degrees of freedom, since their positions in different images do not compare.
+    """
     table = table_of("measure", "specimens", "replicates", "df", "F", "P", "repeatability", "sd", "sd %")
-    for row in rows:
-        numbers = [f"{row[name]:.3g}" for name in ("F", "P", "repeatability", "sd", "sd_percent")]
+    landmarks = []
+    for row in _rows(error):
+        if math.isnan(row["df_within"]):
+            landmarks.append(row)
+            continue
         counts = [f"{row['specimens']:g}", f"{row['replicates']:g}", f"{row['df_among']:g}, {row['df_within']:g}"]
-        if row["df_within"] == row["df_within"]:
-            table.add_row(cell(row["measure"]), *counts, *numbers)
+        numbers = [f"{row[name]:.3g}" for name in ("F", "P", "repeatability", "sd", "sd_percent")]
+        table.add_row(cell(row["measure"]), *counts, *numbers)
     show_table(table)
-    landmarks = (row for row in rows if row["df_within"] != row["df_within"] and row["sd"] == row["sd"])
-    worst = sorted(landmarks, key=lambda row: -row["sd"])[:5]
-    some = (f"{row['measure']} (sd {row['sd']:.3g} px, {row['sd_percent']:.2g} %)" for row in worst)
-    say(f"least repeatable, in % of centroid size: {', '.join(some) or 'none has replicates'}")
+    with_replicates = [row for row in landmarks if not math.isnan(row["sd"])]
+    worst = sorted(with_replicates, key=lambda row: -row["sd"])[:LEAST_REPEATABLE]
+    named = [f"{row['measure']} (sd {row['sd']:.3g} px, {row['sd_percent']:.2g} %)" for row in worst]
+    say(f"least repeatable, in % of centroid size: {', '.join(named) or 'none has replicates'}")
+
+
+def _rows(columns: Columns) -> list[dict[str, Any]]:
+    """Return a table's rows, each by the names of its columns."""
+    return [dict(zip(columns, row, strict=True)) for row in zip(*columns.values(), strict=True)]
 
 
 def _complain_of_estimates(columns: Columns) -> None:
     """Name the specimens with estimated landmarks."""
-    cells = zip(columns["specimen"], columns.get("estimated", [""] * len(columns["specimen"])), strict=True)
+    if "estimated" not in columns:
+        return
+    cells = zip(columns["specimen"], columns["estimated"], strict=True)
     named = [name for name, estimated in cells if isinstance(estimated, str) and estimated]
     if named:
         complain(f"{count_of(len(named), 'specimen')} with estimated landmarks (see 'estimated'): {some_names(named)}")
@@ -418,31 +480,52 @@ def _say_sources(specimens: "Sequence[Specimen]") -> None:
         if specimen.scale is not None and specimen.scale_source:
             sources[specimen.scale_source].append(specimen)
     for source, of_source in sources.items():
-        first = Length(of_source[0].scale or 1.0, of_source[0].unit)
+        first = of_source[0]
+        length = Length(first.scale or 1.0, first.unit)  # it has a scale, as all of a source
         doubt = "; give --scale if the images to measure were taken otherwise" if source == TRAINING else ""
-        say(f"the scale of {count_of(len(of_source), 'specimen')} is that of {source} ({first} per pixel){doubt}")
+        say(f"the scale of {count_of(len(of_source), 'specimen')} is that of {source} ({length} per pixel){doubt}")
 
 
-def _complain_of_gaps(columns: Columns) -> None:
-    """Name specimens without a scale among others, those of an unlike one, and those without a shape."""
-    names = columns["specimen"]
-    sizes = sizes_in(columns)
+def _complain_of_specimens_without_scale(columns: Columns) -> None:
+    """Name the specimens that have a shape and no scale, where others have one."""
     scales = scales_in(columns)
+    if scales is None:
+        return
+    names = columns["specimen"]
+    named = [
+        name
+        for name, scale, has_shape in zip(names, scales, _have_shapes(columns), strict=True)
+        if has_shape and math.isnan(scale)
+    ]
+    if named:
+        what = "no sizes" if unit_of_table(columns) else "sizes in pixels"
+        complain(f"{len(named)} of {len(names)} have no scale, so that they have {what}: {some_names(named)}")
+
+
+def _complain_of_unlike_scales(columns: Columns) -> None:
+    """Name the specimens whose scale differs from that of most."""
+    scales = scales_in(columns)
+    if scales is None:
+        return
+    names = columns["specimen"]
     unit = unit_of_table(columns)
-    first = next((name for name in columns if re.fullmatch(r"X\d+", name)), None)  # a scale bar is no part of the shape
-    whole = [index for index, x in enumerate(sizes if first is None else columns[first]) if x == x]
-    unused = [name for index, name in enumerate(names) if index not in set(whole)]
-    bare = [names[index] for index in whole if scales is not None and scales[index] != scales[index]]
-    have = f"of {len(names)} have no"
-    if bare:
-        what = "no sizes" if unit else "sizes in pixels"
-        complain(f"{len(bare)} {have} scale, so that they have {what}: {some_names(bare)}")
-    if scales is not None:
-        middle = float(np.nanmedian(scales))
-        odd = [f"{names[i]} ({scales[i]:.4g})" for i in np.flatnonzero(unlike(scales)).tolist()]
-        if odd:
-            usual = f"the usual {middle:.4g}{f' {unit}' if unit else ''} per pixel"
-            complain(f"{len(odd)} of {len(names)} have a scale unlike {usual}; check it: {some_names(odd)}")
-    if unused:
+    named = [f"{names[i]} ({scales[i]:.4g})" for i in np.flatnonzero(unlike(scales)).tolist()]
+    if named:
+        usual = f"the usual {float(np.nanmedian(scales)):.4g}{f' {unit}' if unit else ''} per pixel"
+        complain(f"{len(named)} of {len(names)} have a scale unlike {usual}; check it: {some_names(named)}")
+
+
+def _complain_of_specimens_without_shape(columns: Columns) -> None:
+    """Name the specimens that have no shape."""
+    names = columns["specimen"]
+    named = [name for name, has_shape in zip(names, _have_shapes(columns), strict=True) if not has_shape]
+    if named:
         why = "because landmarks are missing or the fit is not to be used (see 'status')"
-        complain(f"{len(unused)} {have} shape, {why}: {some_names(unused)}")
+        complain(f"{len(named)} of {len(names)} have no shape, {why}: {some_names(named)}")
+
+
+def _have_shapes(columns: Columns) -> list[bool]:
+    """Return whether each specimen has Procrustes coordinates, or sizes if the table has no coordinates."""
+    first = next((name for name in columns if re.fullmatch(r"X\d+", name)), None)  # not X1, which may be a scale bar's
+    values = sizes_in(columns) if first is None else columns[first]
+    return [not math.isnan(value) for value in values]

@@ -2,6 +2,7 @@
 
 import math
 from collections.abc import Callable
+from contextlib import suppress
 from functools import partial
 from pathlib import Path
 from typing import Annotated, Any
@@ -64,10 +65,16 @@ def scale(
             progress(i, len(images), name)
             rows.append({"image": name} | _row(image, known, find, folder / f"{stem}_scale.png"))
         progress(len(images), len(images), "")
-    write_columns(output, {name: [row[name] for row in rows] for name in rows[0]})
-    _report(rows, output, folder if find is not None else None)
-    if all(row["scale"] != row["scale"] for row in rows):
+    _show_scales(rows)
+    n_found = sum(not math.isnan(row["scale"]) for row in rows)
+    if not n_found:
+        if find is not None:
+            _remove_if_empty(folder)
+        complain(f"the scale of none of {count_of(len(rows), 'image')} was found: {output} is not written")
         raise typer.Exit(1)
+    write_columns(output, {name: [row[name] for row in rows] for name in rows[0]})
+    drawn = f"; overlays in {folder}" if find is not None else ""
+    say(f"{output}: the scale of {n_found} of {count_of(len(rows), 'image')}{drawn}")
 
 
 def _images_in(path: Path) -> list[Path]:
@@ -131,16 +138,23 @@ def _without_name(message: str, image: Path) -> str:
 
 
 def _draw(pixels: np.ndarray, found: Any, length: Length, path: Path) -> None:
+    """Write an image with the ruler or the scale bar that was found in it, and the length of a pixel."""
     from liaam.plotting.scales import overlay_of_scale
 
     write_image(path, overlay_of_scale(pixels, found, f"{length.value:.5g} {length.unit}/px"))
 
 
-def _report(rows: list[Row], output: Path, overlays: Path | None) -> None:
+def _remove_if_empty(folder: Path) -> None:
+    """Remove the folder of overlays if there are none."""
+    with suppress(OSError):  # it holds those of earlier images
+        folder.rmdir()
+
+
+def _show_scales(rows: list[Row]) -> None:
     """Print the scales, what was refused and why, and which are unlike the others."""
     table = table_of("image", "scale", "standard error", "from")
     for row in rows:
-        if row["scale"] == row["scale"]:
+        if not math.isnan(row["scale"]):
             error = f"{100 * row['scale_se'] / row['scale']:.2g} %"
             table.add_row(cell(row["image"]), f"{row['scale']:.6g} {row['unit']}", error, cell(row["how"]))
     if table.row_count:
@@ -153,6 +167,3 @@ def _report(rows: list[Row], output: Path, overlays: Path | None) -> None:
         odd = [rows[i]["image"] for i in np.flatnonzero(unlike([row["scale"] for row in rows])).tolist()]
         if odd:
             complain(f"{len(odd)} of {len(rows)} have a scale unlike that of the others; check them: {some_names(odd)}")
-    found = sum(row["scale"] == row["scale"] for row in rows)
-    drawn = f"; overlays in {overlays}" if overlays else ""
-    say(f"{output}: the scale of {found} of {count_of(len(rows), 'image')}{drawn}")

@@ -27,7 +27,9 @@ from liaam.progress import Progress
 
 if TYPE_CHECKING:
     from liaam.fitting import FitResult
+    from liaam.model import AAM
     from liaam.tracking import TrackedFrame, Tracker
+    from liaam.tracking.shading import ShadingRemover
 
 
 def track(
@@ -96,15 +98,11 @@ def track(
     report(counts, [output, *(path for path in (annotated, shading_free) if path is not None)])
     if stopped():
         raise StoppedError(f"stopped after {count_of(counts.n, 'frame')}; the results so far are written")
-    faults = [reader.fault] if reader.fault else []
-    if counts.n_grey and not counts.n_unshaded:
-        faults.append(
-            f"{shading_free} is an unchanged copy of {reader.name}: every frame with the object is grey (three equal "
-            "channels), and estimating shading needs colour; give a colour video"
-        )
+    faults = faults_of(reader, counts, shading_free)
     for fault in faults:
         complain(f"error: {fault}")
-    if faults or counts.n == len(counts.lost):
+    is_always_lost = len(counts.lost) == counts.n
+    if faults or is_always_lost:
         raise typer.Exit(1)
 
 
@@ -114,13 +112,29 @@ Step = tuple[VideoFrame, "TrackedFrame", "FitResult | None"]
 
 @dataclass
 class Counts:
-    """Statistics of the frames so far."""
+    """Statistics of the frames so far.
+
+    Attributes
+    ----------
+    statuses : Counter
+        Number of frames by :class:`liaam.tracking.TrackStatus`.
+    qualities : list of float
+        Quality of each frame; NaN if unknown.
+    lost : list of int
+        Frames without the object.
+    fits_of_lost : Counter
+        Number of these by the status of the last fit, or by None if there was no fit.
+    n_shading_free, n_grey : int
+        Number of frames whose shading was removed, and of those where it could not be, because they are grey.
+    began : float
+        When the first frame was expected, seconds of :func:`time.monotonic`.
+    """
 
     statuses: Counter = field(default_factory=Counter)
     qualities: list[float] = field(default_factory=list)
     lost: list[int] = field(default_factory=list)
-    fits: Counter = field(default_factory=Counter)
-    n_unshaded: int = 0
+    fits_of_lost: Counter = field(default_factory=Counter)
+    n_shading_free: int = 0
     n_grey: int = 0
     began: float = field(default_factory=monotonic)
 
@@ -132,7 +146,7 @@ class Counts:
     @property
     def rate(self) -> float:
         """Frames per second."""
-        return self.n / max(monotonic() - self.began, 1e-9)
+        return self.n / max(monotonic() - self.began, 1e-9)  # clocks may be coarse
 
     def add(self, frame: "TrackedFrame") -> None:
         """Count a frame."""
@@ -140,12 +154,15 @@ class Counts:
         self.qualities.append(frame.quality)
         if not frame.ok:
             self.lost.append(frame.index)
-            self.fits[frame.fit_status] += 1
+            self.fits_of_lost[frame.fit_status] += 1
 
 
 def source_of(video: str) -> Path | int:
     """Return a file's path, or a camera's number if no file has that name."""
-    return int(video) if video.isascii() and video.isdigit() and not Path(video).exists() else Path(video)
+    is_number = video.isascii() and video.isdigit()
+    if is_number and not Path(video).exists():
+        return int(video)
+    return Path(video)
 
 
 def frames_in(text: str) -> tuple[int, int | None]:
@@ -163,8 +180,12 @@ def frames_in(text: str) -> tuple[int, int | None]:
 def default_output(source: Path | int) -> Path:
     """Return the default path of the track."""
     if isinstance(source, int):
-        return Path(f"camera{source}_track.csv")
-    return Path(f"{real_path(source).name if source.is_dir() else source.stem}_track.csv")
+        name = f"camera{source}"
+    elif source.is_dir():
+        name = real_path(source).name  # also of "."
+    else:
+        name = source.stem
+    return Path(f"{name}_track.csv")
 
 
 def check_outputs(output: Path, annotated: Path | None, shading_free: Path | None, source: Path | int) -> None:
@@ -182,10 +203,15 @@ def check_outputs(output: Path, annotated: Path | None, shading_free: Path | Non
     if isinstance(source, Path) and real_path(source) in {real_path(path) for path in paths}:
         raise LiaamError(f"{source} is the input video; give the output another name")
     check_track_name(output)
-    for path in paths:
-        what, is_one = ("track", is_track) if path is output else ("video", is_video)
-        if path.exists() and not is_one(path):
-            raise LiaamError(f"{path} exists and is not a {what}; give another name to keep it")
+    refuse_other_file(output, "track", is_track)
+    for path in videos:
+        refuse_other_file(path, "video", is_video)
+
+
+def refuse_other_file(path: Path, kind: str, is_of_kind: Callable[[Path], bool]) -> None:
+    """Raise if a file would be overwritten that is not of the kind that is written."""
+    if path.exists() and not is_of_kind(path):
+        raise LiaamError(f"{path} exists and is not a {kind}; give another name to keep it")
 
 
 @contextmanager
@@ -206,37 +232,51 @@ def outputs(
     remover = None if shading_free is None else ShadingRemover(tracker.fitter)  # may raise: before files are created
     with ExitStack() as files:
         track_file = files.enter_context(track_writer(output, tracker.model.n_points))
-        drawn, fresh = (
-            None if path is None else files.enter_context(video_writer(path, reader.rate))
-            for path in (annotated, shading_free)
-        )
+        annotated_file = shading_free_file = None
+        if annotated is not None:
+            annotated_file = files.enter_context(video_writer(annotated, reader.rate))
+        if shading_free is not None:
+            shading_free_file = files.enter_context(video_writer(shading_free, reader.rate))
 
         def write(step: Step) -> None:
             frame, tracked, result = step
             track_file.write(tracked)
-            if drawn is not None:
-                from liaam.plotting import video
-
-                parts = [f"{tracked.index}", f"{tracked.time:.2f} s", str(tracked.status)]
-                if tracked.ok and tracked.quality == tracked.quality:  # not NaN
-                    parts.append(f"quality {tracked.quality:.2f}")
-                landmarks, spread = (tracked.landmarks, tracked.covariances) if tracked.ok else (None, None)
-                spread = spread if ellipses else None
-                picture = video.annotated(frame.image, landmarks, tracker.model, "   ".join(parts), spread)
-                drawn.write(picture, frame.time)
-            if fresh is not None and remover is not None:  # a grey frame, or one without the object, stays as it is
+            if annotated_file is not None:
+                annotated_file.write(with_landmarks(frame, tracked, tracker.model, ellipses), frame.time)
+            if shading_free_file is not None and remover is not None:
                 if tracked.status is not TrackStatus.TRACKED:
                     remover.reset()
-                picture = frame.image
-                if result is not None:
-                    try:
-                        picture = remover.remove(picture, result, tracked.landmarks)
-                        counts.n_unshaded += 1
-                    except MethodError:
-                        counts.n_grey += 1
-                fresh.write(picture, frame.time)
+                picture = without_shading(frame, tracked, result, remover, counts)
+                shading_free_file.write(picture, frame.time)
 
         yield write
+
+
+def with_landmarks(frame: VideoFrame, tracked: "TrackedFrame", model: "AAM", ellipses: bool) -> np.ndarray:
+    """Return a frame with its landmarks and a caption, (h, w, 3) uint8."""
+    from liaam.plotting import video
+
+    parts = [f"{tracked.index}", f"{tracked.time:.2f} s", str(tracked.status)]
+    if tracked.ok and not np.isnan(tracked.quality):
+        parts.append(f"quality {tracked.quality:.2f}")
+    landmarks = tracked.landmarks if tracked.ok else None
+    covariances = tracked.covariances if tracked.ok and ellipses else None
+    return video.annotated(frame.image, landmarks, model, "   ".join(parts), covariances)
+
+
+def without_shading(
+    frame: VideoFrame, tracked: "TrackedFrame", result: "FitResult | None", remover: "ShadingRemover", counts: Counts
+) -> np.ndarray:
+    """Return a frame under the training light; a grey one, or one without the object, as it is. Count both."""
+    if result is None:
+        return frame.image
+    try:
+        picture = remover.remove(frame.image, result, tracked.landmarks)
+    except MethodError:
+        counts.n_grey += 1
+        return frame.image
+    counts.n_shading_free += 1
+    return picture
 
 
 def steps_of(
@@ -282,20 +322,37 @@ def stop_on_interrupt() -> Iterator[Callable[[], bool]]:
         signal.signal(signal.SIGINT, before)
 
 
+def faults_of(reader: VideoReader, counts: Counts, shading_free: Path | None) -> list[str]:
+    """Return what went wrong with the video, and with the removal of its shading."""
+    faults = [reader.fault] if reader.fault else []
+    if counts.n_grey and not counts.n_shading_free:
+        faults.append(
+            f"{shading_free} is an unchanged copy of {reader.name}: every frame with the object is grey (three equal "
+            "channels), and estimating shading needs colour; give a colour video"
+        )
+    return faults
+
+
 def report(counts: Counts, outputs: Sequence[Path]) -> None:
     """Print a summary of the track."""
     table = table_of("frames", "with landmarks", "lost", "found again", "corrected", "quality", "frames/s")
     qualities = [quality for quality in counts.qualities if np.isfinite(quality)]
-    again = max(0, counts.statuses["found"] - 1)
-    quality = f"{np.median(qualities):.2f}" if qualities else "–"
-    numbers = counts.n, counts.n - len(counts.lost), len(counts.lost), again, counts.statuses["corrected"]
-    table.add_row(*map(str, numbers), quality, f"{counts.rate:.1f}")
+    found_again = max(0, counts.statuses["found"] - 1)  # the first time is no loss
+    table.add_row(
+        str(counts.n),
+        str(counts.n - len(counts.lost)),
+        str(len(counts.lost)),
+        str(found_again),
+        str(counts.statuses["corrected"]),
+        f"{np.median(qualities):.2f}" if qualities else "–",
+        f"{counts.rate:.1f}",
+    )
     show_table(table)
     for path in outputs:
         say(f"written to {path}")
     if not counts.lost:
         return
-    reasons = ", ".join(f"{status or 'not searched'} {n}" for status, n in counts.fits.most_common())
+    reasons = ", ".join(f"{status or 'not searched'} {n}" for status, n in counts.fits_of_lost.most_common())
     lost = f"{'frame' if len(counts.lost) == 1 else 'frames'} {ranges_of(counts.lost)}"
     complain(
         f"lost in {lost} (last fits: {reasons}): check them with --video; if the object is visible, give its place in "

@@ -8,9 +8,10 @@ from pathlib import Path
 from liaam.datasets.dataset import Dataset, Sample
 from liaam.datasets.folder import load_folder
 
-SOFT_LIGHT, HARD_LIGHT, FACE = (
-    Path(__file__).with_name("pictures") / name for name in ("soft-light", "hard-light", "face")
-)
+_PICTURES = Path(__file__).with_name("pictures")
+SOFT_LIGHT = _PICTURES / "soft-light"
+HARD_LIGHT = _PICTURES / "hard-light"
+FACE = _PICTURES / "face"
 
 
 def load_heads() -> tuple[Dataset, Dataset]:

@@ -5,8 +5,9 @@ linearly with that of the number of pictures (a power law, Viering & Loog 2023),
 the last two sizes together with what is usual.
 """
 
+import itertools
 import json
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
@@ -23,6 +24,7 @@ from liaam.formatting import json_value, short_repr
 from liaam.plotting.errors import plot_curve
 from liaam.progress import progress_bar
 from liaam.tables import Columns
+from liaam.training.entries import FEWEST as FEWEST_IN_TRAINING
 from liaam.training.left_out import folds_of
 
 if TYPE_CHECKING:
@@ -30,14 +32,17 @@ if TYPE_CHECKING:
 
 SIZES = (5, 10, 20, 40, 80, 160, 320)  # Pictures that models are trained on by default
 FOLDS = 5  # Parts that are left out in turn
-FEWEST = 8  # Pictures from which a curve is measured: of 8 parts, models of 5 and 6 pictures are compared
+FEWEST = 8  # Pictures from which a curve is measured: with parts of up to 2, models of 5 and of 6 pictures are compared
 # Exponent of the power law before anything is measured, and its standard deviation: it is between 0, that of an error
 # which labels limit, and 1/2, that of the error of a mean.
 EXPONENT = 0.25
 SPREAD_OF_EXPONENT = 0.15
 INTERVAL = 1.96  # Standard deviations of a 95 % interval
-BOOTSTRAPS = 500  # Random draws of pictures for the standard error of a median
+QUARTILES = 1.349  # Distance between the quartiles of normal values, in standard deviations
+BOOTSTRAPS = 500  # Random draws of pictures for the standard error of a median, which this gives within about 3 %
 GAIN = 0.05  # Share of the error that twice as many pictures must save to be called a gain
+ERROR_WITHOUT_FIT = 1.0  # Error of a picture whose fit has no landmarks: as large as the normaliser
+LEAST_ERROR = 1e-9  # Errors below it count as it, since 0 has no logarithm
 
 
 @dataclass(frozen=True, eq=False)
@@ -92,25 +97,27 @@ class LearningCurve:
         """
         n = n or 2 * self.n_pictures
         last = self.errors[-1]
-        exponent, spread = self._exponent()
-        far = np.log(n / self.sizes[-1])
-        # Of the median with the models measured, and of another one on other pictures.
-        level = np.hypot(_error_of_log_median(last), _error_of_log_median(last))
-        half = INTERVAL * np.hypot(level, spread * far)
-        middle = np.log(np.median(last)) - exponent * far
-        return float(np.exp(middle)), float(np.exp(middle - half)), float(np.exp(middle + half))
+        exponent, exponent_se = self._exponent()
+        log_ratio = np.log(n / self.sizes[-1])  # of the numbers of pictures
+        log_error = np.log(np.median(last)) - exponent * log_ratio
+        # Uncertain are the median that was measured and, by as much, that of another model on other pictures.
+        median_se = _error_of_log_median(last)
+        both_medians_se = np.hypot(median_se, median_se)
+        half = INTERVAL * np.hypot(both_medians_se, exponent_se * log_ratio)
+        return float(np.exp(log_error)), float(np.exp(log_error - half)), float(np.exp(log_error + half))
 
     def _exponent(self) -> tuple[float, float]:
         """Return the exponent of the power law and its standard deviation: from the last two sizes, and the usual."""
         if len(self.sizes) < 2:
             return EXPONENT, SPREAD_OF_EXPONENT
-        steps = np.log(self.errors[-2] / self.errors[-1])
-        far = np.log(self.sizes[-1] / self.sizes[-2])
-        middle = float(np.median(steps)) / far
-        # The standard error of a median of normal values; the median, as lost fits would decide a mean.
-        variance = np.pi / 2 * float(np.square(_spread(steps))) / len(steps) / far**2
+        log_ratio = np.log(self.sizes[-1] / self.sizes[-2])  # of the numbers of pictures
+        log_gains = np.log(self.errors[-2] / self.errors[-1])  # of each picture
+        measured = float(np.median(log_gains)) / log_ratio  # the median, as lost fits would decide a mean
+        # The variance of a median of normal values is pi / 2 times that of their mean.
+        variance = np.pi / 2 * float(np.square(_spread(log_gains))) / len(log_gains) / log_ratio**2
+        # The mean of both, weighted by the reciprocals of their variances.
         weight = SPREAD_OF_EXPONENT**2 / (SPREAD_OF_EXPONENT**2 + variance)
-        exponent = EXPONENT + weight * (middle - EXPONENT)
+        exponent = EXPONENT + weight * (measured - EXPONENT)
         return max(0.0, exponent), float(np.sqrt(1 - weight) * SPREAD_OF_EXPONENT)
 
     def to_columns(self) -> Columns:
@@ -144,7 +151,9 @@ class LearningCurve:
         """Say what more pictures would gain, and whether models repeat landmarks as well as people."""
         n = self.n_pictures
         error, lowest, highest = (100 * each for each in self.forecast())
-        now = 100 * float(np.exp(np.log(self.medians[-1]) - self._exponent()[0] * np.log(n / self.sizes[-1])))
+        exponent, _ = self._exponent()
+        log_of_now = np.log(self.medians[-1]) - exponent * np.log(n / self.sizes[-1])
+        now = 100 * float(np.exp(log_of_now))  # with all pictures, of which each model had only a part
         lines = [
             f"forecast for {2 * n} training images: median error {error:.2f} % of {self.normaliser} (95 % interval "
             f"{lowest:.2f} to {highest:.2f}); with all {n} images: {now:.2f} %"
@@ -182,7 +191,7 @@ def learning_curve(
     ----------
     samples : Dataset, or iterable of Sample or of (image, landmarks) pairs
     sizes : sequence of int
-        Pictures to train on. Those that are not there are left out.
+        Numbers of pictures to train on. Those below 3 are left out, and those for which there are too few pictures.
     method, normalise, limit, workers, training, **settings
         As for :func:`liaam.cross_validate`.
     second : mapping of str to (n, 2) float64, optional
@@ -206,19 +215,19 @@ def learning_curve(
     if len(task.cases) < FEWEST:
         raise LiaamError(f"{len(task.cases)} pictures: a learning curve is measured from {FEWEST} pictures on")
     parts = folds_of([case.name for case in task.cases], FOLDS)
-    most = len(task.cases) - max(map(len, parts))
-    used = [size for size in sorted(set(sizes)) if 3 <= size < most] + [most]
+    all_of_rest = len(task.cases) - max(map(len, parts))
+    used_sizes = [size for size in sorted(set(sizes)) if FEWEST_IN_TRAINING <= size < all_of_rest] + [all_of_rest]
     evaluations = []
-    with progress_bar("models", len(used) * len(parts), progress) as tell:
-        for size in used:
-            done = len(evaluations) * len(parts)
-            evaluations.append(_evaluation_of(task, parts, size, seed, lambda i, done=done: tell(done + i)))
-    known = [set(each.names) for each in evaluations]
-    shared = [name for name in evaluations[-1].names if all(name in names for names in known)]
-    errors = np.array([[_errors_by_name(each)[name] for name in shared] for each in evaluations])
+    with progress_bar("models", len(used_sizes) * len(parts), progress) as tell:
+        models = itertools.count(1)
+        for size in used_sizes:
+            evaluations.append(_evaluation_of(task, parts, size, seed, lambda: tell(next(models))))
     last = evaluations[-1]
+    errors_by_name = [_errors_by_name(each) for each in evaluations]
+    shared = [name for name in last.names if all(name in errors for errors in errors_by_name)]
+    errors = np.array([[errors[name] for name in shared] for errors in errors_by_name])
     return LearningCurve(
-        sizes=tuple(used),
+        sizes=tuple(used_sizes),
         errors=errors,
         lost=(errors > last.limit).mean(axis=1),
         slopes=np.array([np.nan if each.agreement is None else each.agreement.slope for each in evaluations]),
@@ -228,21 +237,22 @@ def learning_curve(
     )
 
 
-def _evaluation_of(task: Task, parts: Sequence[np.ndarray], size: int, seed: int, tell: Any) -> Evaluation:
-    """Evaluate models of so many pictures, drawn from the rest of each part."""
+def _evaluation_of(
+    task: Task, parts: Sequence[np.ndarray], size: int, seed: int, tell: Callable[[], object]
+) -> Evaluation:
+    """Evaluate models of so many pictures, drawn from the rest of each part. ``tell`` is called after each model."""
     rng = np.random.default_rng([seed, size])
-    count = iter(range(1, len(parts) + 1))
 
     def drawn(rest: list[Sample]) -> list[Sample]:
         return [rest[i] for i in sorted(rng.permutation(len(rest))[:size].tolist())]
 
-    return evaluation_by_parts(task, parts, drawn, lambda: tell(next(count)))
+    return evaluation_by_parts(task, parts, drawn, tell)
 
 
 def _errors_by_name(evaluation: Evaluation) -> dict[str, float]:
-    """Return the mean error of each picture; as large as the object where a fit has no landmarks."""
-    errors = np.nan_to_num(evaluation.errors, nan=1.0, posinf=1.0)
-    return dict(zip(evaluation.names, np.clip(errors, 1e-9, None).tolist(), strict=True))
+    """Return the mean error of each picture, as a fraction of the normaliser, such that it has a logarithm."""
+    errors = np.nan_to_num(evaluation.errors, nan=ERROR_WITHOUT_FIT, posinf=ERROR_WITHOUT_FIT)
+    return dict(zip(evaluation.names, np.maximum(errors, LEAST_ERROR).tolist(), strict=True))
 
 
 def _between_people(evaluation: Evaluation, second: Mapping[str, np.ndarray]) -> float:
@@ -265,4 +275,4 @@ def _error_of_log_median(values: np.ndarray) -> float:
 def _spread(values: np.ndarray) -> float:
     """Return the standard deviation of normal values (m,) by their quartiles, which few outliers do not change."""
     low, high = np.percentile(values, [25, 75])
-    return float(high - low) / 1.349
+    return float(high - low) / QUARTILES

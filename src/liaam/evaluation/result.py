@@ -236,7 +236,8 @@ class Evaluation:
         columns["p90_percent"] = _percentiles(self._percent, 90)
         columns["inside_percent"] = _percent_inside(self.inside[self.called_right])
         if self.contours:
-            for name, (errors, inside) in {"along": self._in_direction(0), "across": self._in_direction(1)}.items():
+            for axis, name in enumerate(("along", "across")):
+                errors, inside = self._in_direction(axis)
                 columns[f"{name}_percent"] = _percentiles(errors, 50)
                 columns[f"inside_{name}_percent"] = _percent_inside(inside)
         return columns
@@ -291,25 +292,28 @@ class Evaluation:
         """Summarise the errors, the outcomes and the coverage, as text."""
         k = len(self)
         held = "unknown, since no fit may be used" if np.isnan(self.coverage) else f"{self.coverage:.1%}"
-        median, p90, largest = (_percentile(100 * self.errors, q) for q in (50, 90, 100))
-        wrong, refused = self._wrong_and_refused(self.outcomes)
+        median = _percentile(100 * self.errors, 50)
+        p90 = _percentile(100 * self.errors, 90)
+        largest = _percentile(100 * self.errors, 100)
         lines = [
             f"{count_of(k, 'image')}; mean error in % of {self.normaliser}: median {median:.2f}, 90th percentile "
             f"{p90:.2f}, largest {largest:.2f}",
-            f"wrong (error above {self.limit:.1%}): {wrong}",
-            f"refused (error within this limit, but the status is doubtful or failed): {refused}",
+            f"wrong (error above {self.limit:.1%}): {_wrong_said(self.outcomes)}",
+            "refused (error within this limit, but the status is doubtful or failed): "
+            f"{self.outcomes.count('refused')}",
             f"landmarks inside their 95 % ellipses, in fits that may be used: {held}",
         ]
         if self.sides:
             counts = ", ".join(f"{self.sides.count(side)} {side}" for side in sorted(set(self.sides)))
             lines.append(f"sides: {counts}; fits of the wrong side: {int(self.on_wrong_side.sum())}")
         if self.contours:
-            wrong, refused = self._wrong_and_refused(self.outline_outcomes)
+            outcomes = self.outline_outcomes
             along, held_along = self._in_direction(0)
             across, held_across = self._in_direction(1)
             lines += [
                 "by outline (errors of landmarks on contours are distances from the contour): median "
-                f"{_percentile(100 * self.outline_errors, 50):.2f}; wrong {wrong}; refused {refused}",
+                f"{_percentile(100 * self.outline_errors, 50):.2f}; wrong {_wrong_said(outcomes)}; refused "
+                f"{outcomes.count('refused')}",
                 f"landmarks on contours: median error along the contour {_percentile(along.ravel(), 50):.2f}, across "
                 f"it {_percentile(across.ravel(), 50):.2f}; inside the 95 % interval along the contour "
                 f"{100 * _mean(held_along):.1f} %, across it {100 * _mean(held_across):.1f} %",
@@ -321,12 +325,6 @@ class Evaluation:
         if self.left_out:
             lines.append(f"left out {len(self.left_out)}: {some_names(self.left_out, 3, '; ')}")
         return "\n".join(lines)
-
-    def _wrong_and_refused(self, outcomes: list[str]) -> tuple[str, int]:
-        """Return how many fits are wrong, and how many of these are silent, in words; and how many are refused."""
-        silent = outcomes.count("silent")
-        wrong = f"{outcomes.count('lost') + silent} of {len(self)}, {silent} of them silent (the status is converged)"
-        return wrong, outcomes.count("refused")
 
     def worst(self, count: int = 10) -> np.ndarray:
         """Return the indices of the images with the largest errors, (min(k, count),) int64, the largest first."""
@@ -341,6 +339,13 @@ class Evaluation:
         shown = self.worst(count)
         titles = [f"{self.names[i]}\n{self.errors[i]:.1%}, {self.statuses[i]}" for i in shown]
         return figure_of_worst([self.images[i] for i in shown], self.truths[shown], self.landmarks[shown], titles)
+
+
+def _wrong_said(outcomes: list[str]) -> str:
+    """Say how many fits are wrong, and how many of these are silent."""
+    silent = outcomes.count("silent")
+    wrong = outcomes.count("lost") + silent
+    return f"{wrong} of {len(outcomes)}, {silent} of them silent (the status is converged)"
 
 
 def _percentile(values: np.ndarray, percent: float) -> float:

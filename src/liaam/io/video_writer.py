@@ -17,10 +17,14 @@ from liaam.io.video import DEFAULT_RATE, pyav
 # In one thread: with several, files of the same frames differ between runs by some bytes. A frame of 1920 x 1080 takes
 # 27 ms of processor time, about as with several.
 _X264 = {"crf": "18", "preset": "veryfast", "threads": "1"}
-_ENCODERS = (("libx264", _X264), ("mpeg4", {"qscale": "3"}))
-_WEB_ENCODERS = (("libvpx-vp9", {"crf": "24", "b": "0", "deadline": "realtime", "cpu-used": "6"}),)
-_TICKS = 60000  # time base of written files, a multiple of all usual frame rates
-_LEAST_STEP = _TICKS // 1000  # some formats store times in milliseconds
+_MPEG4 = {"qscale": "3"}
+_VP9 = {"crf": "24", "b": "0", "deadline": "realtime", "cpu-used": "6"}
+# Encoders, of which the first that this PyAV has is used, with their options: a quality (crf, qscale) with hardly
+# visible loss, and of several speeds a fast one, because videos are written while they are tracked.
+_ENCODERS = (("libx264", _X264), ("mpeg4", _MPEG4))
+_WEB_ENCODERS = (("libvpx-vp9", _VP9),)
+_TICKS = 60000  # ticks in a second, the unit of times in written files: a multiple of all usual frame rates
+_LEAST_STEP = _TICKS // 1000  # ticks between frames: some formats store times in milliseconds
 
 
 class VideoWriter:
@@ -34,9 +38,9 @@ class VideoWriter:
         self._size = (0, 0)
         # An .avi has a fixed rate and stores no times.
         self._timed = path.suffix.lower() != ".avi"
-        self._base = Fraction(1, _TICKS) if self._timed else 1 / rate
-        self._begun: float | None = None
-        self._last = -1
+        self._base = Fraction(1, _TICKS) if self._timed else 1 / rate  # seconds of a unit of time stamps
+        self._begun: float | None = None  # time of the first frame, by the first frame that has a time, seconds
+        self._last = -1  # time stamp of the last frame
         self.n_frames = 0
 
     def write(self, image: np.ndarray, time: float | None = None) -> None:
@@ -58,46 +62,54 @@ class VideoWriter:
         frame.pts = self._stamp(time)
         frame.time_base = self._base
         self._container.mux(self._stream.encode(frame))
-        self.n_frames = self.n_frames + 1
+        self.n_frames += 1
         self._last = frame.pts
 
     def _stamp(self, time: float | None) -> int:
         """Return the time of the next frame in units of the time base, later than that of the previous one."""
         if not self._timed:
             return self.n_frames
-        step = round(_TICKS / self._rate)
-        counted = self._last + step if self.n_frames else 0
+        step = round(_TICKS / self._rate)  # between frames at the given rate
+        is_first = self.n_frames == 0
+        by_rate = 0 if is_first else self._last + step
         if time is None or not np.isfinite(time):
-            return counted
+            return by_rate
         if self._begun is None:
-            self._begun = time - counted / _TICKS
-        stamp = round((time - self._begun) * _TICKS)
-        return stamp if not self.n_frames else max(stamp, self._last + min(step, _LEAST_STEP))
+            self._begun = time - by_rate / _TICKS
+        by_time = round((time - self._begun) * _TICKS)
+        if is_first:
+            return by_time
+        return max(by_time, self._last + min(step, _LEAST_STEP))
 
     def _begin(self, height: int, width: int) -> None:
+        """Open the stream for frames of a size."""
         import av
 
         suffix = self._path.suffix.lower()
-        choice = _WEB_ENCODERS if suffix == ".webm" else _ENCODERS
-        name, options = next((each for each in choice if each[0] in av.codecs_available), ("", {}))
-        if not name:
-            lack = f"this PyAV lacks the encoder {choice[0][0]}"
+        encoders = _WEB_ENCODERS if suffix == ".webm" else _ENCODERS
+        available = [encoder for encoder in encoders if encoder[0] in av.codecs_available]
+        if not available:
+            best, _ = encoders[0]
+            lack = f"this PyAV lacks the encoder {best}"
             raise VideoError(f"{self._path}: {lack}; install PyAV from PyPI, or try .mp4")
+        name, options = available[0]
         # An .avi cannot store B-frames, which are shown in another order than decoded.
         options = {**options, "bf": "0"} if suffix == ".avi" else options
-        self._size = (height + height % 2, width + width % 2)  # colour is stored for blocks of 2 × 2
+        self._size = (height + height % 2, width + width % 2)  # even, as colour is stored for blocks of 2 × 2
         self._stream = self._container.add_stream(name, rate=self._rate, options=options)
         self._stream.height, self._stream.width = self._size
         self._stream.pix_fmt = "yuv420p"
         self._stream.codec_context.time_base = self._base
 
     def _fitted(self, image: np.ndarray) -> np.ndarray:
+        """Return an image in the size of the video: with a row or column more if that is all it lacks, or resized."""
         height, width = self._size
-        more = height - image.shape[0], width - image.shape[1]
-        if more == (0, 0):
+        rows = height - image.shape[0]
+        columns = width - image.shape[1]
+        if rows == 0 and columns == 0:
             return np.ascontiguousarray(image)
-        if all(0 <= n <= 1 for n in more):
-            return np.pad(image, ((0, more[0]), (0, more[1]), (0, 0)), mode="edge")
+        if 0 <= rows <= 1 and 0 <= columns <= 1:
+            return np.pad(image, ((0, rows), (0, columns), (0, 0)), mode="edge")
         import cv2
 
         return cv2.resize(image, (width, height), interpolation=cv2.INTER_AREA)

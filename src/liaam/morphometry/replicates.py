@@ -5,6 +5,7 @@ import re
 import warnings
 from collections import defaultdict
 from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 
@@ -17,10 +18,11 @@ from liaam.morphometry.specimens import Specimen
 from liaam.morphometry.table import comparable, scale_column, scales_in, sizes_in, unit_of_table
 from liaam.tables import Columns
 
-_FEWEST_PAIRS = 2  # objects that two files share, to compare the orders of their landmarks
-_CLEARLY = 4.0  # least factor by which another order must bring landmarks closer together
+_FEWEST_PAIRS = 2  # objects that two files share, to compare the orders of their landmarks: one may be an outlier
+_CLEARLY = 4.0  # least factor by which another order must bring landmarks closer together, so that no error is one
 
-_SQUARES = ("df_among", "df_within", "ms_among", "ms_within", "F", "P", "repeatability")
+_COMPARING = ("df_among", "df_within", "ms_among", "ms_within", "F", "P", "repeatability")
+"""Columns that compare specimens with replicates; the others are of replicates only."""
 
 
 def measurement_error(specimens: Sequence[Specimen], columns: Columns, by: str, slid: bool = False) -> Columns:
@@ -62,40 +64,70 @@ def measurement_error(specimens: Sequence[Specimen], columns: Columns, by: str, 
             "image that lie on each other are replicates, or the text before the number of a replicate in names, such "
             "as _ in wing1_2"
         )
-    sizes = np.array(sizes_in(columns))
-    scales = np.array(scales_in(columns) or [1.0] * len(sizes))
-    pixels = sizes / np.where(scales > 0, scales, 1.0)
-    numbers = [int(name[1:]) for name in columns if re.fullmatch(r"X\d+", name)]
-    shapes = [np.array([columns[f"X{number}"], columns[f"Y{number}"]]).T for number in numbers]
-    sliding = (
-        len(semilandmarks(next((specimen.curves for specimen in specimens if specimen.curves), ()))[1]) if slid else 0
-    )
-    estimated = np.array([bool(specimen.estimated) for specimen in specimens])
+    is_estimated = np.array([bool(specimen.estimated) for specimen in specimens])
 
     def observed(values: np.ndarray) -> np.ndarray:
         """Return values (m, k) without those of specimens with estimated landmarks."""
-        return np.where(estimated[:, None], math.nan, values)
+        return np.where(is_estimated[:, None], math.nan, values)
 
-    flat = observed(np.concatenate([np.empty((len(sizes), 0)), *shapes], axis=1))
-    rows = [{"measure": "shape"} | anova(flat, groups, np.ones(1), 2 * len(shapes) - 4 - sliding)]
-    others = {"specimen", "side", "status", "estimated", scale_column(unit_of_table(columns))}
-    others |= {f"{name}_se" for name in columns}
-    for name in (name for name in columns if name not in others and not re.fullmatch(r"[XY]\d+", name)):
+    numbers = [int(name[1:]) for name in columns if re.fullmatch(r"X\d+", name)]
+    shapes = np.empty((len(specimens), len(numbers), 2))
+    for i, number in enumerate(numbers):
+        shapes[:, i, 0] = columns[f"X{number}"]
+        shapes[:, i, 1] = columns[f"Y{number}"]
+    n_sliding = _count_semilandmarks(specimens) if slid else 0
+    freedom = 2 * len(numbers) - 4 - n_sliding  # without position, size and angle
+    flat = shapes.reshape(len(specimens), -1)
+    rows: list[dict[str, Any]] = [{"measure": "shape"} | anova(observed(flat), groups, np.ones(1), freedom)]
+
+    for name in _measures_in(columns):
         values = comparable(columns, name)
         rows.append({"measure": name} | anova(observed(values[:, None]), groups, values))
+
+    sizes_px = _sizes_in_pixels(columns)
     names = next((specimen.names for specimen in specimens if specimen.names), ())
-    usable = {"", *USABLE}
-    for number, shape in zip(numbers, shapes, strict=True):
-        points = shape * pixels[:, None]
-        if by == "image" and not slid:
-            points = np.array(
-                [specimen.points[number - 1] if specimen.status in usable else [math.nan] * 2 for specimen in specimens]
-            )
-        row = {"measure": f"landmark {names[number - 1] if names else number}"} | anova(
-            observed(points), groups, pixels
-        )
-        rows.append(row | dict.fromkeys(_SQUARES, math.nan))  # positions in different images do not compare
+    for i, number in enumerate(numbers):
+        points = shapes[:, i] * sizes_px[:, None]
+        if by == "image" and not slid:  # records of one image share its coordinates
+            points = _positions(specimens, number)
+        row = {"measure": f"landmark {names[number - 1] if names else number}"}
+        row |= anova(observed(points), groups, sizes_px)
+        row |= dict.fromkeys(_COMPARING, math.nan)  # positions in different images do not compare
+        rows.append(row)
     return {name: [row[name] for row in rows] for name in rows[0]}
+
+
+def _count_semilandmarks(specimens: Sequence[Specimen]) -> int:
+    """Return the number of landmarks that slide along the curves of specimens."""
+    curves = next((specimen.curves for specimen in specimens if specimen.curves), ())
+    _, sliding = semilandmarks(curves)
+    return len(sliding)
+
+
+def _measures_in(columns: Columns) -> list[str]:
+    """Return the names of the columns that hold measures, without their standard errors."""
+    others = {"specimen", "side", "status", "estimated", scale_column(unit_of_table(columns))}
+    others |= {f"{name}_se" for name in columns}
+    return [name for name in columns if name not in others and not re.fullmatch(r"[XY]\d+", name)]
+
+
+def _sizes_in_pixels(columns: Columns) -> np.ndarray:
+    """Return the centroid sizes (m,) of specimens in pixels."""
+    sizes = np.array(sizes_in(columns))
+    scales = scales_in(columns)
+    if not scales:
+        return sizes
+    return sizes / np.where(np.array(scales) > 0, scales, 1.0)  # sizes without a scale are in pixels
+
+
+def _positions(specimens: Sequence[Specimen], number: int) -> np.ndarray:
+    """Return where a landmark, counted from 1, is in the images of specimens, (m, 2) pixels; NaN if not to be used."""
+    usable = ("", *USABLE)
+    positions = np.full((len(specimens), 2), math.nan)
+    for i, specimen in enumerate(specimens):
+        if specimen.status in usable:
+            positions[i] = specimen.points[number - 1]
+    return positions
 
 
 def _groups(specimens: Sequence[Specimen], by: str) -> list[str]:
@@ -125,7 +157,9 @@ def exchanged_landmarks(specimens: Sequence[Specimen], by: str) -> list[str]:
         if specimen.file and len(specimen.points):
             records[specimen.file].setdefault(group, specimen.points)
     names = next((specimen.names for specimen in specimens if specimen.names), ())
-    first, *others = records or [""]
+    if not records:
+        return []
+    first, *others = records
     found = []
     for other in others:
         shared = records[first].keys() & records[other].keys()
@@ -163,30 +197,40 @@ def _order_between(pairs: Sequence[tuple[np.ndarray, np.ndarray]]) -> np.ndarray
 def anova(values: np.ndarray, groups: Sequence[str], sizes: np.ndarray, freedom: float = 1) -> dict[str, float]:
     """Analyse the variance of values (n, d) between and within groups (n,). Rows with NaN are left out.
 
-    A row has so many degrees of freedom. The standard deviation is also given in percent of the mean of the sizes (n,).
+    A row has so many degrees of freedom. The standard deviation is also given in percent of the mean of the sizes, (n,)
+    or (1,). What the rows are too few for is NaN.
     """
     from scipy.stats import f as f_distribution
 
     complete = np.isfinite(values).all(axis=1)
     values = values[complete]
     _, codes, counts = np.unique(np.asarray(groups)[complete], return_inverse=True, return_counts=True)
-    n = np.float64(len(counts))
-    total = np.float64(len(values))
+    n_groups = np.float64(len(counts))  # as float64, of which a division by 0 is NaN or infinite
+    n_rows = np.float64(len(values))
     means = np.zeros((len(counts), values.shape[1]))
     np.add.at(means, codes, values / counts[codes, None])
     with np.errstate(divide="ignore", invalid="ignore"):
-        centre = values.sum(axis=0) / total
-        df_among = (n - 1) * freedom
-        df_within = (total - n) * freedom
-        within = np.square(values - means[codes]).sum()
+        centre = values.sum(axis=0) / n_rows
+        df_among = (n_groups - 1) * freedom
+        df_within = (n_rows - n_groups) * freedom
+        ss_within = np.square(values - means[codes]).sum()
         ms_among = np.square(means[codes] - centre).sum() / df_among
-        ms_within = within / df_within
-        each = (total - np.square(counts).sum() / total) / (n - 1)  # replicates of a specimen
+        ms_within = ss_within / df_within
         ratio = ms_among / ms_within
-        repeatability = (ms_among - ms_within) / (ms_among + (each - 1) * ms_within)
-        chance = f_distribution.sf(ratio, df_among, df_within)
-        squares = (df_among, df_within, ms_among, ms_within, ratio, chance, repeatability)
-        sd = np.sqrt(within / (total - n))
-        mean = np.abs(np.nansum(sizes)) / np.isfinite(sizes).sum()
-        names = ("specimens", "replicates", *_SQUARES, "sd", "sd_percent")
-        return dict(zip(names, map(float, (n, total, *squares, sd, 100 * sd / mean)), strict=True))
+        # Number of replicates of a specimen, a mean that takes account of unequal numbers.
+        n_each = (n_rows - np.square(counts).sum() / n_rows) / (n_groups - 1)
+        sd = np.sqrt(ss_within / (n_rows - n_groups))
+        mean_size = np.abs(np.nansum(sizes)) / np.isfinite(sizes).sum()
+        return {
+            "specimens": float(n_groups),
+            "replicates": float(n_rows),
+            "df_among": float(df_among),
+            "df_within": float(df_within),
+            "ms_among": float(ms_among),
+            "ms_within": float(ms_within),
+            "F": float(ratio),
+            "P": float(f_distribution.sf(ratio, df_among, df_within)),
+            "repeatability": float((ms_among - ms_within) / (ms_among + (n_each - 1) * ms_within)),
+            "sd": float(sd),
+            "sd_percent": float(100 * sd / mean_size),
+        }

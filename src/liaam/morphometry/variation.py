@@ -34,7 +34,8 @@ from liaam.tables import Columns
 
 FEWEST = 3  # Specimens from which a variance of shape is split
 COMPONENTS = 10  # Principal components that are reported at most
-MOST_PERMUTATIONS = 100000
+MOST_PERMUTATIONS = 100000  # They state a P to 1e-5; the time of the test grows with their number
+ROUNDING = 1e-12  # Relative difference of two shares of the variance that are equal but for rounding
 LEAST = 1e-9  # Standard deviation along a component, of the first one's, below which it is rounding
 
 
@@ -95,7 +96,8 @@ class ShapeVariation:
         """Reliability ratio of the scores of each component, (c,) float64, as :attr:`reliability`."""
         variances = self.scores.var(axis=0, ddof=1)
         errors = np.square(self.scores_se)
-        return np.array([_reliability(*pair) for pair in zip(variances, _known_mean(errors), strict=True)])
+        pairs = zip(variances, _known_mean(errors), strict=True)
+        return np.array([_reliability(total, measuring) for total, measuring in pairs])
 
     def by_specimen(self) -> Columns:
         """Return one row per specimen: its group, if known, and scores ``PC1``, ``PC1_se``, ``PC2``, ..."""
@@ -211,36 +213,41 @@ def shape_variation(
         raise LiaamError(f"{permutations} permutations: give 0 to {MOST_PERMUTATIONS}")
     numbers = [int(name[1:]) for name in columns if re.fullmatch(r"X\d+", name)]
     has_shape = np.isfinite(columns[f"X{numbers[0]}"]) if numbers else np.zeros(len(specimens), bool)
-    used = [specimen for specimen, kept in zip(specimens, has_shape, strict=True) if kept]
+    used = [specimen for specimen, is_used in zip(specimens, has_shape, strict=True) if is_used]
     if len(used) < FEWEST:
         raise LiaamError(
             f"{count_of(len(used), 'specimen')} with a shape: the variance of shape is split from {FEWEST} specimens on"
         )
     inside = [number - 1 for number in numbers]
-    shapes = np.array([specimen.points[inside] for specimen in used]) * (1.0, -1.0)
+    shapes = np.array([specimen.points[inside] for specimen in used]) * (1.0, -1.0)  # y upwards
     fit = superimpose(shapes)
-    errors = _errors(used, inside, shapes, fit.mean)
+    covariances = _tangent_covariances(used, inside, shapes, fit.mean)
     flat = fit.shapes.reshape(len(used), -1)
     scores, axes, shares = principal_components(flat, COMPONENTS)
+    scores_variances = np.einsum("ca,mab,cb->mc", axes, covariances, axes)  # along each axis, of each specimen
     total = float(np.square(flat - flat.mean(axis=0)).sum()) / (len(used) - 1)
-    measuring = float(_known_mean(np.trace(errors, axis1=1, axis2=2)[:, None])[0])
-    own = () if groups is None else tuple(group for group, kept in zip(groups, has_shape, strict=True) if kept)
-    compared = large_groups(own) if groups is not None else []
-    means, means_se, by_measuring = _group_means(flat, errors, own, compared)
+    traces = np.trace(covariances, axis1=1, axis2=2)
+    measuring = float(_known_mean(traces[:, None])[0])
+    groups_of_used: tuple[str, ...] = ()
+    compared: Sequence[str] = ()
+    if groups is not None:
+        groups_of_used = tuple(group for group, is_used in zip(groups, has_shape, strict=True) if is_used)
+        compared = large_groups(groups_of_used)
+    means, means_se, by_measuring = _group_means(flat, covariances, groups_of_used, compared)
     return ShapeVariation(
         names=tuple(specimen.name for specimen in used),
-        groups=own,
+        groups=groups_of_used,
         n_left_out=len(specimens) - len(used),
         landmarks=tuple(numbers),
         total=total,
         measuring=measuring,
         scores=scores,
-        scores_se=np.sqrt(np.maximum(np.einsum("ca,mab,cb->mc", axes, errors, axes), 0.0)),
+        scores_se=np.sqrt(np.maximum(scores_variances, 0.0)),
         shares=shares,
         means=means,
         means_se=means_se,
         means_se_by_measuring=by_measuring,
-        tests=_tests(flat, np.array(own), compared, permutations, seed),
+        tests=_tests(flat, np.array(groups_of_used), compared, permutations, seed),
     )
 
 
@@ -259,29 +266,37 @@ def principal_components(shapes: np.ndarray, most: int) -> tuple[np.ndarray, np.
     return deviations @ axes.T, axes, np.square(singular[:count]) / (squares or 1.0)
 
 
-def _errors(used: Sequence[Specimen], inside: Sequence[int], shapes: np.ndarray, mean: np.ndarray) -> np.ndarray:
-    """Return the covariances of tangent coordinates, (m, 2 k, 2 k); NaN of specimens whose own are unknown."""
+def _tangent_covariances(
+    used: Sequence[Specimen], inside: Sequence[int], shapes: np.ndarray, mean: np.ndarray
+) -> np.ndarray:
+    """Return the covariances of specimens' tangent coordinates, (m, 2 k, 2 k); NaN where those of points are unknown.
+
+    ``inside`` are the indices of the k landmarks of the shapes (m, k, 2), and ``mean`` (k, 2) is their mean.
+    """
     upwards = np.diag([1.0, -1.0])
-    errors = np.full((len(used), 2 * len(inside), 2 * len(inside)), np.nan)
+    result = np.full((len(used), 2 * len(inside), 2 * len(inside)), np.nan)
     for i, specimen in enumerate(used):
         if specimen.covariances is None or not np.isfinite(specimen.covariances[inside]).all():
             continue
-        spread = upwards @ specimen.covariances[inside] @ upwards
-        errors[i] = tangent_covariances(shapes[i : i + 1], spread[None], mean)[0]
-    return errors
+        of_points = upwards @ specimen.covariances[inside] @ upwards
+        result[i] = tangent_covariances(shapes[i : i + 1], of_points[None], mean)[0]
+    return result
 
 
 def _group_means(
-    flat: np.ndarray, errors: np.ndarray, own: Sequence[str], compared: Sequence[str]
+    flat: np.ndarray, covariances: np.ndarray, groups: Sequence[str], compared: Sequence[str]
 ) -> tuple[dict[str, np.ndarray], dict[str, np.ndarray], dict[str, np.ndarray]]:
-    """Return the mean shape (k, 2) of each group, its standard errors, and their part by measuring."""
+    """Return the mean shape (k, 2) of each group that is compared, its standard errors, and their part by measuring.
+
+    Shapes are ``flat`` (m, 2 k), with their covariances (m, 2 k, 2 k), and ``groups`` (m,) the group of each.
+    """
     means = {}
     means_se = {}
     by_measuring = {}
     for name in compared:
-        members = np.array([group == name for group in own])
+        members = np.array([group == name for group in groups])
         n = int(members.sum())
-        variances = np.diagonal(errors[members], axis1=1, axis2=2)
+        variances = np.diagonal(covariances[members], axis1=1, axis2=2)
         means[name] = flat[members].mean(axis=0).reshape(-1, 2)
         means_se[name] = (flat[members].std(axis=0, ddof=1) / np.sqrt(n)).reshape(-1, 2)
         by_measuring[name] = (np.sqrt(variances.sum(axis=0)) / n).reshape(-1, 2)
@@ -289,7 +304,7 @@ def _group_means(
 
 
 def _tests(
-    flat: np.ndarray, own: np.ndarray, compared: Sequence[str], permutations: int, seed: int
+    flat: np.ndarray, groups: np.ndarray, compared: Sequence[str], permutations: int, seed: int
 ) -> list[dict[str, str | float]]:
     """Test the difference of all groups, and of each two if there are more."""
     if not compared:
@@ -298,9 +313,9 @@ def _tests(
     sets = [tuple(compared), *pairs] if len(pairs) > 1 else pairs
     tests = []
     for names in sets:
-        members = np.isin(own, names)
+        members = np.isin(groups, names)
         shapes = flat[members]
-        codes = np.searchsorted(sorted(names), own[members])
+        codes = np.searchsorted(sorted(names), groups[members])
         rng = np.random.default_rng(seed)
         share = _share(shapes, codes)
         by_chance = np.array([_share(shapes, rng.permutation(codes)) for _ in range(permutations)])
@@ -320,8 +335,12 @@ def _tests(
 
 
 def permutation_probability(by_chance: np.ndarray, observed: float) -> float:
-    """Return the probability of a value as large by chance, given values by chance (n,); 1 if there are none."""
-    return float((1 + (by_chance >= observed * (1 - 1e-12)).sum()) / (1 + len(by_chance)))
+    """Return the probability of a value as large by chance, given values by chance (n,); 1 if there are none.
+
+    The observed value counts as one of them (Phipson & Smyth 2010).
+    """
+    n_as_large = int((by_chance >= observed * (1 - ROUNDING)).sum())
+    return (1 + n_as_large) / (1 + len(by_chance))
 
 
 def _share(shapes: np.ndarray, codes: np.ndarray) -> float:

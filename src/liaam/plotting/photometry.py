@@ -1,7 +1,6 @@
 """Figures of invariant images, sweeps over theta, agreement, responses and registrations."""
 
 from collections.abc import Mapping, Sequence
-from itertools import chain
 from typing import TYPE_CHECKING
 
 import cv2
@@ -20,11 +19,23 @@ from liaam.plotting.figures import show_picture, subplots
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
+    from matplotlib.image import AxesImage
 
 UNSEEN = (34, 40, 66)  # Colour of pixels without an invariant: dark blue, which differs from all grey values
 STRETCH = (1.0, 99.0)  # Percentiles that become black and white in a rendering of an invariant image
+EVERY = 7  # Of the pixels of several images, one in so many is enough for their common percentiles
+BRIGHT = 99.0  # Percentile of the largest channel that is the brightness of an image
+BRIGHT_ENOUGH = 160.0  # Least brightness of an image that is shown as it is, of 255
+NEAR_WHITE = 230.0  # Brightness that a darker one is given
 SWEEP = np.arange(0, 180, 15)  # Angles of a sweep in degrees
 THUMBNAIL = 240  # Size of the images of a sweep in pixels
+FEWEST_PIXELS = 100  # Number of pixels that are too few for an entropy
+LEAST_RANGE = 1e-3  # Range of the log light of a flat image, whose entropy does not depend on the angle
+MOST_PICTURES = 4  # Maximum number of images to draw above the bars of their correlations; more are shown as a matrix
+LOWEST = 0.5  # Correlation at the lower end of a matrix's colour map
+MOST_NUMBERED = 16  # Maximum number of images for numbers in the matrix
+GREEN = "#19a979"  # Of what the figures are about
+GREY = "#9a9a9a"  # Of what it is compared with
 
 
 def invariant_picture(values: np.ndarray, limits: tuple[float, float] | None = None) -> np.ndarray:
@@ -53,8 +64,11 @@ def invariant_picture(values: np.ndarray, limits: tuple[float, float] | None = N
 
 def common_limits(images: Sequence[np.ndarray]) -> tuple[float, float] | None:
     """Return common limits for rendering several invariant images."""
-    values = np.concatenate([image[np.isfinite(image)][::7] for image in images])
-    return tuple(np.percentile(values, STRETCH)) if len(values) else None  # type: ignore[return-value]
+    values = np.concatenate([image[np.isfinite(image)][::EVERY] for image in images])
+    if not len(values):
+        return None
+    low, high = np.percentile(values, STRETCH)
+    return low, high
 
 
 def figure_of_invariants(
@@ -71,21 +85,23 @@ def figure_of_invariants(
     limits = common_limits([values for _, values in rows.values()])
     height, width = next(iter(rows.values()))[0].shape[:2]
     figure, axes = subplots(len(rows), 2, (7.0, 3.5 * len(rows) * height / width + 0.4))
-    for i, ((name, (picture, values)), line) in enumerate(zip(rows.items(), axes, strict=True)):
-        show_picture(line[0], brightened(picture), shortened(name, 36))
-        show_picture(line[1], invariant_picture(values, limits), "invariant image")
-        for quad in patch_corners(patches[i]) if patches is not None else ():
-            line[0].fill(*quad.T, fill=False, edgecolor="white", lw=1.0)
+    for i, (name, (picture, values)) in enumerate(rows.items()):
+        left, right = axes[i]
+        show_picture(left, brightened(picture), shortened(name, 36))
+        show_picture(right, invariant_picture(values, limits), "invariant image")
+        if patches is not None:
+            for quad in patch_corners(patches[i]):
+                left.fill(*quad.T, fill=False, edgecolor="white", lw=1.0)
     return figure
 
 
 def brightened(image: np.ndarray) -> np.ndarray:
-    """Scale a dark image, such as a linear one, so that its 99th percentile is near white."""
+    """Scale a dark image, such as a linear one, so that its brightest parts are near white, (h, w, 3) uint8."""
     picture = as_picture(image)
-    top = float(np.percentile(picture[::4, ::4].max(axis=-1), 99))
-    if top >= 160:
+    top = float(np.percentile(picture[::4, ::4].max(axis=-1), BRIGHT))  # a sixteenth of the pixels is enough
+    if top >= BRIGHT_ENOUGH:
         return picture
-    return np.clip(picture.astype(np.float32) * (230.0 / max(top, 1.0)), 0, 255).astype(np.uint8)
+    return np.clip(picture.astype(np.float32) * (NEAR_WHITE / max(top, 1.0)), 0, 255).astype(np.uint8)
 
 
 def figure_of_sweep(image: np.ndarray, camera: CameraModel) -> "Figure":
@@ -99,18 +115,18 @@ def figure_of_sweep(image: np.ndarray, camera: CameraModel) -> "Figure":
     """
     scale = THUMBNAIL / max(image.shape[:2])
     small = image if scale >= 1 else cv2.resize(image, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA)
-    encoded = log_picture(small, camera)
-    columns = len(SWEEP) // 2
+    encoded = log_picture(small, camera)  # the logarithms of R, G and B, and their mask
+    columns = len(SWEEP) // 2  # the images are in two rows
     height = encoded.shape[0] / encoded.shape[1]
     figure, axes, curve = _two_rows_above_a_panel(columns, (2.0 * columns, 4.0 * height + 3.2), height, 0.75)
     for axis, angle in zip(axes.ravel(), SWEEP, strict=True):
         show_picture(axis, invariant_picture(projected(encoded, float(np.deg2rad(angle)))), f"{angle}°")
     curve.axvspan(*np.rad2deg(PHYSICAL), color="#eef3ea", label="physical cameras")
     log_rgb = encoded[..., :3][encoded[..., 3] > 0]
-    if len(log_rgb) > 100 and np.ptp(log_rgb, axis=0).max() > 1e-3:
+    if len(log_rgb) > FEWEST_PIXELS and np.ptp(log_rgb, axis=0).max() > LEAST_RANGE:
         thetas, entropies = entropy_curve(log_rgb)
-        curve.plot(np.rad2deg(thetas), entropies, color="#19a979", lw=1.8, label="entropy")
-        curve.axvline(np.rad2deg(thetas[np.argmin(entropies)]), color="#19a979", ls=":", lw=1.4, label="its minimum")
+        curve.plot(np.rad2deg(thetas), entropies, color=GREEN, lw=1.8, label="entropy")
+        curve.axvline(np.rad2deg(thetas[np.argmin(entropies)]), color=GREEN, ls=":", lw=1.4, label="its minimum")
     curve.axvline(np.rad2deg(camera.theta) % 180, color="black", ls="--", lw=1.2, label="theta given")
     ticks = np.arange(0, 181, 15)
     curve.set(xlim=(0, 180), xlabel="theta, degrees", ylabel="entropy of the values, bits", xticks=ticks)
@@ -121,7 +137,10 @@ def figure_of_sweep(image: np.ndarray, camera: CameraModel) -> "Figure":
 def _two_rows_above_a_panel(
     columns: int, size: tuple[float, float], height: float, lowest: float
 ) -> "tuple[Figure, np.ndarray, Axes]":
-    """Make a figure of two rows of images, and axes below them over the whole width."""
+    """Make a figure of two rows of images, and axes below them over the whole width.
+
+    ``height`` is that of the rows of images, and ``lowest`` that of the axes below, both relative to an image's width.
+    """
     figure, axes = subplots(3, columns, size, heights=(height, height, lowest))
     for axis in axes[2]:
         axis.remove()
@@ -135,25 +154,37 @@ def _finish_panel(axis: "Axes") -> None:
     axis.legend(loc="lower right", bbox_to_anchor=(1.0, 1.0), ncols=entries, frameon=False, fontsize=9)
 
 
-MATRIX = 4  # Maximum number of images to draw above the correlations. More are shown as a matrix.
-LOWEST = 0.5  # Correlation at the lower end of a matrix's colour map
-NUMBERED = 16  # Maximum number of images for numbers in the matrix
-
-
 def figure_of_agreement(
     pictures: Sequence[np.ndarray], names: Sequence[str], seen: Averaged, pairs: Sequence[Agreement]
 ) -> "Figure":
-    """Draw the correlations of invariant images and of log grey for each pair of images, below the images."""
+    """Draw the correlations of invariant images and of log grey for each pair of images.
+
+    Those of a few images are bars below the images, those of many are two matrices.
+    """
+    if len(pictures) > MOST_PICTURES:
+        return _figure_of_matrices(names, pairs)
+    return _figure_of_bars(pictures, names, seen, pairs)
+
+
+def _figure_of_matrices(names: Sequence[str], pairs: Sequence[Agreement]) -> "Figure":
+    """Draw the correlations of invariant images, and those of log grey, as a matrix each."""
+    n = len(names)
+    side = max(4.0, 0.36 * n)  # inches
+    figure, axes = subplots(1, 2, (2 * side + 2.6, side + 0.4))
+    left, right = axes[0]
+    _draw_matrix(left, n, pairs, "invariant", "invariant")
+    shown = _draw_matrix(right, n, pairs, "log_grey", "log grey")
+    left.set_yticklabels([f"{shortened(name)}  {i + 1}" for i, name in enumerate(names)], fontsize=7)
+    left.set_ylabel("")
+    figure.colorbar(shown, ax=axes[0], label="correlation", shrink=0.8, extend="min")
+    return figure
+
+
+def _figure_of_bars(
+    pictures: Sequence[np.ndarray], names: Sequence[str], seen: Averaged, pairs: Sequence[Agreement]
+) -> "Figure":
+    """Draw images, their invariant images, and the correlations of each pair as two bars."""
     n = len(pictures)
-    if n > MATRIX:
-        side = max(4.0, 0.36 * n)
-        figure, axes = subplots(1, 2, (2 * side + 2.6, side + 0.4))
-        for axis, key, title in ((axes[0, 0], "invariant", "invariant"), (axes[0, 1], "log_grey", "log grey")):
-            shown = _draw_matrix(axis, n, pairs, key, title)
-        axes[0, 0].set_yticklabels([f"{shortened(name)}  {i + 1}" for i, name in enumerate(names)], fontsize=7)
-        axes[0, 0].set_ylabel("")
-        figure.colorbar(shown, ax=axes[0], label="correlation", shrink=0.8, extend="min")
-        return figure
     limits = common_limits(list(seen.invariant))
     height = pictures[0].shape[0] / pictures[0].shape[1]
     figure, axes, bars = _two_rows_above_a_panel(n, (3.0 * n, 6.0 * height + 2.4), height, 0.7)
@@ -161,14 +192,14 @@ def figure_of_agreement(
         show_picture(axes[0, i], brightened(pictures[i]), f"{i + 1}  {shortened(names[i], 30)}")
         show_picture(axes[1, i], invariant_picture(seen.invariant[i], limits), "invariant image")
     places = np.arange(len(pairs))
-    heights = {"invariant": [pair.invariant for pair in pairs]}
-    heights["log grey"] = [pair.log_grey for pair in pairs]
-    for shift, colour, (key, values) in zip((-0.18, 0.18), ("#19a979", "#9a9a9a"), heights.items(), strict=True):
-        bars.bar_label(
-            bars.bar(places + shift, values, 0.34, color=colour, label=key), fmt="%.3f", fontsize=8, padding=2
-        )
+    of_invariants = [pair.invariant for pair in pairs]
+    of_grey = [pair.log_grey for pair in pairs]
+    left_bars = bars.bar(places - 0.18, of_invariants, 0.34, color=GREEN, label="invariant")
+    right_bars = bars.bar(places + 0.18, of_grey, 0.34, color=GREY, label="log grey")
+    bars.bar_label(left_bars, fmt="%.3f", fontsize=8, padding=2)
+    bars.bar_label(right_bars, fmt="%.3f", fontsize=8, padding=2)
     bars.set_xticks(places, [f"{pair.first + 1} and {pair.second + 1}" for pair in pairs])
-    lowest = min([0.0, *chain.from_iterable(heights.values())])
+    lowest = min([0.0, *of_invariants, *of_grey])
     bars.set(ylabel="correlation", ylim=(1.25 * lowest, 1.12), xlabel="images")
     bars.axhline(0.0, color="black", lw=0.8)
     _finish_panel(bars)
@@ -177,21 +208,27 @@ def figure_of_agreement(
 
 def shortened(name: str, most: int = 22) -> str:
     """Shorten a long name in the middle, because the names of a series differ at the end."""
-    return name if len(name) <= most else f"{name[: most // 3]}…{name[len(name) - most + most // 3 + 1 :]}"
+    if len(name) <= most:
+        return name
+    n_first = most // 3
+    n_last = most - n_first - 1  # one letter is the ellipsis
+    return f"{name[:n_first]}…{name[len(name) - n_last :]}"
 
 
-def _draw_matrix(axis: "Axes", n: int, pairs: Sequence[Agreement], key: str, title: str):
+def _draw_matrix(axis: "Axes", n: int, pairs: Sequence[Agreement], key: str, title: str) -> "AxesImage":
+    """Draw the attribute ``key`` of the pairs of n images as a matrix."""
     import matplotlib
 
     matrix = np.eye(n)
     for pair in pairs:
-        matrix[pair.first, pair.second] = matrix[pair.second, pair.first] = getattr(pair, key)
+        matrix[pair.first, pair.second] = getattr(pair, key)
+        matrix[pair.second, pair.first] = getattr(pair, key)
     colours = matplotlib.colormaps["viridis"].with_extremes(under="#1b1020", bad="#dddddd")
     shown = axis.imshow(matrix, vmin=LOWEST, vmax=1.0, cmap=colours)
-    if n <= NUMBERED:
+    if n <= MOST_NUMBERED:
         for i, j in np.argwhere(~np.eye(n, dtype=bool)):
             value = matrix[i, j]
-            ink = "white" if value < 0.5 * (LOWEST + 1.0) else "black"
+            ink = "white" if value < 0.5 * (LOWEST + 1.0) else "black"  # low correlations are dark
             text = "–" if np.isnan(value) else f"{value:z.2f}"
             axis.text(j, i, text, ha="center", va="center", fontsize=6, color=ink)
     median = np.nanmedian([getattr(pair, key) for pair in pairs])
@@ -207,14 +244,14 @@ def figure_of_response(camera: CameraModel) -> "Figure":
     panels = 2 if camera.vignetting else 1
     figure, axes = subplots(1, panels, (4.5 * panels, 3.6))
     stored = np.linspace(1 / 255, 1, 255)
-    axes[0, 0].plot(stored * 255, to_linear(stored, camera.response), color="#19a979", lw=1.8, label="this camera")
+    axes[0, 0].plot(stored * 255, to_linear(stored, camera.response), color=GREEN, lw=1.8, label="this camera")
     axes[0, 0].plot(stored * 255, to_linear(stored, "srgb"), color="black", lw=1.2, ls="--", label="sRGB")
     axes[0, 0].set(xlabel="stored value, of 255", ylabel="linear light, of the largest", yscale="log", ylim=(1e-3, 1.3))
     axes[0, 0].legend(frameon=False)
     axes[0, 0].set_title("response", fontsize=10)
     if camera.vignetting:
         radius = np.linspace(0, 1, 101)
-        axes[0, 1].plot(radius, falloff_at(np.square(radius), camera.vignetting), color="#19a979", lw=1.8)
+        axes[0, 1].plot(radius, falloff_at(np.square(radius), camera.vignetting), color=GREEN, lw=1.8)
         axes[0, 1].set(xlabel="distance from the centre, 1 in the corners", ylabel="fraction of light", ylim=(0, 1.05))
         axes[0, 1].set_title("vignetting", fontsize=10)
     for axis in axes[0]:

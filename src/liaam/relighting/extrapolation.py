@@ -19,7 +19,7 @@ LEAST_SHARE = 1e-3  # Share below which it is 0
 NEARBY = 0.8  # Scale of averages of values
 COLOUR = 4.9  # Radius of averages of the light's colour: lamps mix slowly, and at the border other colours are brows'
 
-EDGE = 0.8  # Change of log light, summed over channels, that counts as a distance of one scale
+EDGE = 0.8  # Change of the image's logarithms, summed over channels, that counts as a distance of one scale
 BLUR_OWN = 1.0  # Standard deviation of the Gaussian that removes noise before that is measured, pixels
 DARK = 0.05  # Light added, relative to the object's brightest: in the dark, noise and JPEG's blocks are edges of logs
 ROUNDS = 3  # Number of passes over rows and columns; three leave no visible stripes
@@ -43,11 +43,23 @@ BRIGHTEST = 0.95  # Quantile that is the brightest
 
 @dataclass(frozen=True, eq=False)
 class Surroundings:
-    """Division of the surroundings of a mesh, whose mask is ``inside`` (h, w), between object and background.
+    """Division of the surroundings of a mesh between object and background.
 
-    ``belongs`` (h, w, 1) is how much a pixel belongs to the object rather than to the background, whichever is nearer,
-    where edges of the logarithms of light ``seen`` (h, w, 3) are distances. ``share`` (h, w, 1) is the same, falling to
-    0 at ``FARTHEST`` times the ``reach``, pixels, from the mesh. ``gloss`` (h, w, 1) is how much it shines.
+    Attributes
+    ----------
+    inside : (h, w) bool
+        Mask of the mesh.
+    belongs : (h, w, 1) float32
+        How much a pixel belongs to the object rather than to the background, 0 to 1: by which of them is nearer, where
+        edges of ``seen`` are distances, and by its colour.
+    gloss : (h, w, 1) float32
+        How much a pixel is gloss on the object, 0 to 1; 0 inside the mesh.
+    share : (h, w, 1) float32
+        ``belongs``, falling to 0 at ``FARTHEST`` reaches from the mesh.
+    seen : (h, w, 3) float32
+        Logarithms of the image, as for :meth:`of`, without its noise.
+    reach : float
+        Distance over which a new light fades out around the mesh, pixels (:class:`Region`).
     """
 
     inside: np.ndarray
@@ -58,39 +70,55 @@ class Surroundings:
     reach: float
 
     @classmethod
-    def of(cls, inside: np.ndarray, own: np.ndarray, reach: float) -> "Surroundings":
-        """Divide an image, whose edges in the logarithms of light (h, w, 3) are distances, around a mask (h, w)."""
-        light = np.exp(own)
-        own = np.log(light + DARK * np.float32(np.quantile(light[inside], BRIGHTEST)))
-        seen = cv2.GaussianBlur(own, (0, 0), BLUR_OWN)
-        away = distance_transform(~inside)[..., None]
-        in_object = inside[..., None]
-        nearer = np.where(in_object, np.float32(1.0), _nearer_to_object(inside, away, seen, reach))
-        alike, bright = _alike(inside, own, reach)
-        enclosed = (bright > A_LITTLE) & _is_enclosed((bright <= A_LITTLE) & (nearer >= 0.5))
-        gloss = bright * enclosed
-        belongs = (alike * (1.0 - bright) + gloss) * np.maximum(nearer, enclosed)
-        depth = distance_transform(np.pad(inside, 1))[1:-1, 1:-1]
+    def of(cls, inside: np.ndarray, log_image: np.ndarray, reach: float) -> "Surroundings":
+        """Divide an image around the mask (h, w) of a mesh.
+
+        ``log_image`` (h, w, 3) float32 are the logarithms of its linear values, without the light as far as it is
+        known.
+        """
+        in_mesh = inside[..., None]
+        linear = np.exp(log_image)
+        brightest = np.float32(np.quantile(linear[inside], BRIGHTEST))
+        log_image = np.log(linear + DARK * brightest)
+        seen = cv2.GaussianBlur(log_image, (0, 0), BLUR_OWN)
+
+        # A pixel belongs to the object if the object is nearer than the background, and if it looks like the object:
+        # it has about the object's colour, and is not brighter, or it is gloss.
+        away = distance_transform(~inside)[..., None]  # distances from the mesh, pixels
+        nearer = np.where(in_mesh, np.float32(1.0), _nearer_to_object(inside, away, seen, reach))
+        brightness, colours = _brightness_and_colours(log_image, reach)
+        alike = _alike_in_colour(inside, colours)
+        bright = _brighter_or_paler(inside, brightness, colours)
+        # What is bright is gloss if the object is all around it; else it is a wall behind.
+        is_object = (bright <= A_LITTLE) & (nearer >= 0.5)
+        is_gloss = (bright > A_LITTLE) & _is_enclosed(is_object)
+        gloss = bright * is_gloss
+        belongs = (alike * (1.0 - bright) + gloss) * np.maximum(nearer, is_gloss)
+
+        depth = distance_transform(np.pad(inside, 1))[1:-1, 1:-1]  # below the mesh's border, also that of the image
         is_deep = depth > min(BORDER * reach, 0.5 * depth.max())
         belongs = np.where(is_deep[..., None], np.float32(1.0), belongs)
-        belongs = np.where(in_object, belongs, averaged(belongs, seen, max(1.0, EVEN * reach)))
+        belongs = np.where(in_mesh, belongs, averaged(belongs, seen, max(1.0, EVEN * reach)))
         share = belongs * smoothstep(1.0 - (away - 1.0) / (FARTHEST * reach))
         share[share <= LEAST_SHARE] = 0.0
-        gloss[in_object] = 0.0
+        gloss[in_mesh] = 0.0
         return cls(inside, belongs, gloss, share, seen, reach)
 
     def spread(self, values: np.ndarray, lit: np.ndarray) -> np.ndarray:
-        """Return the light (h, w, 3) that is ``values`` inside the mesh, and ``lit`` plus the nearby rest around it."""
-        at = _extent(self.share[..., 0] > 0)
+        """Return the light of the object (h, w, 3), also around the mesh.
+
+        ``values`` (h, w, 3) are the logarithms of the light inside the mesh, and ``lit`` (h, w, 3) those of the light
+        that the model's basis gives everywhere. Around the mesh, the difference of both goes on as it is nearby.
+        """
         light = self.belongs * lit
-        rest = values[at] - lit[at]
+        at = _extent(self.share[..., 0] > 0)  # the rest of the image has none of the difference
+        difference = values[at] - lit[at]
         inside = self.inside[at]
-        grey = mean_of(rest)[..., None]
-        in_object = inside[..., None]
-        colour = averages(rest - grey, in_object, COLOUR * self.reach)
-        light[at] += self.share[at] * np.where(
-            in_object, rest, carried(grey + colour, inside, self.seen[at], self.reach)
-        )
+        in_mesh = inside[..., None]
+        grey = mean_of(difference)[..., None]
+        colour = averages(difference - grey, in_mesh, COLOUR * self.reach)
+        around = carried(grey + colour, inside, self.seen[at], self.reach)
+        light[at] += self.share[at] * np.where(in_mesh, difference, around)
         return light
 
 
@@ -114,31 +142,47 @@ def _nearer_to_object(inside: np.ndarray, away: np.ndarray, seen: np.ndarray, re
     """
     background = (away > BACKGROUND * reach).astype(np.float32)
     rows, columns = _extent(inside)
-    background[rows.stop - 1 :, columns] = 0.0
+    background[rows.stop - 1 :, columns] = 0.0  # below the mesh
     both = averaged(np.dstack([inside, background]), seen, max(1.0, ACROSS * reach))
-    near, far = np.dsplit(np.square(both), 2)
+    near, far = np.dsplit(np.square(both), 2)  # squared, for a steeper division
     return near / np.maximum(near + far, 1e-12)
 
 
 def _is_enclosed(solid: np.ndarray) -> np.ndarray:
     """Return the mask of what is not solid and not connected to the image's border by such pixels, (h, w, 1)."""
-    filled = np.pad(solid, ((1, 1), (1, 1), (0, 0))).astype(np.uint8)
+    filled = np.pad(solid, ((1, 1), (1, 1), (0, 0))).astype(np.uint8)  # a border, from which all outside is reached
     cv2.floodFill(filled, None, (0, 0), 1)
     return filled[1:-1, 1:-1] == 0
 
 
-def _alike(inside: np.ndarray, own: np.ndarray, reach: float) -> tuple[np.ndarray, np.ndarray]:
-    """Return how much pixels are like the object in colour, and how much they are brighter, or paler too, (h, w, 1)."""
-    colours = cv2.GaussianBlur(own, (0, 0), max(BLUR_OWN, COLOUR_BLUR * reach))
-    brightness = mean_of(colours)[..., None]
-    brighter = np.maximum(brightness - np.quantile(brightness[inside], BRIGHTEST), 0.0) / BRIGHTER
-    colours = colours - brightness
+def _brightness_and_colours(log_image: np.ndarray, reach: float) -> tuple[np.ndarray, np.ndarray]:
+    """Divide the logarithms of an image (h, w, 3), smoothed, into the means of channels (h, w, 1) and the rest.
+
+    The rest (h, w, 3) is log-chromaticity, which a brighter light does not change.
+    """
+    smooth = cv2.GaussianBlur(log_image, (0, 0), max(BLUR_OWN, COLOUR_BLUR * reach))
+    brightness = mean_of(smooth)[..., None]
+    return brightness, smooth - brightness
+
+
+def _alike_in_colour(inside: np.ndarray, colours: np.ndarray) -> np.ndarray:
+    """Return how much pixels are like the object in log-chromaticity (h, w, 3), (h, w, 1) from 0 to 1."""
     mean = colours[inside].mean(axis=0)
-    apart = 3.0 * mean_of(np.square(colours - mean))[..., None] / ANOTHER_COLOUR**2
+    squares = 3.0 * mean_of(np.square(colours - mean))[..., None]  # sums over the three channels
+    return np.exp(-0.5 * np.maximum(squares / ANOTHER_COLOUR**2 - 1.0, 0.0))
+
+
+def _brighter_or_paler(inside: np.ndarray, brightness: np.ndarray, colours: np.ndarray) -> np.ndarray:
+    """Return how much pixels are brighter than the object, or brighter and paler, (h, w, 1) from 0 to 1.
+
+    A little brighter is enough for pixels that are paler, too, as gloss and white walls are.
+    """
+    brighter = np.maximum(brightness - np.quantile(brightness[inside], BRIGHTEST), 0.0) / BRIGHTER
+    mean = colours[inside].mean(axis=0)
     along = np.einsum("hwc,c->hw", colours, mean)[..., None]  # a matrix product depends on BLAS's number of threads
-    saturation = (along + NEUTRAL) / (np.square(mean).sum() + NEUTRAL)
-    pale = smoothstep((VIVID - saturation) / (VIVID - PALE)) * smoothstep(brighter)
-    return np.exp(-0.5 * np.maximum(apart - 1.0, 0.0)), 1.0 - (1.0 - pale) * np.exp(-0.5 * np.square(brighter))
+    saturation = (along + NEUTRAL) / (np.square(mean).sum() + NEUTRAL)  # relative to that of the object
+    paler = smoothstep((VIVID - saturation) / (VIVID - PALE)) * smoothstep(brighter)
+    return 1.0 - (1.0 - paler) * np.exp(-0.5 * np.square(brighter))
 
 
 def averaged(layers: np.ndarray, seen: np.ndarray, scale: float) -> np.ndarray:
@@ -146,10 +190,19 @@ def averaged(layers: np.ndarray, seen: np.ndarray, scale: float) -> np.ndarray:
     filtered = np.array(layers, np.float32, order="C")
     # Standard deviations halve, and their squares sum to scale ** 2 (their equation 14).
     deviation = scale * np.sqrt(3.0) * 2.0 ** (ROUNDS - 1) / np.sqrt(4.0**ROUNDS - 1.0)
-    steps = (np.abs(np.diff(seen, axis=axis)) for axis in (1, 0))
-    lengths = (1.0 + np.float32(scale / EDGE) * (each[..., 0] + each[..., 1] + each[..., 2]) for each in steps)
-    factors = [np.exp(np.float32(-np.sqrt(2.0) / deviation) * each) for each in lengths]
+    factors = [_feedback(seen, axis, scale, deviation) for axis in (1, 0)]
     for _ in range(ROUNDS):
         _core.filter_rows_and_columns(filtered, *factors)
-        factors = [np.square(each) for each in factors]
+        factors = [np.square(each) for each in factors]  # those of half the standard deviation
     return filtered
+
+
+def _feedback(seen: np.ndarray, axis: int, scale: float, deviation: float) -> np.ndarray:
+    """Return how much of an average a recursive filter of a standard deviation carries from a pixel to the next one.
+
+    They are next to each other along an axis of the image (h, w, 3). Their distance in the paper's transformed domain
+    is 1 plus the change between them.
+    """
+    changes = np.abs(np.diff(seen, axis=axis))
+    distances = 1.0 + np.float32(scale / EDGE) * (changes[..., 0] + changes[..., 1] + changes[..., 2])
+    return np.exp(np.float32(-np.sqrt(2.0) / deviation) * distances)

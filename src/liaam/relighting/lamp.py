@@ -24,7 +24,7 @@ DIRECTIONS = {
 }  # Directions to lamps by name, as seen in the image
 STRONGEST = 10.0  # Largest strength of a lamp
 LEAST_FACING = 0.2  # Least component of a relief's normals towards the viewer, before they are made unit vectors
-DARKEST = 0.02  # Least light at a pixel, because black has no logarithm
+DARKEST = 0.02  # Least light at a pixel, relative to a white lamp from the front, because black has no logarithm
 STEEPEST = np.tan(np.deg2rad(65.0))  # Limit of the surface's slope, at the mesh's border
 ROUNDING = 0.03  # Gaussian that smooths its slopes, in diagonals; it removes ridges at the outline's corners
 
@@ -83,8 +83,8 @@ def light_of(lamps: Sequence[Lamp], normals: np.ndarray, ambient: float) -> np.n
 def lit(facing: np.ndarray, softness: float) -> np.ndarray:
     """Return the light of a white lamp from the cosine between normal and lamp.
 
-    A large lamp still reaches parts that face away from its middle: near the horizon, Lambert's law is averaged over
-    lamps whose cosines differ by up to ``softness``.
+    A large lamp still reaches parts that face away from its middle: near the horizon, Lambert's law, max(c, 0), is
+    averaged over lamps whose cosines c lie evenly from ``facing - softness`` to ``facing + softness``.
     """
     near = np.square(facing + softness) / max(4.0 * softness, 1e-9)
     return np.where(np.abs(facing) < softness, near, np.maximum(facing, 0.0))
@@ -125,7 +125,10 @@ def direction_named(name: str) -> tuple[float, float, float]:
 
 
 def surface_of(model: AAM) -> np.ndarray:
-    """Return unit normals of a model's surface at the pixels of its frame, (n_pixels, 3) float32, as of normals_of."""
+    """Return unit normals of a model's surface at the pixels of its frame, (n_pixels, 3) float32.
+
+    They are those of its relief, or else of the inflated outline of its mesh (:func:`normals_of`).
+    """
     if model.relief is None:
         return normals_of(model.frame)
     return _normals(sample_field(model.relief, frame_in_field(model))[:, 0])
@@ -153,25 +156,33 @@ def normals_of(frame: ReferenceFrame) -> np.ndarray:
     """Compute unit normals of an inflated surface, (n_pixels, 3) float32: x to the right, y down, z to the viewer.
 
     u solves Poisson's equation, laplacian(u) = -1 with 0 on the border. The height 2 sqrt(u) is a hemisphere over a
-    disc, and smooth over other outlines.
+    disc, and smooth over other outlines. Its slopes are smoothed, and limited at the border, where they are infinite.
     """
     from scipy.ndimage import gaussian_filter
     from scipy.sparse import coo_array, diags_array
     from scipy.sparse.linalg import splu
 
+    # The matrix of the discrete Laplacian: 4 on the diagonal, and -1 for each two pixels beside each other.
     n = frame.n_pixels
-    number = frame.picture(np.arange(n) + 1.0).astype(int)  # 0 around the frame
-    pairs = np.hstack([[g[:, :-1].ravel(), g[:, 1:].ravel()] for g in (number, number.T)])
-    a, b = pairs[:, (pairs > 0).all(axis=0)] - 1
+    numbers = frame.picture(np.arange(n) + 1.0).astype(int)  # of the pixels, from 1; 0 around the frame
+    rights = numbers[:, :-1].ravel(), numbers[:, 1:].ravel()
+    downs = numbers[:-1].T.ravel(), numbers[1:].T.ravel()
+    firsts, seconds = np.hstack([rights, downs])
+    are_pixels = (firsts > 0) & (seconds > 0)
+    a = firsts[are_pixels] - 1
+    b = seconds[are_pixels] - 1
     links = coo_array((np.ones(2 * len(a)), (np.concatenate([a, b]), np.concatenate([b, a]))), shape=(n, n))
-    bulge = splu((diags_array(np.full(n, 4.0)) - links).tocsc()).solve(np.ones(n))
+    laplacian = (diags_array(np.full(n, 4.0)) - links).tocsc()
+    u = splu(laplacian).solve(np.ones(n))
+
     scale = ROUNDING * float(np.hypot(*frame.size))
-    height = np.pad(frame.picture(2.0 * np.sqrt(bulge)), round(3 * scale))
+    height = np.pad(frame.picture(2.0 * np.sqrt(u)), round(3 * scale))  # room for the Gaussian
     inside = height > 0
     down, right = np.gradient(height)
-    sums = [gaussian_filter(each * inside, scale)[inside] for each in (right, down, 1.0)]
-    slope = np.column_stack(sums[:2]) / np.maximum(sums[2], 1e-6)[:, None]
-    steep = np.linalg.norm(slope, axis=1, keepdims=True)
-    slope = slope / np.sqrt(1.0 + np.square(steep / STEEPEST))  # smooth saturation
-    normals = np.column_stack([-slope, np.ones(n)])
+    weights = np.maximum(gaussian_filter(1.0 * inside, scale)[inside], 1e-6)
+    slopes = np.column_stack([gaussian_filter(each * inside, scale)[inside] for each in (right, down)])
+    slopes = slopes / weights[:, None]
+    steepness = np.linalg.norm(slopes, axis=1, keepdims=True)
+    slopes = slopes / np.sqrt(1.0 + np.square(steepness / STEEPEST))  # smooth saturation
+    normals = np.column_stack([-slopes, np.ones(n)])
     return (normals / np.linalg.norm(normals, axis=1, keepdims=True)).astype(np.float32)

@@ -9,6 +9,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import cv2
 import numpy as np
@@ -25,10 +26,14 @@ _LONGEST = 20.0  # ratio of the sides
 _FILLED = 0.8  # least share of its rectangle that a block fills; corners are rounded by the opening
 _ALIKE = 0.25  # greatest relative difference of the sides of blocks
 _STEP = 0.2  # greatest relative difference of a step along the chain from its length
+_STEP_TO_OTHER_ROW = 1.5 * _STEP  # the same from a row to the other: it is half as long, so that errors count for more
 _IN_LINE = 0.3  # greatest distance across a chain from where a block should be, of the thickness
+_SPREAD_OF_ROW = 2.0  # greatest distance across between blocks of a row, of the thickness: the axis is not exact yet
+_APART = 0.4  # greatest relative difference of the distance of two rows from the thickness
+_SAME = 0.3  # greatest distance of the ends of two findings of one chain, of a block's length
 _TURNED = math.radians(6)  # greatest difference of directions
-_MOST_DARK = 1500  # rectangles of an image that are compared
-_SAMPLES = 0.25  # pixels between samples along a bar
+_MOST_DARK = 1500  # rectangles of an image that are compared, each with each: bounds time and memory
+_SAMPLES = 0.25  # pixels between samples along a bar, whose ends are found to less than a pixel
 
 
 @dataclass(frozen=True)
@@ -75,15 +80,16 @@ class Chain:
         Of two rows, the levels are those of one row less those of the other.
         """
         places = np.arange(self.begin - margin, self.end + margin, _SAMPLES)
-        half = 0.25 * self.thickness
-        rows = np.linspace(-half, half, 2 * math.ceil(half) + 1)
+        half = 0.25 * self.thickness  # the middle half of the blocks is sampled, away from their borders
+        across = np.linspace(-half, half, 2 * math.ceil(half) + 1)
+
+        def levels_at(offset: float) -> np.ndarray:
+            """Return the mean levels along a line at an offset across, pixels."""
+            return sampled(levels, self.middle, self.axis, places, across + offset).mean(axis=1)
+
         if self.rows == 1:
-            return places, sampled(levels, self.middle, self.axis, places, rows).mean(axis=1)
-        upper, lower = (
-            sampled(levels, self.middle, self.axis, places, rows + side * self.thickness / 2).mean(axis=1)
-            for side in (-1, 1)
-        )
-        return places, upper - lower
+            return places, levels_at(0.0)
+        return places, levels_at(-self.thickness / 2) - levels_at(self.thickness / 2)
 
 
 def find_chains(grey: np.ndarray) -> list[Chain]:
@@ -98,8 +104,13 @@ def find_chains(grey: np.ndarray) -> list[Chain]:
 
 
 def _are_one(chain: Chain, other: Chain) -> bool:
-    ends = [each.middle + place * each.axis for each in (chain, other) for place in (each.begin, each.end)]
-    return bool(np.abs(np.array(ends[:2]) - np.array(ends[2:])).max() < 0.3 * chain.pitch)
+    """Whether two chains begin and end at the same places."""
+    return bool(np.abs(_ends(chain) - _ends(other)).max() < _SAME * chain.pitch)
+
+
+def _ends(chain: Chain) -> np.ndarray:
+    """Return the points (2, 2) where a chain begins and ends."""
+    return np.array([chain.middle + chain.begin * chain.axis, chain.middle + chain.end * chain.axis])
 
 
 def _blocks(dark: np.ndarray, side: int) -> list[_Block]:
@@ -121,33 +132,53 @@ def _blocks(dark: np.ndarray, side: int) -> list[_Block]:
 
 
 def _chains(blocks: Sequence[_Block]) -> Iterator[Chain]:
-    """Yield the chains that blocks make: each leads to the next one, two lengths on, or to the other row, one on."""
+    """Yield the chains that blocks make: each leads to the next one, two lengths on, or to the other row, one on.
+
+    Either side of a block may be along the chain, so that each is tried both ways.
+    """
     if len(blocks) < FEWEST:
         return
-    both = [*blocks, *(block.turned() for block in blocks)]
-    middles = np.array([block.middle for block in both])
-    along, across, angles = np.array([(block.along, block.across, block.angle) for block in both]).T
-    away = middles[None] - middles[:, None]
-    step = away[..., 0] * np.cos(angles)[:, None] + away[..., 1] * np.sin(angles)[:, None]
-    side = away[..., 1] * np.cos(angles)[:, None] - away[..., 0] * np.sin(angles)[:, None]
-    is_alike = (np.abs(np.log(along[None] / along[:, None])) < _ALIKE) & (
-        np.abs(np.log(across[None] / across[:, None])) < _ALIKE
-    )
-    turned = (angles[None] - angles[:, None] + np.pi / 2) % np.pi - np.pi / 2
-    is_alike &= np.abs(turned) < _TURNED
-    length = (along[None] + along[:, None]) / 2
-    thickness = (across[None] + across[:, None]) / 2
-    is_next = is_alike & (np.abs(np.abs(step) / (2 * length) - 1) < _STEP) & (np.abs(side) < _IN_LINE * thickness)
-    is_across = is_alike & (np.abs(np.abs(step) / length - 1) < 1.5 * _STEP)
-    is_across &= np.abs(np.abs(side) / thickness - 1) < _IN_LINE
-    for links, rows in ((is_across, 2), (is_next, 1)):
+    both_ways = [*blocks, *(block.turned() for block in blocks)]
+    is_next, is_in_other_row = _links(both_ways)
+    for links, rows in ((is_in_other_row, 2), (is_next, 1)):
         for members in _groups(links):
-            chain = _chain([both[i] for i in members], rows)
+            chain = _chain([both_ways[i] for i in members], rows)
             if chain is not None:
                 yield chain
 
 
+def _links(blocks: Sequence[_Block]) -> tuple[np.ndarray, np.ndarray]:
+    """Return which of k blocks are beside each other in one row, and which in two, (k, k) bool each."""
+    middles = np.array([block.middle for block in blocks])
+    along = np.array([block.along for block in blocks])
+    across = np.array([block.across for block in blocks])
+    angles = np.array([block.angle for block in blocks])
+
+    is_alike = np.abs(np.log(along[None] / along[:, None])) < _ALIKE
+    is_alike &= np.abs(np.log(across[None] / across[:, None])) < _ALIKE
+    is_alike &= np.abs(_between_axes(angles[None], angles[:, None])) < _TURNED
+
+    # From each block to each other one: steps along the direction of the former, and to its side.
+    away = middles[None] - middles[:, None]
+    cos = np.cos(angles)[:, None]
+    sin = np.sin(angles)[:, None]
+    step = np.abs(away[..., 0] * cos + away[..., 1] * sin)
+    side = np.abs(away[..., 1] * cos - away[..., 0] * sin)
+    length = (along[None] + along[:, None]) / 2
+    thickness = (across[None] + across[:, None]) / 2
+    is_next = is_alike & (np.abs(step / (2 * length) - 1) < _STEP) & (side < _IN_LINE * thickness)
+    is_in_other_row = is_alike & (np.abs(step / length - 1) < _STEP_TO_OTHER_ROW)
+    is_in_other_row &= np.abs(side / thickness - 1) < _IN_LINE
+    return is_next, is_in_other_row
+
+
+def _between_axes(angles: Any, others: Any) -> Any:
+    """Return the angles from other axes to axes, -pi/2 to pi/2: an axis has no sense of direction."""
+    return (angles - others + np.pi / 2) % np.pi - np.pi / 2
+
+
 def _groups(links: np.ndarray) -> list[np.ndarray]:
+    """Return the indices of blocks that are linked (k, k), directly or by others, if they are enough for a chain."""
     from scipy.sparse import csr_array
     from scipy.sparse.csgraph import connected_components
 
@@ -159,35 +190,61 @@ def _groups(links: np.ndarray) -> list[np.ndarray]:
 def _chain(blocks: Sequence[_Block], rows: int) -> Chain | None:
     """Return the chain of blocks, or None if they are not at even steps on one line, or on two."""
     middles = np.array([block.middle for block in blocks])
-    angle = blocks[0].angle + float(
-        np.mean([(block.angle - blocks[0].angle + np.pi / 2) % np.pi - np.pi / 2 for block in blocks])
-    )
+    first = blocks[0].angle
+    angle = first + float(np.mean([_between_axes(block.angle, first) for block in blocks]))
     axis = np.array([math.cos(angle), math.sin(angle)])
     thickness = float(np.median([block.across for block in blocks]))
     length = float(np.median([block.along for block in blocks]))
     centre = middles.mean(axis=0)
     along = (middles - centre) @ axis
-    numbers = np.rint((along - along.min()) / (length if rows == 2 else 2 * length))
+    blocks_per_step = 1 if rows == 2 else 2  # in one row, a light block is between two dark ones
+    numbers = np.rint((along - along.min()) / (blocks_per_step * length))
     if len(set(numbers.tolist())) != len(numbers) or np.ptp(numbers) != len(numbers) - 1:
-        return None
+        return None  # two blocks are at one place, or one is missing
     step, start = np.polyfit(numbers, along, 1)
-    pitch = float(step if rows == 2 else step / 2)
+    pitch = float(step / blocks_per_step)
     if np.abs(along - start - step * numbers).max() > _STEP * pitch or abs(pitch / length - 1) > _STEP:
         return None
     normal = np.array([-axis[1], axis[0]])
     across = (middles - centre) @ normal
-    if rows == 2:
-        sides = np.where(numbers % 2 == 0, 1.0, -1.0)
-        if len(blocks) < 3 or np.ptp(across[sides > 0]) > 2 * thickness or np.ptp(across[sides < 0]) > 2 * thickness:
-            return None
-    # The line through the middles is steadier than the sides of the blocks.
-    design = np.stack([np.ones(len(along)), along] + ([sides] if rows == 2 else []), axis=1)
-    level, slope, *half = np.linalg.lstsq(design, across, rcond=None)[0].tolist()
-    if rows == 2 and abs(abs(half[0]) / (thickness / 2) - 1) > 0.4:
+    line = _line_of_row(along, across) if rows == 1 else _line_of_two_rows(along, across, numbers, thickness)
+    if line is None:
         return None
+    level, slope = line
+    # The line through the middles is steadier than the sides of the blocks.
     turn = angle + math.atan(slope)
-    axis = np.array([math.cos(turn), math.sin(turn)])
     return Chain(
-        centre + level * normal, axis, float(start) - pitch / 2, float(start + step * numbers.max()) + pitch / 2,
-        pitch, thickness, rows,
-    )  # fmt: skip
+        middle=centre + level * normal,
+        axis=np.array([math.cos(turn), math.sin(turn)]),
+        begin=float(start) - pitch / 2,
+        end=float(start + step * numbers.max()) + pitch / 2,
+        pitch=pitch,
+        thickness=thickness,
+        rows=rows,
+    )
+
+
+def _line_of_row(along: np.ndarray, across: np.ndarray) -> tuple[float, float]:
+    """Return level and slope of the line through the middles (k,) of the blocks of a row."""
+    design = np.stack([np.ones(len(along)), along], axis=1)
+    level, slope = np.linalg.lstsq(design, across, rcond=None)[0].tolist()
+    return level, slope
+
+
+def _line_of_two_rows(
+    along: np.ndarray, across: np.ndarray, numbers: np.ndarray, thickness: float
+) -> tuple[float, float] | None:
+    """Return level and slope of the line between two rows, in which the blocks (k,) alternate by their numbers.
+
+    None if there are too few, or if the rows are not one thickness apart.
+    """
+    sides = np.where(numbers % 2 == 0, 1.0, -1.0)
+    if len(along) < 3:
+        return None
+    if max(np.ptp(across[sides > 0]), np.ptp(across[sides < 0])) > _SPREAD_OF_ROW * thickness:
+        return None
+    design = np.stack([np.ones(len(along)), along, sides], axis=1)
+    level, slope, half = np.linalg.lstsq(design, across, rcond=None)[0].tolist()
+    if abs(abs(half) / (thickness / 2) - 1) > _APART:
+        return None
+    return level, slope

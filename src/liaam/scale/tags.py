@@ -14,6 +14,8 @@ _DESCRIPTION = 270
 _X_RESOLUTION = 282
 _Y_RESOLUTION = 283
 _LONGEST = 1_000_000  # letters of a description that are looked at
+_HEAD = 2000  # letters in which the root of OME-XML is, after a declaration and comments
+_LONG_HEAD = 20_000  # letters in which the first sizes are, of OME-XML whose root is not named so
 _SQUARE = 1e-3  # greatest relative difference of the sides of a pixel
 _PIXELS = re.compile(r"<(?:\w+:)?Pixels\b[^<>]*>")  # of OME-XML
 _ATTRIBUTE = re.compile(r"\b(PhysicalSize[XY](?:Unit)?)\s*=\s*[\"']([^\"'<>]{0,40})[\"']")
@@ -49,7 +51,7 @@ def length_in_tags(image: str | PathLike[str] | bytes, name: str = "image") -> L
     try:
         if description.startswith("ImageJ="):
             return _of_imagej(description, tags)
-        if "<OME" in description[:2000] or "PhysicalSizeX" in description[:20_000]:
+        if "<OME" in description[:_HEAD] or "PhysicalSizeX" in description[:_LONG_HEAD]:
             return _of_ome(description)
         match = _APERIO.search(description) if description.startswith("Aperio") else None
         return None if match is None else Length(float(match[1]), "um", source="Aperio's tags")
@@ -86,6 +88,7 @@ def _of_imagej(description: str, tags: Mapping[int, Any]) -> Length | None:
 
 
 def _of_ome(description: str) -> Length | None:
+    """Return the length by the sizes of a pixel in OME-XML, which are in micrometres unless it says so."""
     pixels = _PIXELS.search(description)
     facts = dict(_ATTRIBUTE.findall(pixels[0])) if pixels is not None else {}
     unit = unit_of(facts.get("PhysicalSizeXUnit", "um"))

@@ -22,6 +22,7 @@ from liaam.studio.pictures import averaged, read_for_work, work_size
 from liaam.tracking.motion import rescaled
 
 LAYERS = ("residual", "shading", "flat", "normals")
+"""Names of the layers, as the page asks for them; flat is the picture without its shading."""
 
 RESIDUAL_COLOURS = ((33, 102, 172), (247, 247, 247), (178, 24, 43))
 """Colours below, at and above 0: the picture is darker than, equal to, or brighter than the model."""
@@ -32,7 +33,7 @@ SHADING_LIMIT = float(np.log(4.0))
 
 RESIDUAL_SHARE = 98.0  # percentile of the absolute residual that limits the colour scale
 
-_ROWS = {
+_CHANNELS = {
     "luminance": ("luminance",),
     "rgb": ("red", "green", "blue"),
     "chromaticity": ("log-chromaticity 1", "log-chromaticity 2"),
@@ -53,40 +54,49 @@ def residual_of(fitter: Fitter, image: np.ndarray, result: FitResult) -> tuple[n
     method = result.method
     model = fitter.model
     residual, usable = residual_at(fitter, image, result)
-    row = int(np.nan_to_num(np.square(residual, dtype=np.float64).mean(axis=0)).argmax())
-    values = np.stack([residual[:, row], usable], axis=1)
+    mean_squares = np.square(residual, dtype=np.float64).mean(axis=0)
+    channel = int(np.nan_to_num(mean_squares).argmax())
+    values = np.stack([residual[:, channel], usable], axis=1)
+
     sizes = np.abs(values[values[:, 1] > 0, 0])
     sizes = sizes[np.isfinite(sizes)]
     limit = float(np.percentile(sizes, RESIDUAL_SHARE)) if len(sizes) else 0.0
-    names = _ROWS.get(method.metric, ())
+    names = _CHANNELS.get(method.metric, ())
+    facts = {"limit": max(limit, 1e-6), "what": names[channel] if channel < len(names) else method.metric}
+
     frame = fitter.view.warp.frame
     if frame is not model.frame:  # select the model's pixels from those of a larger frame
-        rows, columns = (model.frame.pixels + (model.frame.origin - frame.origin)[::-1].astype(int)).T
+        columns_and_rows_between = (model.frame.origin - frame.origin).astype(int)
+        rows, columns = (model.frame.pixels + columns_and_rows_between[::-1]).T
         values = frame.picture(values)[rows, columns]
-    return values, {"limit": max(limit, 1e-6), "what": names[row] if row < len(names) else method.metric}
+    return values, facts
 
 
 def scaled(result: FitResult, size: tuple[int, int], to: tuple[int, int]) -> FitResult:
     """Convert a fit from one picture size (width, height) to another."""
     if size == to:
         return result
+    factor = float(np.sqrt(to[0] * to[1] / (size[0] * size[1])))
 
-    def there(points: np.ndarray) -> np.ndarray:
+    def moved(points: np.ndarray) -> np.ndarray:
         return rescaled(points, (size[1], size[0]), (to[1], to[0]))
 
-    def moved(detection: Detection) -> Detection:
-        others = tuple(map(moved, detection.others))
-        return replace(detection, landmarks=there(detection.landmarks), scale=detection.scale * factor, others=others)
+    def moved_detection(detection: Detection) -> Detection:
+        return replace(
+            detection,
+            landmarks=moved(detection.landmarks),
+            scale=detection.scale * factor,
+            others=tuple(moved_detection(other) for other in detection.others),
+        )
 
-    factor = float(np.sqrt(to[0] * to[1] / (size[0] * size[1])))
     return replace(
         result,
-        landmarks=there(result.landmarks),
+        landmarks=moved(result.landmarks),
         landmark_covariances=result.landmark_covariances * factor**2,
-        shift=None if result.shift is None else there(result.landmarks) - there(result.registered),
-        pose=Similarity(result.pose.matrix * factor, there(result.pose.offset[None])[0]),
-        history=tuple(replace(step, landmarks=there(step.landmarks)) for step in result.history),
-        found=None if result.found is None else moved(result.found),
+        shift=None if result.shift is None else moved(result.landmarks) - moved(result.registered),
+        pose=Similarity(result.pose.matrix * factor, moved(result.pose.offset[None])[0]),
+        history=tuple(replace(step, landmarks=moved(step.landmarks)) for step in result.history),
+        found=None if result.found is None else moved_detection(result.found),
     )
 
 
@@ -128,7 +138,10 @@ def residual_layer(
 def taken_apart(
     fitter: Fitter, image: np.ndarray, result: FitResult, to: tuple[int, int], raw: bool = False
 ) -> Relighter:
-    """Create the relighter of a fit, which gives sRGB, at a size (width, height) of at most that of the picture."""
+    """Create the relighter of a fit, which gives sRGB, at a size (width, height) of at most that of the picture.
+
+    ``raw`` says that the picture is of a RAW file: its values are linear light.
+    """
     small = averaged(image, to)
     if raw:
         small = linear_to_srgb(stored_values(small)).astype(np.float32)
@@ -141,8 +154,9 @@ def shading_layer(light: Relighter, to: tuple[int, int]) -> np.ndarray:
     shading = light.shading()
     inside = np.any(shading != 0, axis=2).astype(np.float32)
     mean = averaged(shading.mean(axis=2), to)
-    coverage = averaged(inside, to)
-    return coloured(mean / np.maximum(coverage, 1e-6) / SHADING_LIMIT, SHADING_COLOURS, coverage > 0.5)
+    coverage = averaged(inside, to)  # share of each pixel that has a shading
+    mean_inside = mean / np.maximum(coverage, 1e-6)
+    return coloured(mean_inside / SHADING_LIMIT, SHADING_COLOURS, coverage > 0.5)
 
 
 def normals_layer(light: Relighter) -> tuple[np.ndarray, list[float]]:
@@ -151,10 +165,13 @@ def normals_layer(light: Relighter) -> tuple[np.ndarray, list[float]]:
     Also return their part of the picture, (left, top, width, height), as fractions of its sides.
     """
     layer = np.dstack([128 + 127 * light.normals[..., :2], 255 * light.surroundings.share])
+    if not layer.size:  # the object is outside the picture, and images have at least a pixel
+        layer = np.zeros((1, 1, 3))
     rows, columns = light.region.box
     height, width = light.picture.shape[:2]
-    box = [columns.start / width, rows.start / height, *np.divide(light.region.size, (width, height)).tolist()]
-    return np.rint(layer if layer.size else np.zeros((1, 1, 3))).astype(np.uint8), box
+    box_width, box_height = light.region.size
+    box = [columns.start / width, rows.start / height, box_width / width, box_height / height]
+    return np.rint(layer).astype(np.uint8), box
 
 
 def why_not_flat(fitter: Fitter, image: np.ndarray, result: FitResult) -> str | None:
@@ -173,7 +190,13 @@ def why_not_flat(fitter: Fitter, image: np.ndarray, result: FitResult) -> str | 
 
 
 def coloured(values: np.ndarray, colours: tuple[tuple[int, int, int], ...], inside: np.ndarray) -> np.ndarray:
-    """Map values, clipped to -1 to 1, to three evenly spaced colours, (h, w, 4) uint8, transparent but ``inside``."""
-    table = np.stack([np.interp(np.linspace(-1, 1, 255), (-1, 0, 1), channel) for channel in np.array(colours).T], 1)
+    """Map values (h, w) to the colours at -1, 0 and 1, and between them, (h, w, 4) uint8, transparent but ``inside``.
+
+    Values are clipped to -1 to 1. A table of 255 colours is quicker than an interpolation for each pixel.
+    """
+    places = np.linspace(-1, 1, 255)
+    table = np.stack([np.interp(places, (-1, 0, 1), channel) for channel in np.array(colours).T], axis=1)
     index = np.rint((np.clip(np.nan_to_num(values), -1, 1) + 1) * 127).astype(np.uint8)
-    return np.dstack([np.rint(table).astype(np.uint8)[index], np.full_like(index, 255)]) * inside[..., None]
+    colour = np.rint(table).astype(np.uint8)[index]
+    opaque = np.full_like(index, 255)
+    return np.dstack([colour, opaque]) * inside[..., None]

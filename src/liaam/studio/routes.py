@@ -21,7 +21,10 @@ from liaam.relighting.lamp import AMBIENT, Lamp, check_ambient
 from liaam.studio.refusal import Refusal
 
 SIZES = (16, 16384)  # smallest and largest size of the longest side that a request may ask for, in pixels
-MOST_LAMPS = 8  # maximum number of lamps of a relit picture
+MOST_DIGITS = 6  # of a size, so that it is read at once
+MOST_LAMPS = 8  # maximum number of lamps of a relit picture, which bounds its time
+MOST_POINTS = 100_000  # maximum number of points of a start
+LARGEST = 1e9  # of a coordinate, beyond which arithmetic may overflow
 ROOM = 100  # maximum number of events queued for a page; one further behind is disconnected, and loads again
 
 
@@ -35,10 +38,11 @@ def route(
 ) -> Route:
     """Return a route that answers with what ``act`` returns in a thread: a response, a value as JSON, or None as 204.
 
-    It takes the request and, with ``read``, its body.
+    ``act`` takes the request and, with ``read``, what that makes of its body. ``limiter`` limits how many run at once,
+    and ``status`` is that of JSON.
     """
 
-    def answered(request: Request, *body: Any) -> Response:
+    def answered(request: Request, *body: Any) -> Response:  # body: one argument or none
         answer = act(request, *body)
         if isinstance(answer, Response):
             return answer
@@ -64,7 +68,8 @@ async def read_json(request: Request) -> Any:
     body = await request.body()
     try:
         content = json.loads(body)
-        if any(mark in body for mark in (b"\\u", b"NaN", b"Infinity")):  # raises for those, and half a surrogate pair
+        if any(mark in body for mark in (b"\\u", b"NaN", b"Infinity")):
+            # Raises for numbers that are none, and for half a surrogate pair, which Python's reader lets pass.
             json.dumps(content, ensure_ascii=False, allow_nan=False).encode()
         return content
     except (ValueError, RecursionError) as fault:  # UnicodeDecodeError is a ValueError
@@ -78,11 +83,11 @@ def attachment(name: str, data: bytes, kind: str = "application/octet-stream") -
     return Response(data, media_type=kind, headers={"content-disposition": place, "cache-control": "no-store"})
 
 
-def checked_size(text: str | None, otherwise: int) -> int:
+def checked_size(text: str | None, default: int) -> int:
     """Parse a requested size and clip it to :data:`SIZES`."""
     if text is None:
-        return otherwise
-    if not (text.isascii() and text.isdigit() and len(text) < 7):
+        return default
+    if not (text.isascii() and text.isdigit() and len(text) <= MOST_DIGITS):
         raise Refusal(422, f"size {text[:20]!r} is not a whole number of pixels: send the longest side, such as 1024")
     return int(np.clip(int(text), *SIZES))
 
@@ -96,14 +101,15 @@ def parse_start(data: Any) -> Any:
             return tuple(map(float, data["box"]))
         points: Any = data.get("shape")
         are_points = isinstance(points, list) and all(each is None or _are_numbers(each, 2) for each in points)
-        if are_points and 0 < len(points) <= 100_000:
+        if are_points and 0 < len(points) <= MOST_POINTS:
             return np.array([[np.nan, np.nan] if point is None else point for point in points], np.float64)
     raise Refusal(422, "the start is unclear: send null, {box: [left, top, right, bottom]} or {shape: [[x, y], ...]}")
 
 
 def _are_numbers(values: Any, n: int) -> bool:
+    """Whether values are a list of n numbers, none of them too large."""
     is_list = isinstance(values, list) and len(values) == n
-    return is_list and all(type(x) in (int, float) and -1e9 < x < 1e9 for x in values)  # arithmetic may overflow
+    return is_list and all(type(value) in (int, float) and -LARGEST < value < LARGEST for value in values)
 
 
 def light_of(query: Mapping[str, str]) -> tuple[list[Lamp], float]:
@@ -129,7 +135,8 @@ class Events:
     """Sends events to the open pages; thread-safe."""
 
     def __init__(self, heartbeat: float = 15.0) -> None:
-        self._heartbeat, self._lock = heartbeat, threading.Lock()
+        self._heartbeat = heartbeat  # seconds between comments to a page, which keep its connection open
+        self._lock = threading.Lock()
         self._pages: dict[asyncio.Queue[str | None], asyncio.AbstractEventLoop] = {}
         self._closed = False
 

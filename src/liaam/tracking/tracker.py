@@ -77,23 +77,40 @@ class TrackingOptions:
 
 @dataclass(frozen=True, eq=False)
 class _CoordinateTrack:
-    """Estimate of an object's coordinates, and statistics of its motion (see :func:`kalman.noise_and_drive`)."""
+    """Estimate of an object's k coordinates, and statistics of its motion (see :func:`kalman.noise_and_drive`)."""
 
     belief: kalman.Belief
     moments: kalman.Moments
-    share: float
-    drive: np.ndarray
+    share: float  # fraction of a fit's covariance that changes from frame to frame
+    drive: np.ndarray  # (k,): density of the acceleration
 
 
 @dataclass(eq=False)
 class TrackState:
     """State of a tracker between two frames.
 
-    It holds the number of frames so far (at 0, an invalid frame raises), the estimate of the object's motion, how many
-    frames the object has been lost, the wait between searches and the time until the next one in frames, the size
-    (height, width) of the last frame, the last landmarks (n, 2), the number of the last frame with landmarks divided by
-    the review interval, the index of the model's part (:attr:`liaam.AAM.parts`) that is tracked, and whether the object
-    is of the other side (:attr:`liaam.fitting.FitResult.reflected`).
+    Attributes
+    ----------
+    count : int
+        Number of frames so far; at 0, an invalid frame raises.
+    track : object or None
+        Estimate of the object's motion; None if it is not known yet, or any more.
+    lost : int
+        Number of frames since the object was lost.
+    wait : int
+        Number of frames from one search to the next.
+    due : int
+        Number of frames until the next search.
+    size : (int, int) or None
+        Height and width of the last frame.
+    last : (n, 2) float64 or None
+        Landmarks of the last frame with the object.
+    period : int
+        Number of that frame divided by the review interval, rounded down.
+    part : int
+        Index of the model's part (:attr:`liaam.AAM.parts`) that is tracked.
+    reflected : bool
+        Whether the object is of the other side (:attr:`liaam.fitting.FitResult.reflected`).
     """
 
     count: int = 0
@@ -147,25 +164,27 @@ class Tracker:
     def __post_init__(self) -> None:
         self.fitter = Fitter(self.model, self.method, camera=self.camera, restarts=False)  # it searches instead
         # early_tolerance=0: stopping early would leave the landmarks between the previous frame's and this one's.
-        near = SolverOptions(max_iterations=ITERATIONS, relative_tolerance=RELATIVE_TOLERANCE, early_tolerance=0.0)
-        self._of_parts = []
+        options = SolverOptions(max_iterations=ITERATIONS, relative_tolerance=RELATIVE_TOLERANCE, early_tolerance=0.0)
+        self._near_fitters = []  # of each part: from a prediction, at the finest levels only
         for part in self.fitter.parts:
-            few = sharpest(part.model, LEVELS)
-            fitter = Fitter(few, self.method, near, camera=self.camera, margin=NEAR, restarts=False)
-            self._of_parts.append((fitter, part))
-        self._estimates = self.fitter.objectives[-1].method.free_angles != "none"
+            finest = sharpest(part.model, LEVELS)
+            fitter = Fitter(finest, self.method, options, camera=self.camera, margin=NEAR, restarts=False)
+            self._near_fitters.append(fitter)
+        self._estimates_theta = self.fitter.objectives[-1].method.free_angles != "none"
         self.reset()
 
     def reset(self) -> None:
         """Forget the object. The next frame counts as the first one."""
-        self.result, self.state = None, TrackState()
+        self.result = None
+        self.state = TrackState()
         self._use(self.state.part, self.state.reflected)
 
     def _use(self, part: int, reflected: bool) -> None:
         """Track the shape of one of the model's parts, as it is or reflected."""
         self.state.part = part
         self.state.reflected = reflected
-        self._near, self._far = self._of_parts[part]
+        self._near = self._near_fitters[part]
+        self._far = self.fitter.parts[part]
         self._motion = Motion.of(self._far.shapes, is_reflected=reflected)
 
     def update(self, image, time: float = float("nan"), index: int | None = None) -> TrackedFrame:
@@ -192,7 +211,7 @@ class Tracker:
         index = self.state.count if index is None else index
         name = f"{self.name}, frame {index}" if self.name else f"frame {index}"
         status = TrackStatus.LOST
-        tried = None
+        fit = None
         try:
             pixels, _ = load_picture(image, name)
         except ImageError:
@@ -202,25 +221,41 @@ class Tracker:
                 self._predicted()  # it keeps moving
             self._lose(searched=False)
         else:
-            before = self.state.size
-            self.state.size = pixels.shape[:2]
-            if before not in (None, self.state.size) and self.state.last is not None:
-                # Speed and scatter change with the size: restart from the last position.
-                self.state.last = rescaled(self.state.last, before, self.state.size)
-                self.state.track = None
-            status, tried = self._locate(pixels, index, name)
+            self._resize(pixels.shape[:2])
+            status, fit = self._locate(pixels, index, name)
         self.state.count += 1
-        self.result = None if status is TrackStatus.LOST else tried
-        if status is TrackStatus.LOST or tried is None:
-            return lost_frame(self._motion.shape_model.mean, index, time, tried)
-        assert self.state.size is not None  # the frame is valid
-        _, width = self.state.size
-        part = self.model.part_of(reflected_points(tried.landmarks, width) if tried.reflected else tried.landmarks)
-        if self.state.track is None and (part, tried.reflected) != (self.state.part, self.state.reflected):
-            self._use(part, tried.reflected)
-        self.state.lost = self.state.wait = self.state.due = 0
-        self.state.last, self.state.period = tried.landmarks, self._period_of(index)
-        return self._seen(tried, status, index, time)
+        if status is TrackStatus.LOST or fit is None:
+            self.result = None
+            return lost_frame(self._motion.shape_model.mean, index, time, fit)
+        self.result = fit
+        self._choose_part(fit)
+        self.state.lost = 0
+        self.state.wait = 0
+        self.state.due = 0
+        self.state.last = fit.landmarks
+        self.state.period = self._period_of(index)
+        return self._seen(fit, status, index, time)
+
+    def _resize(self, size: tuple[int, int]) -> None:
+        """Note the size (height, width) of a frame. If it changes, restart from the last position."""
+        before = self.state.size
+        self.state.size = size
+        if before not in (None, size) and self.state.last is not None:
+            self.state.last = rescaled(self.state.last, before, size)
+            self.state.track = None  # speed and scatter change with the size
+
+    def _choose_part(self, fit: FitResult) -> None:
+        """Track the part of the model that a fit shows, and its side, if the motion is not known from another one."""
+        if self.state.track is not None:
+            return
+        landmarks = fit.landmarks
+        if fit.reflected:
+            assert self.state.size is not None  # it was fitted to a frame
+            _, width = self.state.size
+            landmarks = reflected_points(landmarks, width)
+        part = self.model.part_of(landmarks)
+        if (part, fit.reflected) != (self.state.part, self.state.reflected):
+            self._use(part, fit.reflected)
 
     def _is_expected(self) -> bool:
         """Return whether the object may still be near its last position."""
@@ -229,49 +264,62 @@ class Tracker:
     def _lose(self, searched: bool) -> None:
         """Count a frame without the object, and set the time of the next search after one."""
         if searched:
-            self.state.due = self.state.wait = min(max(1, 2 * self.state.wait), self.options.longest_wait)
-        self.state.lost, self.state.due = self.state.lost + 1, self.state.due - 1
+            self.state.wait = min(max(1, 2 * self.state.wait), self.options.longest_wait)
+            self.state.due = self.state.wait
+        self.state.lost += 1
+        self.state.due -= 1
 
     def _locate(self, pixels: np.ndarray, index: int, name: str) -> tuple[TrackStatus, FitResult | None]:
-        """Return the status, and its fit or the last failed one."""
-        first = self.state.count == 0
-        tried = None
-        if first and self.init is not None:
-            tried = self.fitter.fit(pixels, self.init, name)
-            if _usable(tried):
-                return TrackStatus.FOUND, tried
-        elif self._is_expected():
-            right, tried = self._follow(pixels, name)
-            if right and tried is not None:
-                due = self._period_of(index) != self.state.period
-                better = self._reviewed(pixels, tried, name) if due else None
-                if better is None:
-                    return TrackStatus.TRACKED, tried
-                self.state.track = None  # the motion was wrong
-                return TrackStatus.CORRECTED, better
-        searched = self.state.due <= 0
-        if searched:
-            result = _fit(self.fitter, pixels, None, name, must=first)
-            tried = result or tried
-            # Reject a place with a low search score unless the quality of the fit confirms it.
-            if result is not None and _usable(result) and not result.detection_doubtful:
-                self.state.track = None  # the motion before does not apply
-                return TrackStatus.FOUND, result
-        self._lose(searched)
-        return TrackStatus.LOST, tried
+        """Find the object: from the given start, near its predicted position, or by a search if one is due.
 
-    def _follow(self, pixels: np.ndarray, name: str) -> tuple[bool, FitResult | None]:
-        """Fit from the predicted position; return whether the last fit is of the object, and that fit."""
-        start = self._predicted()
-        tried = None
-        for fitter in (self._near, self._far) if self.state.lost == 0 else (self._far,):
-            result = _fit(fitter, pixels, start, name)
-            if result is None:
-                break
-            tried = result
-            if _usable(tried) and np.linalg.norm(tried.landmarks - start, axis=1).mean() < JUMP * diagonal_of(start):
-                return True, tried
-        return False, tried
+        Return the status, and its fit or, if the object is lost, the last one that failed.
+        """
+        is_first = self.state.count == 0
+        fit = None
+        if is_first and self.init is not None:
+            fit = self.fitter.fit(pixels, self.init, name)
+            if _usable(fit):
+                return TrackStatus.FOUND, fit
+        elif self._is_expected():
+            predicted = self._predicted()
+            fit = self._followed(pixels, predicted, name)
+            if fit is not None and _confirms(fit, predicted):
+                return self._tracked_or_corrected(pixels, fit, index, name)
+        is_search_due = self.state.due <= 0
+        if is_search_due:
+            found = _fit(self.fitter, pixels, None, name, must=is_first)
+            # Reject a place with a low search score unless the quality of the fit confirms it.
+            if found is not None and _usable(found) and not found.detection_doubtful:
+                self.state.track = None  # the motion before does not apply
+                return TrackStatus.FOUND, found
+            fit = found or fit
+        self._lose(is_search_due)
+        return TrackStatus.LOST, fit
+
+    def _followed(self, pixels: np.ndarray, predicted: np.ndarray, name: str) -> FitResult | None:
+        """Return the last fit from a predicted shape (n, 2): at the finest levels, or also at all; None without one."""
+        was_seen = self.state.lost == 0
+        fitters = (self._near, self._far) if was_seen else (self._far,)
+        last = None
+        for fitter in fitters:
+            fit = _fit(fitter, pixels, predicted, name)
+            if fit is None:
+                return last
+            last = fit
+            if _confirms(fit, predicted):
+                return last
+        return last
+
+    def _tracked_or_corrected(
+        self, pixels: np.ndarray, followed: FitResult, index: int, name: str
+    ) -> tuple[TrackStatus, FitResult]:
+        """Return the status and the fit that followed the object; or one that is clearly better, if a review is due."""
+        is_review_due = self._period_of(index) != self.state.period
+        better = self._reviewed(pixels, followed, name) if is_review_due else None
+        if better is None:
+            return TrackStatus.TRACKED, followed
+        self.state.track = None  # the motion was wrong
+        return TrackStatus.CORRECTED, better
 
     def _period_of(self, index: int) -> int:
         """Return the number of reviews due up to a frame, from its number only, since numbers may have gaps."""
@@ -285,12 +333,12 @@ class Tracker:
         anew = _fit(self.fitter, pixels, align(mean, followed.landmarks)(mean), name)
         if anew is None:
             return None
-        apart = np.linalg.norm(anew.landmarks - followed.landmarks, axis=1)
+        is_better = _usable(anew) and 1.0 - anew.quality < BETTER * (1.0 - followed.quality)
+        distances = np.linalg.norm(anew.landmarks - followed.landmarks, axis=1)
         size = diagonal_of(followed.landmarks)
-        better = _usable(anew) and 1.0 - anew.quality < BETTER * (1.0 - followed.quality)
-        # If near, the track has not drifted; if far, this is another object.
-        elsewhere = apart.max() > APART * size and apart.mean() < JUMP * size
-        return anew if better and elsewhere else None
+        has_drifted = distances.max() > APART * size
+        is_same_object = distances.mean() < JUMP * size
+        return anew if is_better and has_drifted and is_same_object else None
 
     def _predicted(self) -> np.ndarray:
         """Advance the track to this frame and return the predicted shape."""
@@ -321,7 +369,8 @@ class Tracker:
             moments = track.moments
             belief = kalman.update(kalman.widened(track.belief, y, noise), y, noise)
         moments = kalman.observed(moments, y)
-        self.state.track = _CoordinateTrack(belief, moments, *kalman.noise_and_drive(moments, variances))
+        share, drive = kalman.noise_and_drive(moments, variances)
+        self.state.track = _CoordinateTrack(belief, moments, share, drive)
         landmarks = result.landmarks
         covariances = result.landmark_covariances
         if self.options.smooth:
@@ -335,7 +384,7 @@ class Tracker:
             status=status,
             fit_status=result.status,
             quality=result.quality,
-            theta=result.theta if self._estimates else np.nan,
+            theta=result.theta if self._estimates_theta else np.nan,
             landmarks=landmarks,
             raw=result.landmarks,
             covariances=covariances,
@@ -395,7 +444,8 @@ def track_video(
 
 def sharpest(model: AAM, levels: int) -> AAM:
     """Return the model with only its `levels` finest levels."""
-    return replace(model, views={name: replace(v, levels=v.levels[-levels:]) for name, v in model.views.items()})
+    views = {name: replace(view, levels=view.levels[-levels:]) for name, view in model.views.items()}
+    return replace(model, views=views)
 
 
 def _fit(fitter: Fitter, pixels: np.ndarray, start, name: str, *, must: bool = False) -> FitResult | None:
@@ -408,6 +458,17 @@ def _fit(fitter: Fitter, pixels: np.ndarray, start, name: str, *, must: bool = F
         return None
 
 
-def _usable(result: FitResult) -> bool:
+def _usable(fit: FitResult) -> bool:
     """Return whether to accept a fit: converged, or stopped at the iteration limit without a low quality."""
-    return result.status.ok or (result.status is FitStatus.MAX_ITERATIONS and not result.quality < result.least_quality)
+    if fit.status.ok:
+        return True
+    is_low = fit.quality < fit.least_quality  # not if it is unknown, NaN
+    return fit.status is FitStatus.MAX_ITERATIONS and not is_low
+
+
+def _confirms(fit: FitResult, predicted: np.ndarray) -> bool:
+    """Return whether a fit is of the object that was expected at a shape (n, 2): usable, and not far from it."""
+    if not _usable(fit):
+        return False
+    distance = np.linalg.norm(fit.landmarks - predicted, axis=1).mean()
+    return bool(distance < JUMP * diagonal_of(predicted))

@@ -69,27 +69,42 @@ def unplaced(shapes: Sequence[np.ndarray], certain: Sequence[bool]) -> list[int]
         Their indices, in reading order.
     """
     boxes = [_box(shape) for shape in shapes]
-    grid = np.array([box for box, sure in zip(boxes, certain, strict=True) if sure and box is not None])
-    order = reading_order(shapes)
+    grid = np.array([box for box, is_certain in zip(boxes, certain, strict=True) if is_certain and box is not None])
     if len(grid) < 2:
         return []
-    return [i for i in order if not certain[i] and not _is_in_grid(boxes[i], grid)]
+    return [i for i in reading_order(shapes) if not certain[i] and not _is_in_grid(boxes[i], grid)]
 
 
 def _is_in_grid(box: np.ndarray | None, grid: np.ndarray) -> bool:
     """Whether a box (2, 2) is of the size of those of a grid (n, 2, 2), and in a row and in a column of them."""
     if box is None:
         return False
-    sizes = np.median(grid[:, 1] - grid[:, 0], axis=0)
-    if np.abs(np.log(np.maximum(box[1] - box[0], 1e-9) / np.maximum(sizes, 1e-9))).max() > OF_SIZE:
+    usual_size = np.median(grid[:, 1] - grid[:, 0], axis=0)  # width and height
+    size = box[1] - box[0]
+    if np.abs(np.log(np.maximum(size, 1e-9) / np.maximum(usual_size, 1e-9))).max() > OF_SIZE:
         return False
     middles = grid.mean(axis=1)
-    across, down = (np.abs(middles - box.mean(axis=0)) < IN_ROW * sizes).T
-    if (np.abs(middles[:, 1] - middles[0, 1]) < IN_ROW * sizes[1]).all():  # there is a single row
-        steps = np.diff(np.sort(middles[:, 0]))
-        away = np.abs(middles[:, 0] - box.mean(axis=0)[0]).min() / steps.min()
-        return bool(down.any()) and abs(away - round(away)) < IN_STEP and len(steps) > 1
-    return bool(down.any() and across.any())
+    middle = box.mean(axis=0)
+    is_in_column, is_in_row = (np.abs(middles - middle) < IN_ROW * usual_size).T  # of each box of the grid
+    if not is_in_row.any():
+        return False
+    is_single_row = (np.abs(middles[:, 1] - middles[0, 1]) < IN_ROW * usual_size[1]).all()
+    if is_single_row:
+        return _is_in_step(float(middle[0]), middles[:, 0], float(usual_size[0]))
+    return bool(is_in_column.any())
+
+
+def _is_in_step(x: float, row: np.ndarray, width: float) -> bool:
+    """Whether x is a whole number of steps away from the nearest of the places (n,) of a row, which tell its step.
+
+    Two places do not tell it: there may be gaps between them. Objects of a width that lie on each other are at one.
+    """
+    steps = np.diff(np.sort(row))
+    steps = steps[steps > IN_ROW * width]
+    if len(steps) < 2:
+        return False
+    n_steps = np.abs(row - x).min() / steps.min()
+    return bool(abs(n_steps - round(n_steps)) < IN_STEP)
 
 
 def _box(points: np.ndarray) -> np.ndarray | None:

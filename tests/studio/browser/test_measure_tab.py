@@ -41,11 +41,16 @@ def wings(tmp_path) -> Path:
 @pytest.fixture
 def measuring(serve, page, wings):
     """Give the page with the Measure tab open."""
-    page.goto(serve(wings).address)
+    open_measures(page, serve(wings).address)
+    return page
+
+
+def open_measures(page, address: str) -> None:
+    """Open the page of a folder, and its Measure tab."""
+    page.goto(address)
     wait_for(page, "() => window.liaamStudio?.annotate?.source()")
     page.locator("[data-testid=tab-measure]").click()
     page.locator("[data-testid=measure-table]").wait_for()
-    return page
 
 
 def add(page, kind: str, *points: int) -> None:
@@ -95,6 +100,23 @@ def test_measures_are_made_by_clicking_and_follow_the_points(measuring, wings, a
     page.locator("[data-testid=tab-measure]").click()
     find = "([i, before]) => window.liaamStudio.measure.data().columns[0].values[i] > before + 5"
     wait_for(page, find, [names.index(shortest), before])
+
+
+def test_pictures_without_a_measure_come_last_in_either_order(serve, page, wings):
+    incomplete = wings / "male_02.ljson"
+    points = read_landmarks(incomplete).points.copy()
+    points[4] = np.nan
+    write_landmarks(incomplete, Landmarks(points, (), NAMES))
+    open_measures(page, serve(wings).address)
+    add(page, "distance", 0, 4)
+    lengths = column(page, "distance:1-5")
+    rising = sorted((i for i, length in enumerate(lengths) if length is not None), key=lambda i: lengths[i])
+    last = [i for i, length in enumerate(lengths) if length is None]
+    assert len(last) == 1
+    find = "() => [...document.querySelectorAll('tr[data-index]')].map((row) => Number(row.dataset.index))"
+    for order in (rising + last, rising[::-1] + last):
+        page.locator("[data-testid^=sort-distance]").click()
+        wait_until(page, lambda order=order: page.evaluate(find) == order)
 
 
 def test_an_unusual_shape_is_one_click_away(measuring, artefacts):

@@ -422,7 +422,17 @@ ALSO_OTHER = (".txt", ".zip", ".xlsx")
 
 @dataclass(frozen=True)
 class OtherTool:
-    """Files of a tool that are recognised, to say what to export instead."""
+    """Files of a tool that are recognised, to say what to export instead.
+
+    Attributes
+    ----------
+    suffixes : tuple of str
+        Suffixes of its files, lower case.
+    is_file_of : callable
+        Whether a file is of the tool.
+    fault : str
+        What it is, and what to do instead, for the error.
+    """
 
     suffixes: tuple[str, ...]
     is_file_of: Callable[[Source], bool]
@@ -430,6 +440,7 @@ class OtherTool:
 
 
 def _first_of_list(source: Source) -> dict[str, Any]:
+    """Return the first object of a list in JSON; empty if there is none."""
     first = source.json[0] if isinstance(source.json, list) and source.json else None
     return first if isinstance(first, dict) else {}
 
@@ -440,7 +451,19 @@ def _is_create_ml(source: Source) -> bool:
 
 
 def _is_napari_shapes(source: Source) -> bool:
-    return "vertex-index" in source.text[:1000] and {"axis_0", "vertex_index"} <= {*source.header}
+    return "vertex-index" in source.text[:1000] and {"axis_0", "vertex_index"} <= {*source.header}  # in the first line
+
+
+def _is_darwin(source: Source) -> bool:
+    return {"item", "annotations"} <= source.object.keys()
+
+
+def _is_encord(source: Source) -> bool:
+    return "data_units" in _first_of_list(source) or "data_units" in source.object
+
+
+def _is_label_img(source: Source) -> bool:
+    return source.xml.tag == "annotation" and source.xml.find(".//bndbox") is not None
 
 
 _AS_TABLE = "save a table of the columns image, landmark, x and y, in pixels"
@@ -448,18 +471,18 @@ _AS_TABLE = "save a table of the columns image, landmark, x and y, in pixels"
 OTHER_TOOLS: tuple[OtherTool, ...] = (
     OtherTool(
         (".json",),
-        lambda source: {"item", "annotations"} <= source.object.keys(),
+        _is_darwin,
         f"this is an export of Darwin (V7), which is not read: {_AS_TABLE}.",
     ),
     OtherTool(
         (".json",),
-        lambda source: "data_units" in _first_of_list(source) or "data_units" in source.object,
+        _is_encord,
         f"this is an export of Encord, which is not read: export COCO keypoints, or {_AS_TABLE}.",
     ),
     OtherTool((".json",), _is_create_ml, f"this is an export of CreateML, which holds boxes, not points: {_AS_TABLE}."),
     OtherTool(
         (".xml",),
-        lambda source: source.xml.tag == "annotation" and source.xml.find(".//bndbox") is not None,
+        _is_label_img,
         f"this is an export of labelImg (Pascal VOC), which holds boxes, not points: {_AS_TABLE}.",
     ),
     OtherTool(

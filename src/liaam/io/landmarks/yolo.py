@@ -1,6 +1,7 @@
 """Pose labels of Ultralytics' YOLO: a text file for each image, and ``data.yaml``."""
 
 import re
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -23,7 +24,29 @@ _SETTINGS = ("data.yaml", "data.yml", "dataset.yaml")
 _PARENTS = 3  # folders above the labels in which the settings may lie
 _MOST_BYTES = 100_000  # of the settings
 _SHAPE = re.compile(r"[\s\[-]*(\d{1,6})[\s,-]+([23])\b")  # of kpt_shape, as [17, 3] or as a list below it
-_SLACK = 0.5  # share of the image's size that objects may extend beyond it
+_SLACK = 0.5  # share of the image's size that boxes may extend beyond it; in pixels, numbers are much larger
+_NAME = re.compile(r"[^\s,'\"\[\]-][^,'\"\[\]\n]*")  # in a list: what is no comma, quote, bracket or dash before it
+_NUMBERED_NAME = re.compile(r"(\d{1,6})\s*:\s*['\"]?([^,'\"\n}]+)")  # as 0: wing
+_CLASS_OF_NAMES = re.compile(r"\b\d{1,6}[ \t]{0,9}:(?=[ \t]{0,9}[\[\n])")  # as 0: before the list of its points' names
+
+
+@dataclass(frozen=True)
+class _Form:
+    """How the numbers behind the box of an object are divided.
+
+    Attributes
+    ----------
+    n_points : int
+        Number of points.
+    n_values : int
+        Numbers of each point: 2 (x and y), or 3 (and a flag).
+    is_known : bool
+        Whether they could be divided in no other way.
+    """
+
+    n_points: int
+    n_values: int
+    is_known: bool
 
 
 def in_images(path: Path) -> Path | None:
@@ -45,9 +68,9 @@ def _exchanged(path: Path, folder: str, other: str) -> Path | None:
     parts = list(path.parts)
     if folder not in parts:
         return None
-    at = len(parts) - 1 - parts[::-1].index(folder)
-    parts[at] = other
-    return Path(*parts) if Path(*parts[: at + 1]).is_dir() else None
+    last = len(parts) - 1 - parts[::-1].index(folder)
+    parts[last] = other
+    return Path(*parts) if Path(*parts[: last + 1]).is_dir() else None
 
 
 def is_yolo(source: Source) -> bool:
@@ -58,13 +81,17 @@ def is_yolo(source: Source) -> bool:
 
 
 def _is_label(row: list[str]) -> bool:
-    if len(row) < _BOX or not (row[0].isascii() and row[0].isdigit()) or not all(map(is_number, row[:_BOX])):
+    """Whether the cells of a line are those of an object."""
+    if len(row) < _BOX or not all(map(is_number, row[:_BOX])):
+        return False
+    is_class = row[0].isascii() and row[0].isdigit()
+    if not is_class:
         return False
     if not all(is_number(cell) or cell.lower() == "nan" for cell in row[_BOX:]):
         return False
-    box = [float(cell) for cell in row[1:_BOX]]
-    is_fraction = all(-_SLACK <= value <= 1 + _SLACK for value in box)
-    return is_fraction and box[2] > 0 and box[3] > 0
+    x, y, width, height = (float(cell) for cell in row[1:_BOX])
+    are_fractions = all(-_SLACK <= value <= 1 + _SLACK for value in (x, y, width, height))
+    return are_fractions and width > 0 and height > 0
 
 
 def parse_yolo(source: Source) -> list[Landmarks]:
@@ -80,17 +107,17 @@ def parse_yolo(source: Source) -> list[Landmarks]:
         differ = f"line {odd} has {len(rows[odd - 1])} numbers, but line 1 has {len(rows[0])}"
         raise LandmarkError(f"{differ}: give each object its class, box and points.")
     settings = _settings_of(source.path)
-    n_points, n_values, is_known = _form_of(rows, settings)
-    if not is_known:
+    form = _form_of(rows, settings)
+    if not form.is_known:
         source.notes.say("points of YOLO are taken for x and y, since no data.yaml has kpt_shape", source.path.name)
-    names = _names_in(settings, n_points)
+    names = _names_in(settings, form.n_points)
     wanted = source.reading.category
     classes = _classes_in(settings)
     objects = []
-    for row in sorted(rows, key=lambda row: -float(row[3]) * float(row[4])):
+    for row in sorted(rows, key=_area_of_box, reverse=True):
         label = classes.get(row[0], row[0])
         if wanted is None or wanted in (label, row[0]):
-            objects.append(_object_of(row[_BOX:], n_values, names))
+            objects.append(_object_of(row[_BOX:], form.n_values, names))
     if not objects:
         raise LandmarkError(
             f"no objects of the class '{wanted}': it has {', '.join(sorted({row[0] for row in rows}))}."
@@ -98,7 +125,15 @@ def parse_yolo(source: Source) -> list[Landmarks]:
     return [each for each in objects if not each.missing.all()] or objects
 
 
+def _area_of_box(row: list[str]) -> float:
+    """Return the area of the box in the cells of a line, as a fraction of the image's."""
+    width = float(row[3])
+    height = float(row[4])
+    return width * height
+
+
 def _object_of(cells: list[str], n_values: int, names: tuple[str, ...]) -> Landmarks:
+    """Return the landmarks in the numbers behind a box, which are ``n_values`` for each."""
     values = np.array([float(cell) for cell in cells]).reshape(-1, n_values)
     flags = values[:, 2] if n_values == 3 else np.full(len(values), 2.0)
     points: Any = [rd.parse_point(pair, f"point {i}") for i, pair in enumerate(values[:, :2].tolist(), 1)]
@@ -107,21 +142,21 @@ def _object_of(cells: list[str], n_values: int, names: tuple[str, ...]) -> Landm
     return Landmarks(points, (), names, None, hidden, placing=Placing(fractions=True))
 
 
-def _form_of(rows: list[list[str]], settings: str) -> tuple[int, int, bool]:
-    """Return the number of points, of values for each, and whether values could be divided in no other way."""
+def _form_of(rows: list[list[str]], settings: str) -> _Form:
+    """Return how the numbers behind the boxes are divided, by the settings, or else by the numbers themselves."""
     n = len(rows[0]) - _BOX
     shape = _SHAPE.match(_list_in(settings, "kpt_shape"))
     if shape is not None:
         if int(shape[1]) * int(shape[2]) != n:
             have = f"data.yaml says {shape[1]} points of {shape[2]} numbers, but a line has {n} numbers behind its box"
             raise LandmarkError(f"YOLO's {have}: correct one of them.")
-        return int(shape[1]), int(shape[2]), True
+        return _Form(int(shape[1]), int(shape[2]), is_known=True)
     has_flags = n % 3 == 0 and all(float(cell) in _FLAGS for row in rows for cell in row[_BOX + 2 :: 3])
     n_values = 3 if has_flags else 2
     if n % n_values or n < _FEWEST * n_values:
         what = "has boxes only" if n == 0 else f"has {n} numbers behind its boxes"
         raise LandmarkError(f"this file of YOLO {what}, not x and y of points: export pose labels, with data.yaml.")
-    return n // n_values, n_values, has_flags or n % 3 != 0
+    return _Form(n // n_values, n_values, is_known=has_flags or n % 3 != 0)
 
 
 def _settings_of(path: Path) -> str:
@@ -147,15 +182,15 @@ def _list_in(settings: str, key: str) -> str:
 
 def _classes_in(settings: str) -> dict[str, str]:
     """Return the names of classes by number."""
-    pairs: Any = re.findall(r"(\d{1,6})\s*:\s*['\"]?([^,'\"\n}]+)", _list_in(settings, "names"))
+    text = _list_in(settings, "names")
+    pairs: Any = _NUMBERED_NAME.findall(text)
     if pairs:
         return {number: name.strip() for number, name in pairs}
-    listed = re.findall(r"[^\s,'\"\[\]-][^,'\"\[\]\n]*", _list_in(settings, "names"))
-    return {str(i): name.strip() for i, name in enumerate(listed)}
+    return {str(i): name.strip() for i, name in enumerate(_NAME.findall(text))}
 
 
 def _names_in(settings: str, n_points: int) -> tuple[str, ...]:
     """Return the names of the points, if the settings have as many."""
-    text = re.sub(r"\b\d{1,6}[ \t]{0,9}:(?=[ \t]{0,9}[\[\n])", "", _list_in(settings, "kpt_names"))
-    names = [name.strip() for name in re.findall(r"[^\s,'\"\[\]-][^,'\"\[\]\n]*", text)]
+    text = _CLASS_OF_NAMES.sub("", _list_in(settings, "kpt_names"))
+    names = [name.strip() for name in _NAME.findall(text)]
     return tuple(names) if len(names) == n_points == len({*names}) else ()

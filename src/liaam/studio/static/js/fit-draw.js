@@ -41,14 +41,16 @@ export class Overlays {
     return Boolean(overlay);
   }
 
+  /** Whether the model has contours; without, their button cannot be pressed. */
   set hasContours(has) {
-    const [contours] = this.buttons;
+    const contours = this.buttons.find((each) => each.dataset.name === "contours");
     contours.disabled = !has;
     contours.title = has ? "Show the contours (C)" : "This model has no contours: define them in the template";
     this.show(this.shown);
   }
 }
 
+/** What a tab shows while there is no model: why, and a button that leads to annotation. */
 export function modelNeeded(app, testid = null) {
   const how = "Place points on a few pictures and train one, or drop a model file (.liaam) on the page.";
   return [
@@ -65,8 +67,12 @@ export function offer(select, model) {
   }
 }
 
+/** The entries of a list of facts (dl), of rows [term, value]. */
 export const entries = (rows) => rows.map(([term, value]) => h("div", h("dt", term), h("dd.number", value)));
-const FAR = 1e4; // css pixels
+
+const FAR = 1e4; // css pixels, beyond any screen
+const CROSS = 5; // half the width of a true point's cross, css pixels
+const SHARP_FROM = 3; // zoom from which pixels are shown as squares, as the viewer shows its picture's
 
 /** Fits that may be used are yellow like all landmarks; others are orange and dashed. */
 const GOOD = { colour: "#ffd166", dash: [] };
@@ -105,16 +111,22 @@ export function drawSpecimens(ctx, viewer, chosen, others, shown, opacity) {
   for (const { shape, specimen } of [chosen, ...others]) {
     const points = shape.filter(Boolean).map((point) => viewer.toScreen(point));
     if (!points.length || !specimen) continue;
-    const [xs, ys] = [0, 1].map((axis) => points.map((point) => point[axis]));
-    drawText(ctx, specimen.name, (Math.min(...xs) + Math.max(...xs)) / 2, Math.min(...ys) - 8, { align: "center" });
+    const xs = points.map(([x]) => x);
+    const ys = points.map(([, y]) => y);
+    const middle = (Math.min(...xs) + Math.max(...xs)) / 2;
+    drawText(ctx, specimen.name, middle, Math.min(...ys) - 8, { align: "center" });
   }
 }
 
+/** Draw the true points as crosses; those without a position (null) are left out. */
 export function drawTruth(ctx, viewer, points) {
-  lines(ctx, points.filter(Boolean).flatMap((point) => {
+  const strokes = [];
+  for (const point of points.filter(Boolean)) {
     const [x, y] = viewer.toScreen(point);
-    return [[[x - 5, y - 5], [x + 5, y + 5]], [[x - 5, y + 5], [x + 5, y - 5]]];
-  }));
+    strokes.push([[x - CROSS, y - CROSS], [x + CROSS, y + CROSS]]);
+    strokes.push([[x - CROSS, y + CROSS], [x + CROSS, y - CROSS]]);
+  }
+  lines(ctx, strokes);
   stroked(ctx, "#6df2a4", 1.6);
 }
 
@@ -128,7 +140,7 @@ export function drawOver(ctx, viewer, image, { from = null, covered = null, opac
     ctx.rect(from, -FAR, 2 * FAR, 2 * FAR); // the canvas may be larger than the viewer
     ctx.clip();
   }
-  ctx.imageSmoothingEnabled = viewer.scale < 3;
+  ctx.imageSmoothingEnabled = viewer.scale < SHARP_FROM;
   ctx.globalAlpha = opacity;
   ctx.filter = filter;
   ctx.drawImage(image, viewer.left, viewer.top, viewer.scale * width, viewer.scale * height);

@@ -4,8 +4,13 @@ import { significant } from "./fit-run.js";
 import { indicesOf } from "./points.js";
 import { button, h, icon, slider, svg } from "./ui.js";
 
-const [WIDTH, HEIGHT, MARGIN] = [264, 58, 6];
+// Of the plot, in its units, which are css pixels unless the panel is narrower.
+const WIDTH = 264;
+const HEIGHT = 58;
+const MARGIN = 6;
+const ROOM_FOR_NAME = 36; // width of a level above which its name fits into it
 const STEP = 140; // milliseconds per iteration while playing
+const PRIMARY_BUTTON = 1; // as MouseEvent.buttons counts
 
 export class Iterations {
   iterations = [];
@@ -26,7 +31,9 @@ export class Iterations {
       viewBox: `0 0 ${WIDTH} ${HEIGHT}`, class: "fit-plot", role: "img", "aria-label": "Cost by iteration",
     });
     this.plot.addEventListener("pointerdown", (event) => this._pick(event));
-    this.plot.addEventListener("pointermove", (event) => event.buttons & 1 && this._pick(event));
+    this.plot.addEventListener("pointermove", (event) => {
+      if (event.buttons & PRIMARY_BUTTON) this._pick(event);
+    });
     this.element = h("div.column.fit-iterations",
       this.plot, h("div.row.fit-play-row", this.player, this.slider), this.text);
     this.show([]);
@@ -38,9 +45,12 @@ export class Iterations {
     this.pause();
     this.iterations = iterations;
     this.index = Math.max(0, this.last);
-    this._turns = this.iterations.some(({ theta_deg: theta }) => theta !== this.iterations[0].theta_deg);
+    // Methods that do not estimate the angle keep it constant.
+    this._thetaChanges = iterations.some(({ theta_deg: theta }) => theta !== iterations[0].theta_deg);
     this.slider.max = String(Math.max(0, this.last));
-    this.slider.disabled = this.player.disabled = this.iterations.length < 2;
+    const isSingle = iterations.length < 2;
+    this.slider.disabled = isSingle;
+    this.player.disabled = isSingle;
     this._draw();
     this._mark();
   }
@@ -61,37 +71,55 @@ export class Iterations {
     if (this._timer) return this.pause();
     if (this.iterations.length < 2) return;
     if (this.index === this.last) this._go(0);
-    this.pause(setInterval(() => {
+    this._playBy(setInterval(() => {
       this._go(this.index + 1);
       if (this.index === this.last) this.pause();
     }, STEP));
   }
 
-  /** Pause, or play by a timer. */
-  pause(timer = null) {
+  pause() { this._playBy(null); }
+
+  /** Play by a timer instead of the one before; null: pause. */
+  _playBy(timer) {
     clearInterval(this._timer);
     this._timer = timer;
     this.player.replaceChildren(icon(timer ? "pause" : "play"));
     this.player.setAttribute("aria-label", timer ? "Pause" : "Play the iterations");
   }
 
+  /** Place of an iteration in the plot; a single one is in the middle. */
+  _across(i) {
+    const share = this.last > 0 ? i / this.last : 0.5;
+    return MARGIN + share * (WIDTH - 2 * MARGIN);
+  }
+
   _draw() {
-    const { iterations, last } = this;
-    const across = (i) => MARGIN + (last > 0 ? i / last : 0.5) * (WIDTH - 2 * MARGIN);
-    this._points = relativeCosts(iterations).map((cost, i) => [across(i), MARGIN + (1 - cost) * (HEIGHT - 2 * MARGIN)]);
+    const heightOf = (cost) => MARGIN + (1 - cost) * (HEIGHT - 2 * MARGIN);
+    this._points = relativeCosts(this.iterations).map((cost, i) => [this._across(i), heightOf(cost)]);
     this._cursor = svg("line", { class: "cursor", y1: 0, y2: HEIGHT });
     this._dot = svg("circle", { class: "dot-now", r: 3.5 });
-    const starts = indicesOf(iterations).filter((i) => iterations[i].level !== iterations[i - 1]?.level);
-    const edges = [...starts.map((i) => (i ? across(i - 0.5) : -1)), WIDTH]; // of levels; the first is out of sight
-    const drawn = starts.flatMap((start, k) => [
-      svg("line", { class: "between", x1: edges[k], x2: edges[k], y1: 0, y2: HEIGHT }),
-      svg("polyline", { points: this._points.slice(start, starts[k + 1]).join(" "), class: "cost" }),
-      // Costs decrease, so the top right of each level is free.
-      svg("text", { x: edges[k + 1] - 5, y: 12, class: "level", "text-anchor": "end" },
-        starts.length > 1 && edges[k + 1] - edges[k] > 36 ? `level ${iterations[start].level}` : ""),
-    ]);
     const dots = this._points.map(([cx, cy]) => svg("circle", { cx, cy, r: 1.6, class: "cost-point" }));
-    this.plot.replaceChildren(...dots, ...drawn, ...(dots.length ? [this._cursor, this._dot] : []));
+    const now = dots.length ? [this._cursor, this._dot] : [];
+    this.plot.replaceChildren(...dots, ...this._drawnLevels(), ...now);
+  }
+
+  /** For each level its left edge, the line of its costs, and its name. */
+  _drawnLevels() {
+    const { iterations } = this;
+    const starts = indicesOf(iterations).filter((i) => iterations[i].level !== iterations[i - 1]?.level);
+    const leftEdges = starts.map((i) => (i === 0 ? -1 : this._across(i - 0.5))); // the first is out of sight
+    return starts.flatMap((start, k) => {
+      const left = leftEdges[k];
+      const right = leftEdges[k + 1] ?? WIDTH;
+      const isNamed = starts.length > 1 && right - left > ROOM_FOR_NAME;
+      return [
+        svg("line", { class: "between", x1: left, x2: left, y1: 0, y2: HEIGHT }),
+        svg("polyline", { points: this._points.slice(start, starts[k + 1]).join(" "), class: "cost" }),
+        // Costs decrease, so the top right of each level is free.
+        svg("text", { x: right - 5, y: 12, class: "level", "text-anchor": "end" },
+          isNamed ? `level ${iterations[start].level}` : ""),
+      ];
+    });
   }
 
   _mark() {
@@ -102,8 +130,8 @@ export class Iterations {
     const [x, y] = this._points[this.index];
     this._cursor.setAttribute("transform", `translate(${x} 0)`);
     this._dot.setAttribute("transform", `translate(${x} ${y})`);
-    // Methods that do not estimate the angle keep it constant.
-    const theta = now.theta_deg == null || !this._turns ? "" : ` · θ ${now.theta_deg.toFixed(1)}°`;
+    const hasTheta = now.theta_deg != null && this._thetaChanges;
+    const theta = hasTheta ? ` · θ ${now.theta_deg.toFixed(1)}°` : "";
     const text = `${this.index} of ${this.last} · level ${now.level} · cost ${significant(now.cost)}${theta}`;
     this.text.textContent = text;
     this.slider.setAttribute("aria-valuetext", `iteration ${text}`);
@@ -121,7 +149,8 @@ export function relativeCosts(iterations) {
   return iterations.map(({ level, cost }) => {
     const ofLevel = iterations.filter((other) => other.level === level);
     const costs = ofLevel.map((other) => other.cost).filter(Number.isFinite);
-    const [low, high] = [Math.min(...costs), Math.max(...costs)];
+    const low = Math.min(...costs);
+    const high = Math.max(...costs);
     return high > low && Number.isFinite(cost) ? (cost - low) / (high - low) : 0;
   });
 }

@@ -62,11 +62,13 @@ export class Editable {
     this.onpreview();
   }
 
-  /** Undo or redo a step; return its description, or null if there is none. @this {any} */
+  /** Undo or redo a step, "undo" or "redo"; return its description, or null if there is none. @this {any} */
   travel(way) {
-    const what = way === "undo" ? this.history?.undoes : this.history?.redoes;
-    if (!this.history?.[way](this.context)) return null;
-    const { selection = [], active = -1 } = this.history.context ?? {};
+    const { history } = this;
+    const what = way === "undo" ? history?.undoes : history?.redoes;
+    const isDone = history?.[way](this.context);
+    if (!isDone) return null;
+    const { selection = [], active = -1 } = history.context ?? {}; // that to which the step has led
     Object.assign(this, { shown: null, selection: new Set(selection), active });
     this.changed();
     this.onselect();
@@ -164,7 +166,7 @@ export function turning(viewer, doc, handle, indices) {
   };
   return {
     loupe: null,
-    move(xy, event) {
+    move(xy, event) { // turn() rotates by an angle and scales by a factor
       if (scales) points = turn(before, indices, fixed, 0, factorAt(xy));
       else points = turn(before, indices, fixed, angleAt(xy, event.shiftKey));
       doc.preview(points);
@@ -355,8 +357,11 @@ export class PointTool {
 }
 
 const KEY_ANGLE = Math.PI / 180; // one degree
-const KEY_FACTOR = 1.01;
+const KEY_FACTOR = 1.01; // of the size
 const KEYS_WITH_SHIFT = 5; // times as much
+const KEY_STEP = 1; // pixels of the picture
+const FINE_KEY_STEP = 0.1; // with Alt
+const COARSE_KEY_STEP = 10; // with Shift
 
 /** Edit points with a key: {points, what, key} or null; edits in a row with the same `key` are one step of undo.
  *  An arrow moves the `chosen` points; with Ctrl it rotates (left, right) or scales (up, down) the points `indices`. */
@@ -367,7 +372,9 @@ export function keyEdit(event, points, indices, chosen, mirrored = false) {
   const down = arrow[1];
   if (event.ctrlKey || event.metaKey) return turnedByKey(points, indices, across, down, event.shiftKey);
   if (chosen.length === 0) return null;
-  const step = event.altKey ? 0.1 : event.shiftKey ? 10 : 1;
+  let step = KEY_STEP;
+  if (event.altKey) step = FINE_KEY_STEP;
+  else if (event.shiftKey) step = COARSE_KEY_STEP;
   return { points: move(points, chosen, step * across, step * down), what: "move", key: `move ${chosen.join()}` };
 }
 
@@ -377,5 +384,6 @@ function turnedByKey(points, indices, across, down, withShift) {
   const times = withShift ? KEYS_WITH_SHIFT : 1;
   const key = `turn ${indices.join()}`;
   if (across) return { points: turn(points, indices, centre, across * KEY_ANGLE * times, 1), what: "rotate", key };
-  return { points: turn(points, indices, centre, 0, KEY_FACTOR ** (-down * times)), what: "scale", key };
+  const factor = KEY_FACTOR ** (-down * times); // y is downwards, and an arrow up enlarges
+  return { points: turn(points, indices, centre, 0, factor), what: "scale", key };
 }

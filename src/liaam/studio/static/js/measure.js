@@ -93,6 +93,7 @@ export class Tab {
     }, after);
   }
 
+  /** Parameters of the requests for measures and shapes. */
   get query() {
     const { measures, scale } = this.wanted;
     const estimate = this.estimate.checked ? "1" : null;
@@ -125,7 +126,7 @@ export class Tab {
   }
 
   _showView(name) {
-    this.views.value = name;
+    this.views.value = name; // "measures" or "shapes"
     this._measures.hidden = name !== "measures";
     this.space.element.hidden = name !== "shapes";
     this._draw();
@@ -282,7 +283,7 @@ export class Tab {
     const { data, order } = this;
     const indices = data.pictures.map((_, i) => i);
     const values = this._valuesFor(order.name);
-    if (values) indices.sort((i, j) => compared(values[i], values[j]));
+    if (values) return indices.sort((i, j) => compared(values[i], values[j], order.down));
     return order.down ? indices.reverse() : indices;
   }
 
@@ -294,9 +295,8 @@ export class Tab {
 
   /** Sort by a column, and once more the other way round. The histogram shows it, if it has values. */
   _sort(name) {
-    const wasDown = this.order.name === name && this.order.down;
-    const wasUp = this.order.name === name && !wasDown;
-    this.order = { name, down: wasUp };
+    const isSorted = this.order.name === name;
+    this.order = { name, down: isSorted && !this.order.down };
     if (this.data.columns.some((column) => column.name === name)) this.column = name;
     this._draw();
   }
@@ -340,12 +340,12 @@ export class Tab {
   }
 }
 
-/** Order of two values; those that are missing come last. */
-function compared(a, b) {
+/** Order of two values, rising or falling (down); those that are missing come last either way. */
+function compared(a, b, down) {
   if (a === b) return 0;
   if (a === null) return 1;
   if (b === null) return -1;
-  return a < b ? -1 : 1;
+  return a < b === down ? 1 : -1;
 }
 
 /** Number, mean, standard deviation and range of a column in words. */

@@ -11,7 +11,10 @@ const SELECTED = "selected";
 const MOST_AMOUNT = 3; // standard deviations, or times a change, to which the slider goes
 
 const percent = (share, digits = 0) => `${(100 * share).toFixed(digits)} %`;
-const groupPair = (from, to) => `${from}>${to}`;
+
+// In the list of changes, a pair of groups is a text such as "0>2".
+const pairText = (from, to) => `${from}>${to}`;
+const pairIn = (text) => (text.includes(">") ? text.split(">").map(Number) : null);
 
 /** Standard deviation of scores, whose mean is 0. */
 const deviation = (scores) =>
@@ -20,7 +23,7 @@ const deviation = (scores) =>
 /** The Shapes view of a Measure tab: {element, draw()}. @param {import("./measure.js").Tab} tab */
 export function createShapeSpace(tab) {
   const axes = { across: 0, upward: 1 }; // components that the scatter shows
-  let change = "0"; // what the grid shows: a component by its index, SELECTED, or a pair of groups
+  let change = "0"; // what the grid shows: a component by its index, SELECTED, or a pair of groups (pairText)
   let amount = 1; // of that change
   let lastPicture = null; // the selected picture when it was drawn last
 
@@ -85,24 +88,32 @@ export function createShapeSpace(tab) {
 
   /** The change that the grid shows: its scores at amount 1, its name, and the unit of its amount. */
   function changeOf(space) {
-    if (change === SELECTED) {
-      const scores = space.scores[selectedIn(space)] ?? space.axes.map(() => 0);
-      return { scores, name: `from the mean shape to ${tab.state.current}`, unit: "times" };
-    }
-    if (change.includes(">")) {
-      const [from, to] = change.split(">").map(Number);
-      const start = centreOf(space, from);
-      const end = centreOf(space, to);
-      const { names } = tab.groups;
-      return { scores: end.map((score, c) => score - start[c]), name: `from ${names[from]} to ${names[to]}`, unit: "times" };
-    }
-    const component = Number(change);
+    if (change === SELECTED) return changeToSelected(space);
+    const pair = pairIn(change);
+    return pair ? changeBetween(space, pair) : changeAlong(space, Number(change));
+  }
+
+  function changeToSelected(space) {
+    const noChange = space.axes.map(() => 0);
+    const scores = space.scores[selectedIn(space)] ?? noChange;
+    return { scores, name: `from the mean shape to ${tab.state.current}`, unit: "times" };
+  }
+
+  function changeBetween(space, /** @type {number[]} */ [from, to]) {
+    const start = centreOf(space, from);
+    const end = centreOf(space, to);
+    const scores = end.map((score, c) => score - start[c]);
+    const { names } = tab.groups;
+    return { scores, name: `from ${names[from]} to ${names[to]}`, unit: "times" };
+  }
+
+  function changeAlong(space, component) {
     const step = deviation(space.scores.map((row) => row[component]));
     const scores = space.axes.map((_, c) => (c === component ? step : 0));
     return { scores, name: `along PC${component + 1}`, unit: "SD" };
   }
 
-  /** Two groups [a, b] each that have shapes, as indices. */
+  /** All pairs [a, b] of groups that have shapes, as indices. */
   function pairsOfGroups(space) {
     const groups = new Set(groupsOf(space));
     const present = tab.groups.names.map((_, i) => i).filter((i) => groups.has(i));
@@ -123,7 +134,7 @@ export function createShapeSpace(tab) {
     const changes = Object.fromEntries([
       ...shares.map((_, c) => [String(c), `Along PC${c + 1}`]),
       [SELECTED, "To the selected picture"],
-      ...pairs.map(([a, b]) => [groupPair(a, b), `${names[a]} to ${names[b]}`]),
+      ...pairs.map(([a, b]) => [pairText(a, b), `${names[a]} to ${names[b]}`]),
     ]);
     if (!(change in changes)) change = "0"; // its group or component is no longer there
     relist(changeList, changes, change);
@@ -151,7 +162,7 @@ export function createShapeSpace(tab) {
   function drawScatter(space, unusual) {
     const { across: x, upward: y } = axes;
     scatterPlot.replaceChildren(scatter({
-      points: space.scores.map((row) => [row[x], row[y] ?? 0]),
+      points: space.scores.map((row) => [row[x], row[y] ?? 0]), // there may be a single component
       groups: groupsOf(space),
       chosen: selectedIn(space),
       unusual: new Set(unusual),

@@ -12,7 +12,7 @@ const ONE_STEP = 500; // milliseconds; faster changes of the address, as by a he
 
 // The page's address holds the tab and the picture: a reload keeps them, and Back and Forward move between them.
 
-let lastChange = -ONE_STEP; // of the address, milliseconds
+let lastChange = -ONE_STEP; // of the address, milliseconds; so long ago that the first change is a step
 let isOpen = false; // whether the page has opened its first picture and tab
 
 /** The picture in an address; "" if the address is malformed. */
@@ -39,7 +39,7 @@ export function remember({ tab, name }) {
 export class State extends EventTarget {
   /** @type {Project | null} */
   project = null;
-  current = null;
+  current = null; // name of the selected picture
   order = []; // names of the pictures as the list shows them
   worstFirst = false; // whether that is by quality
   folder = ""; // the subfolder that the list shows; "" for all
@@ -67,6 +67,7 @@ export class State extends EventTarget {
   /** Whether nothing can be written in the folder, so that its pictures are only shown, fitted and relit. */
   get readOnly() { return this.project?.read_only ?? false; }
 
+  /** The picture of a name, by default the selected one; null if there is none. */
   picture(name = this.current) {
     if (this._indexed !== this.project) {
       this._indexed = this.project;
@@ -119,11 +120,13 @@ export class State extends EventTarget {
   /** The pictures of the subfolder that is shown. */
   get pictures() { return this.project.pictures.filter(({ name }) => isIn(name, this.folder)); }
 
+  /** Let the list show a subfolder; "" for all. */
   showFolder(folder) {
     this.folder = folder;
     this._emit("folder");
   }
 
+  /** Save the marks of a picture; options are those of api.put. */
   saveMarks(name, marks, options = {}) {
     const address = api.url("pictures", name, "landmarks");
     return this.send((folder) => api.put(address, { ...marks, folder, who: whoAmI(this.project) }, options));
@@ -165,13 +168,16 @@ export class State extends EventTarget {
     try {
       return await request(this.project.id);
     } catch (error) {
-      if (error.body?.folder) await this.refresh();
+      const isForAnotherFolder = Boolean(error.body?.folder);
+      if (isForAnotherFolder) await this.refresh();
       throw error;
     }
   }
 
+  /** Take over the project that the server has sent. Of another folder or version, the page is loaded again. */
   _take(project) {
-    if (this.project && (this.project.id !== project.id || this.project.version !== project.version)) {
+    const isAnother = this.project && (this.project.id !== project.id || this.project.version !== project.version);
+    if (isAnother) {
       location.reload(); // unsaved marks are kept with the id of their folder
       throw new ApiError("The studio now serves another folder, or is of another version.", 0);
     }
@@ -185,8 +191,9 @@ export class State extends EventTarget {
   }
 
   async _fetch() {
+    const quiet = Boolean(this.project); // once a project is shown, a lost connection is shown beside it instead
     try {
-      this._take(await api.get(api.url("project"), { quiet: Boolean(this.project) }));
+      this._take(await api.get(api.url("project"), { quiet }));
       this._setOnline(true);
     } catch (error) {
       const isRefused = error.status === 401;

@@ -18,6 +18,9 @@ const GLOW_SIZE = 8; // pixels
 const MIDDLE_BUTTON = 1; // as MouseEvent.button counts
 const RIGHT_BUTTON = 2;
 const SHARP_FROM = 3; // zoom from which pixels are shown as squares
+const SMALLEST_SHARE = 1 / 4; // of the zoom that shows the whole picture, to which the user can zoom out
+const MOST_MARGIN = 14; // around the whole picture, css pixels
+const MARGIN_SHARE = 0.03; // of the container's shorter side, if that is less
 
 export class Viewer extends EventTarget {
   tool = null;
@@ -38,6 +41,7 @@ export class Viewer extends EventTarget {
   _spaceIsDown = false; // then a drag pans whatever the tool is
   _offsetBefore = null; // position of the container in the canvas when it was last resized
   _scaled = null; // {canvas, settings, corner}: the scaled picture, cached
+  _glowOf = null; // the source that the glow shows
   _glow = h("div.viewer-glow"); // shows a tiny copy of the picture, as tones around it
   _zoomText = h("span.number", { "aria-hidden": "true" }, "100 %");
   redraw = perFrame(() => this._draw());
@@ -49,7 +53,7 @@ export class Viewer extends EventTarget {
       tabindex: "0", role: "application", "aria-label": label,
       onpointerdown: (event) => this._down(event), onpointermove: (event) => this._move(event),
       onpointerup: (event) => this._end(event, "up"), onpointercancel: (event) => this._end(event, "cancel"),
-      onpointerleave: (event) => this._pointers.size || this.tool?.leave?.(event),
+      onpointerleave: (event) => this._leave(event),
       onwheel: (event) => this._wheel(event), oncontextmenu: (event) => event.preventDefault(),
       onkeydown: (event) => this._spaceKey(event, true), onkeyup: (event) => this._spaceKey(event, false),
       onblur: () => { this._spaceIsDown = false; },
@@ -103,7 +107,7 @@ export class Viewer extends EventTarget {
   /** Show the whole picture. */
   fit() {
     const { clientWidth, clientHeight } = this.container;
-    const margin = Math.min(14, 0.03 * Math.min(clientWidth, clientHeight));
+    const margin = Math.min(MOST_MARGIN, MARGIN_SHARE * Math.min(clientWidth, clientHeight));
     this.showsWhole = true;
     if (this.width && clientWidth && clientHeight) this._frame([0, 0, this.width, this.height], margin);
   }
@@ -123,7 +127,7 @@ export class Viewer extends EventTarget {
     const { clientWidth, clientHeight } = this.container;
     const [x, y] = at ?? [clientWidth / 2, clientHeight / 2];
     const scaleOfWhole = Math.min(clientWidth / this.width, clientHeight / this.height, 1);
-    const scale = Math.min(Math.max(this.scale * factor, scaleOfWhole / 4), LARGEST);
+    const scale = Math.min(Math.max(this.scale * factor, SMALLEST_SHARE * scaleOfWhole), LARGEST);
     const ratio = scale / this.scale;
     this.left = x - ratio * (x - this.left);
     this.top = y - ratio * (y - this.top);
@@ -205,7 +209,7 @@ export class Viewer extends EventTarget {
       "=": () => this.zoomBy(ZOOM_STEP), // "+" without Shift on many keyboards
       "-": () => this.zoomBy(1 / ZOOM_STEP),
       0: () => this.fit(),
-      a: () => {
+      a: () => { // brightness, contrast and gamma
         this.look.open = !this.look.open;
         (this.look.open ? this.look.querySelector("input") : this.canvas).focus();
       },
@@ -243,7 +247,10 @@ export class Viewer extends EventTarget {
     const dy = before[1] - offset[1];
     if (dx === 0 && dy === 0) return;
     const [pannedX, pannedY] = this.panBy(dx, dy);
-    this._offsetBefore = [offset[0] + dx - pannedX, offset[1] + dy - pannedY]; // what rounding has left is for the next time
+    // A pan is rounded. What it lacks counts as movement of the container the next time.
+    const leftX = dx - pannedX;
+    const leftY = dy - pannedY;
+    this._offsetBefore = [offset[0] + leftX, offset[1] + leftY];
   }
 
   /** Show another view, and say so by the event "view". */
@@ -305,9 +312,9 @@ export class Viewer extends EventTarget {
     ctx.restore();
   }
 
-  /** Draw the picture and its layers with another view, as in a loupe. */
+  /** Draw the picture and its layers with another view {scale, left, top}, as in a loupe. */
   drawAs(ctx, view) {
-    const { view: before } = this;
+    const before = this.view;
     Object.assign(this, view, { isLoupe: true });
     this._drawPicture(ctx);
     this._drawLayers(ctx);
@@ -322,20 +329,29 @@ export class Viewer extends EventTarget {
       this.source, this.mirrored, this.tiles?.version, this.scale, this.width, this.height, ratio, width, height, look.values,
     ];
     const corner = [ratio * (this.left + offset[0]), ratio * (this.top + offset[1])]; // of the picture, pixels of the canvas
-    const cached = this._scaled;
-    const isUsable = cached !== null && settings.every((value, i) => value === cached.settings[i]);
-    const pan = isUsable ? [corner[0] - cached.corner[0], corner[1] - cached.corner[1]] : null;
-    if (pan?.every((by) => by === 0)) return cached.canvas;
+    const pan = this._panSinceScaled(settings, corner);
+    if (pan?.every((by) => by === 0)) return this._scaled.canvas;
 
-    const canvas = cached?.canvas ?? document.createElement("canvas");
+    const canvas = this._scaled?.canvas ?? document.createElement("canvas");
     const ctx = canvas.getContext("2d");
-    let parts = [[0, 0, width, height]];
+    let parts; // that are to be drawn, [x, y, width, height]
     if (pan?.every(isWhole)) parts = shifted(ctx, Math.round(pan[0]), Math.round(pan[1]));
-    else Object.assign(canvas, { width, height }); // also clears it
+    else {
+      Object.assign(canvas, { width, height }); // also clears it
+      parts = [[0, 0, width, height]];
+    }
     for (const part of parts) this._drawPart(ctx, part, ratio, offset);
     this._scaled = { canvas, settings, corner };
     this._showGlow(canvas, [...corner, ratio * this.scale * this.width, ratio * this.scale * this.height]);
     return canvas;
+  }
+
+  /** How far the picture has moved since it was scaled, [x, y] in pixels of the canvas; null if all else has not stayed
+   *  as it was. */
+  _panSinceScaled(settings, corner) {
+    const cached = this._scaled;
+    if (cached === null || settings.some((value, i) => value !== cached.settings[i])) return null;
+    return [corner[0] - cached.corner[0], corner[1] - cached.corner[1]];
   }
 
   /** Draw the picture anew in a part [x, y, width, height] of a canvas. */
@@ -408,6 +424,11 @@ export class Viewer extends EventTarget {
       const [dx, dy] = this.panBy(now[0] - before[0], now[1] - before[1]);
       this._pointers.set(event.pointerId, [before[0] + dx, before[1] + dy]); // what rounding has left is for the next move
     }
+  }
+
+  /** A pointer leaves the canvas; one that is down goes on with what it does. */
+  _leave(event) {
+    if (this._pointers.size === 0) this.tool?.leave?.(event);
   }
 
   /** A pointer moves that is not down. */
