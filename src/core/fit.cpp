@@ -15,6 +15,8 @@ namespace {
 constexpr double kNear = 0.1;           // margin of levels that start from a coarser solution
 constexpr double kFineness = 0.5;       // size of a patch's pixels for `soft`, in standard deviations of a wide blur
 constexpr double kSizeTolerance = 0.1;  // on the size of blocks that levels share; the blur that follows compensates
+constexpr double kRoundingOfCount = 1e-9;  // added to a number of blocks, so that rounding takes none of a whole number
+constexpr double kLeastBlur = 0.3;      // blur in pixels up to which it leaves white noise as it is
 
 struct Corner {
     std::ptrdiff_t x, y;
@@ -38,26 +40,30 @@ struct Box {
     double diagonal() const { return std::hypot(right - left, bottom - top); }
 };
 
-// A shape's surroundings within an image: a margin, a fraction of its diagonal, and twice `size`.
+// A shape's surroundings within an image, at least two pixels along each axis. They extend beyond the shape's box by
+// `margin`, a fraction of its diagonal, and by twice `size`, image pixels.
 Region around(const Picture& picture, Doubles shape, double margin, double size) {
     const Box box(shape);
     const double pad = margin * box.diagonal() + 2.0 * size;
-    const auto low = [pad](double at, std::ptrdiff_t limit) {
-        return std::min(std::max(std::floor(at - pad), 0.0), limit - 2.0);
+    const auto first = [pad](double low, std::ptrdiff_t n_pixels) {
+        return std::min(std::max(std::floor(low - pad), 0.0), n_pixels - 2.0);
     };
-    const auto high = [pad](double at, double first, std::ptrdiff_t limit) {
-        return std::min(std::max(std::ceil(at + pad) + 1.0, first + 2.0), static_cast<double>(limit));
+    const auto end = [pad](double high, double first_pixel, std::ptrdiff_t n_pixels) {
+        return std::min(std::max(std::ceil(high + pad) + 1.0, first_pixel + 2.0), static_cast<double>(n_pixels));
     };
-    const double x = low(box.left, picture.width), y = low(box.top, picture.height);
-    const double right = high(box.right, x, picture.width), bottom = high(box.bottom, y, picture.height);
-    return {{static_cast<std::ptrdiff_t>(x), static_cast<std::ptrdiff_t>(y)},
+    const double left = first(box.left, picture.width), top = first(box.top, picture.height);
+    const double right = end(box.right, left, picture.width), bottom = end(box.bottom, top, picture.height);
+    return {{static_cast<std::ptrdiff_t>(left), static_cast<std::ptrdiff_t>(top)},
             {static_cast<std::ptrdiff_t>(right), static_cast<std::ptrdiff_t>(bottom)}};
 }
 
-// Side of the block of image pixels that is averaged into one pixel of the patch; `scale` is the size of a model pixel.
+// Side of the block of image pixels that is averaged into one pixel of the patch, at least 1; `scale` is the size of a
+// model pixel in image pixels, and the blur is in model pixels.
 double block_size(Encoding encoding, double scale, double blur) {
     if (encoding != Encoding::soft) return std::max(1.0, std::floor(scale));  // never coarser than the model's
-    return std::max(1.0, scale * std::max(kFineness * blur, std::min(blur, 1.0)));
+    // As large as the blur, but at most one model pixel, unless the blur is above two of these.
+    const double model_pixels = std::max(kFineness * blur, std::min(blur, 1.0));
+    return std::max(1.0, scale * model_pixels);
 }
 
 // At least three blocks between two corners.
@@ -67,12 +73,16 @@ double limited(double size, const Region& region) {
     return std::max(1.0, std::min(size, static_cast<double>(third)));
 }
 
-// The grid of blocks does not depend on the margin, so that training and fitting use the same blocks.
+// Index of the first block of a region that begins at pixel `low`: the block that contains this pixel if blocks are of
+// whole pixels, else the first one that begins at or after it. Blocks are counted from the border of the image, not of
+// the region, so that they do not depend on the margin, and training and fitting use the same ones.
 std::ptrdiff_t first_block(std::ptrdiff_t low, double size) {
     const double at = low / size;
-    return static_cast<std::ptrdiff_t>(std::ceil(size == std::floor(size) ? std::floor(at) : at));
+    const bool has_whole_pixels = size == std::floor(size);
+    return static_cast<std::ptrdiff_t>(has_whole_pixels ? std::floor(at) : std::ceil(at));
 }
 
+// Averages the light of a picture between two corners over blocks, whose grid is relative to the first corner.
 void average(const Picture& picture, const Corner& begin, const Corner& end, const BlockGrid& blocks, Means& means) {
     const auto width = end.x - begin.x, height = end.y - begin.y;
     if (picture.bytes) return stored_means(picture.bytes->crop(begin.x, begin.y, width, height), picture.table, blocks, means.light);
@@ -84,47 +94,52 @@ void average(const Picture& picture, const Corner& begin, const Corner& end, con
         value_means(picture.finite + picture.width * begin.y, height, picture.width, 1, within, means.finite);
 }
 
-void block_means(const Picture& picture, const Region& region, double size, BlockMeans& found) {
+// Averages a region over blocks of a size, as many as lie in it.
+void block_means(const Picture& picture, const Region& region, double size, BlockMeans& out) {
     const Corner first{first_block(region.low.x, size), first_block(region.low.y, size)};
     const Corner begin{static_cast<std::ptrdiff_t>(std::floor(first.x * size)),
                        static_cast<std::ptrdiff_t>(std::floor(first.y * size))};
     BlockGrid blocks{first.x * size - begin.x, first.y * size - begin.y, size, 0, 0};
-    blocks.columns = static_cast<std::ptrdiff_t>((region.high.x - begin.x - blocks.x) / size + 1e-9);
-    blocks.rows = static_cast<std::ptrdiff_t>((region.high.y - begin.y - blocks.y) / size + 1e-9);
-    found.means.rows = blocks.rows;
-    found.means.columns = blocks.columns;
-    found.means.grey = picture.grey;
-    found.means.finite.clear();
-    found.first_x = first.x;
-    found.first_y = first.y;
-    found.size = size;
-    average(picture, begin, region.high, blocks, found.means);
+    blocks.columns = static_cast<std::ptrdiff_t>((region.high.x - begin.x - blocks.x) / size + kRoundingOfCount);
+    blocks.rows = static_cast<std::ptrdiff_t>((region.high.y - begin.y - blocks.y) / size + kRoundingOfCount);
+    out.means.rows = blocks.rows;
+    out.means.columns = blocks.columns;
+    out.means.grey = picture.grey;
+    out.means.finite.clear();
+    out.first_x = first.x;
+    out.first_y = first.y;
+    out.size = size;
+    average(picture, begin, region.high, blocks, out.means);
 }
 
-// Joins whole blocks to blocks of about the given size; false if that is not possible or leaves too few.
-bool join_blocks(const BlockMeans& fine, const Region& region, double size, BlockMeans& found) {
+// Joins n by n fine blocks to blocks of about the given size; false if that is not possible or leaves too few.
+bool join_blocks(const BlockMeans& fine, const Region& region, double size, BlockMeans& out) {
     const double times = std::max(1.0, std::nearbyint(size / fine.size)), joined = times * fine.size;
     if (std::abs(joined / size - 1.0) > kSizeTolerance) return false;
     const auto n = static_cast<std::ptrdiff_t>(times);
     const Corner first{first_block(region.low.x, joined), first_block(region.low.y, joined)};
-    const Corner start{first.x * n - fine.first_x, first.y * n - fine.first_y};
-    const auto columns = static_cast<std::ptrdiff_t>(region.high.x / joined + 1e-9) - first.x;
-    const auto rows = static_cast<std::ptrdiff_t>(region.high.y / joined + 1e-9) - first.y;
-    if (start.x < 0 || start.y < 0 || start.x + n * columns > fine.means.columns ||
-        start.y + n * rows > fine.means.rows || std::min(columns, rows) < 2)
-        return false;
-    coarser_means(fine.means, {static_cast<double>(start.x), static_cast<double>(start.y), times, rows, columns}, found.means);
-    found.first_x = first.x;
-    found.first_y = first.y;
-    found.size = joined;
+    const Corner start{first.x * n - fine.first_x, first.y * n - fine.first_y};  // in fine blocks
+    const auto columns = static_cast<std::ptrdiff_t>(region.high.x / joined + kRoundingOfCount) - first.x;
+    const auto rows = static_cast<std::ptrdiff_t>(region.high.y / joined + kRoundingOfCount) - first.y;
+    const bool begins_inside = start.x >= 0 && start.y >= 0;
+    const bool ends_inside = start.x + n * columns <= fine.means.columns && start.y + n * rows <= fine.means.rows;
+    const bool can_be_sampled = std::min(columns, rows) >= 2;  // bilinearly
+    if (!begins_inside || !ends_inside || !can_be_sampled) return false;
+    coarser_means(fine.means, {static_cast<double>(start.x), static_cast<double>(start.y), times, rows, columns}, out.means);
+    out.first_x = first.x;
+    out.first_y = first.y;
+    out.size = joined;
     return true;
 }
 
+// Pixels per independent value after a Gaussian blur (pixels), which divides the variance of white noise by this number.
 double correlated_pixels(double blur) { return std::max(1.0, 4.0 * std::numbers::pi * blur * blur); }
 
-// Standard deviation of central differences of unit white noise after a Gaussian blur (pixels).
+// Standard deviation of central differences (n(x + 1) - n(x - 1)) / 2 of unit white noise after a Gaussian blur
+// (pixels). Their variance is (R(0) - R(2)) / 2, where R(d) = exp(-d^2 / 4 blur^2) / (4 pi blur^2) is the covariance of
+// blurred values d pixels apart; without a blur, R(0) = 1 and R(2) = 0.
 double slope_noise_gain(double blur) {
-    if (!(blur > 0.3)) return std::sqrt(0.5);
+    if (!(blur > kLeastBlur)) return std::sqrt(0.5);
     return std::sqrt((1.0 - std::exp(-1.0 / (blur * blur))) / (8.0 * std::numbers::pi * blur * blur));
 }
 
@@ -151,12 +166,14 @@ bool is_sane(Doubles shape, Doubles start) {
     return thresholds::kLeastGrowth < growth && growth < thresholds::kMostGrowth;
 }
 
-// The precision of the n parameters of a level: the first modes, and the similarity, which comes last.
+// The precision of the n parameters of a level, from that of all: those of the first modes and of the similarity, which
+// are the last four.
 MatrixView<const double> precision_of(MatrixView<const double> all, std::size_t n, Matrix& room) {
-    const auto at = [&](std::size_t i) { return i + 4 < n ? i : i + all.n_rows - n; };
+    const std::size_t n_left_out = all.n_rows - n;
+    const auto among_all = [&](std::size_t i) { return i + 4 < n ? i : i + n_left_out; };
     room.resize(n, n);
     for (std::size_t i = 0; i < n; ++i)
-        for (std::size_t j = 0; j < n; ++j) room[i][j] = all[at(i)][at(j)];
+        for (std::size_t j = 0; j < n; ++j) room[i][j] = all[among_all(i)][among_all(j)];
     return room.view();
 }
 
@@ -169,7 +186,8 @@ class Fit {
         average_around_start();
     }
 
-    // Encodes the surroundings of a shape for a level, and returns the state that the level starts from.
+    // Encodes the surroundings of a shape for a level, and returns the state that the level starts from, with both
+    // angles at that of the training camera. Sets all of the result but the solution.
     State prepare(const LevelSpec& level, const std::vector<double>& shape, double margin, FittedLevel& result) {
         result.pose = align(level.shapes.mean, shape);
         encode_around(level, shape, margin, result);
@@ -179,8 +197,11 @@ class Fit {
             image_.point_precision = precision_of(target_.point_precision, level.shapes.basis.n_rows, room_.point_precision);
             image_.points = room_.points;
         }
-        return {level.shapes.parameters(map(to_model, shape)), {target_.theta_1, target_.theta_1},
-                std::vector<double>(level.objective->m(), 0.0)};
+        State start;
+        start.p = level.shapes.parameters(map(to_model, shape));
+        start.angles = {target_.theta_1, target_.theta_1};
+        start.lam.assign(level.objective->m(), 0.0);
+        return start;
     }
 
     const EncodedImage& image() const { return image_; }
@@ -200,6 +221,7 @@ class Fit {
         block_means(picture_, region, limited(finest, region), room_.around_start);
     }
 
+    // Encodes the surroundings of a shape at the resolution of a level.
     void encode_around(const LevelSpec& level, const std::vector<double>& shape, double margin, FittedLevel& result) {
         const double scale = scale_of(result.pose);
         double size = block_size(picture_.encoding, scale, level.blur);
@@ -207,25 +229,30 @@ class Fit {
         size = limited(size, region);
         BlockMeans& blocks = room_.around_shape;
         if (!join_blocks(room_.around_start, region, size, blocks)) block_means(picture_, region, size, blocks);
-        const double pixel = blocks.size / scale;
-        // Averaging over pixels blurs by 1/12 of their squared size, and interpolation between them by 2/12.
-        const double left = std::sqrt(std::max(level.blur * level.blur - pixel * pixel / 4.0, 0.0));
+        const double pixel = blocks.size / scale;  // of the patch, in model pixels
+        double blur = level.blur;
+        if (picture_.encoding == Encoding::soft) {
+            // The part of the blur that is left to do: averaging over pixels blurs by 1/12 of their squared size, and
+            // interpolation between them by 2/12.
+            blur = std::sqrt(std::max(level.blur * level.blur - pixel * pixel / 4.0, 0.0));
+        }
         EncodingOptions options;
         options.encoding = picture_.encoding;
         options.floor = picture_.floor;
-        options.blur = std::min((picture_.encoding == Encoding::soft ? left : level.blur) / pixel, kWidestBlur);
+        options.blur = std::min(blur / pixel, kWidestBlur);
         options.pixel = pixel;
         options.turn = {static_cast<float>(result.pose.xx / scale), static_cast<float>(result.pose.yx / scale),
                         static_cast<float>(result.pose.xy / scale), static_cast<float>(result.pose.yy / scale)};
         encode(blocks.means, options, constants_, room_.channels);
-        // The centre of the first block of pixels is at first * size + (size - 1) / 2.
-        const double by = 1.0 / blocks.size, half = 0.5 * (blocks.size - 1.0) / blocks.size;
-        result.to_patch = {by, 0.0, -blocks.first_x - half, 0.0, by, -blocks.first_y - half};
+        // The centre of the first block, which is pixel 0 of the patch, is at first * size + (size - 1) / 2.
+        const double reduction = 1.0 / blocks.size, half = 0.5 * (blocks.size - 1.0) / blocks.size;
+        result.to_patch = {reduction, 0.0, -blocks.first_x - half, 0.0, reduction, -blocks.first_y - half};
         result.patch_height = room_.channels.height;
         result.patch_width = room_.channels.width;
         set_image(level, result, blocks.size);
     }
 
+    // Describes the encoded patch, whose pixels are averages over blocks of a size in image pixels.
     void set_image(const LevelSpec& level, const FittedLevel& result, double size) {
         image_ = EncodedImage{};
         image_.pixels = room_.channels.pixels;
@@ -235,7 +262,7 @@ class Fit {
         image_.from_model = compose(result.to_patch, result.pose);
         const double scale = scale_of(image_.from_model), blur = scale * level.blur;
         room_.noise.assign(target_.log_noise.begin(), target_.log_noise.end());
-        for (float& each : room_.noise) each /= static_cast<float>(size);  // averaging reduces it
+        for (float& each : room_.noise) each /= static_cast<float>(size);  // averages of size * size pixels have less
         image_.log_noise = room_.noise;
         image_.first_log = target_.first_log;
         image_.last_log = target_.last_log;
@@ -262,6 +289,8 @@ Options coarse(Options options) {
     return options;
 }
 
+// The angles that the first level starts from: theta_2 is given where the method estimates no angle, and at its optimum
+// for the start where it estimates this alone.
 std::array<double, 2> first_angles(const Objective& objective, const Target& target, const Options& options,
                                    const EncodedImage& image, const State& state, SamplingRoom& room) {
     const Method& method = objective.method;
@@ -274,10 +303,10 @@ std::array<double, 2> first_angles(const Objective& objective, const Target& tar
 }  // namespace
 
 std::vector<double> Shapes::shape(Doubles p) const {
-    std::vector<double> found(mean.begin(), mean.end());
+    std::vector<double> sum(mean.begin(), mean.end());
     for (std::size_t i = 0; i < p.size(); ++i)
-        for (std::size_t c = 0; c < found.size(); ++c) found[c] += p[i] * basis[i][c];
-    return found;
+        for (std::size_t c = 0; c < sum.size(); ++c) sum[c] += p[i] * basis[i][c];
+    return sum;
 }
 
 std::vector<double> Shapes::parameters(const std::vector<double>& shape) const {
@@ -325,15 +354,19 @@ std::vector<FittedLevel> fit_levels(const std::vector<LevelSpec>& levels, const 
     double margin = target.margin;
     for (const LevelSpec& level : levels) {
         const bool last = &level == &levels.back();
-        const Options own = last ? options : coarse(options);
+        const Options level_options = last ? options : coarse(options);
         FittedLevel result;
         State start = fit.prepare(level, shape, margin, result);
-        start.angles = results.empty() ? first_angles(*level.objective, target, own, fit.image(), start, room.level.sampling)
-                                       : results.back().fit.state.angles;
-        result.fit = solve_level(*level.objective, fit.image(), start, own, level.blur, last, room.level, interrupted);
+        if (results.empty())
+            start.angles = first_angles(*level.objective, target, level_options, fit.image(), start, room.level.sampling);
+        else
+            start.angles = results.back().fit.state.angles;
+        result.fit = solve_level(*level.objective, fit.image(), start, level_options, level.blur, last, room.level,
+                                 interrupted);
         const auto before = map(result.pose, level.shapes.shape(start.p));
         const auto after = map(result.pose, level.shapes.shape(result.fit.state.p));
-        for (std::size_t i = 0; i < shape.size(); ++i) shape[i] += after[i] - before[i];  // what no mode here shows stays
+        // The part of the shape that the level's modes cannot show stays as it is.
+        for (std::size_t i = 0; i < shape.size(); ++i) shape[i] += after[i] - before[i];
         results.push_back(std::move(result));
         if (!is_sane(shape, target.start)) break;
         margin = kNear;

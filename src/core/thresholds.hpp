@@ -17,7 +17,7 @@ constexpr double kMostNegligibleDamping = 0.1;  // most damping at which a step 
 constexpr int kRounds = 3;                 // alternations of robust weights and lambda: outliers and lambda interact
 
 constexpr int kScoringSteps = 10;          // most steps with the expected gradient at the end of a level
-constexpr double kScoringRise = 1.25;      // largest ratio of the cost after these steps to that before
+constexpr double kScoringRise = 1.25;      // largest ratio of the cost after these steps to that before, as kExpectedRise
 constexpr double kEarlyExpected = 0.25;    // tolerance of the first steps, as a fraction of the blur, with the expected
 constexpr int kEarlyExpectedSteps = 3;     // gradient, and the number of these steps
 constexpr double kEarlyOwn = 0.1;          // the same with the image's own gradient, which converges slowly

@@ -13,12 +13,13 @@ from liaam import _core
 from liaam.encoding_constants import ENCODINGS, TABLE
 from liaam.fitting import METHODS
 from liaam.fitting.loop.angles import SEARCH, _minimise_on_arc
-from liaam.fitting.loop.encoded_image import NEAR
+from liaam.fitting.loop.encoded_image import LEAST_BLUR, NEAR
 from liaam.fitting.loop.objective import CodedModes
 from liaam.fitting.methods import CORRELATED, GRADIENT_ROWS, LOSSES, gaussian_median
 from liaam.fitting.reference import loop as reference_loop, problem as reference
 from liaam.fitting.thresholds import THRESHOLDS
 from liaam.image_reference import CHANNELS
+from liaam.model.sampling import FINENESS, ROUNDING_OF_COUNT, SIZE_TOLERANCE
 
 ROOT = Path(__file__).resolve().parents[2]
 seeds, dampings = st.integers(0, 999), st.sampled_from([0.0, 1e-3, 1.0, 1e4])
@@ -80,11 +81,15 @@ def test_the_core_numbers_the_losses_as_their_table():
         ("weights.cpp", "kMostDirectionNoise", {reference.MOST_DIRECTION_NOISE}),
         ("encoding.hpp", "kChannels", {CHANNELS}),
         ("fit.cpp", "kNear", {NEAR}),
+        ("fit.cpp", "kFineness", {FINENESS}),
+        ("fit.cpp", "kSizeTolerance", {SIZE_TOLERANCE}),
+        ("fit.cpp", "kRoundingOfCount", {ROUNDING_OF_COUNT}),
+        ("fit.cpp", "kLeastBlur", {LEAST_BLUR}),
     ],
 )
 def test_other_constants_are_the_same(file, name, value):
     (text,) = re.findall(rf"constexpr .*\b{re.escape(name)} = ([^;]+);", (ROOT / "src/core" / file).read_text())
-    assert {float(each) for each in re.findall(r"\d[\d.e]*", text)} == value
+    assert {float(each) for each in re.findall(r"\d[\d.e-]*", text)} == value
 
 
 @pytest.mark.parametrize("file", ["level.cpp", "step.cpp"])

@@ -26,6 +26,7 @@ Entropy = Literal["quadratic", "shannon"]
 """Renyi's quadratic entropy of a kernel density; Shannon's of a histogram."""
 
 THETAS = np.deg2rad(np.arange(180.0))  # Angles of a curve, radians
+SOME_THETAS = THETAS[::15]  # Some of them, over which the spread of the colours is averaged
 KEPT = 0.98  # Central fraction of the projected values that is used; the papers use 0.9
 FINENESS = 0.25  # Width of a bin, and twice the kernel's standard deviation, in units of Scott's width
 SMOOTHING = 2.0  # Standard deviation, in pixels, of the blur of log-RGB, since noise and JPEG blocks blur the peaks
@@ -33,6 +34,7 @@ MOST_PIXELS = 310_000  # Largest number of pixels; larger images are averaged in
 FEWEST_PIXELS = 1000  # Least number of well-exposed pixels
 FEWEST_VALUES = 100  # Least number of pixels for a curve
 LEAST_COLOUR = 1e-3  # Standard deviation of log-chromaticity below which an image has one colour only
+SCOTT = 3.5  # Scott's width of a bin, in standard deviations of n values and multiplied by n^(1/3)
 SUBDIVISION = 2  # Cells of a histogram per bin; Shannon's entropy is averaged over as many origins of the bins
 WIDEST_HISTOGRAM = 6000  # Largest number of cells of a histogram, in case of distant outliers
 # Half the width of a histogram, in units of the distance from the median that one in a thousand values exceeds
@@ -116,7 +118,8 @@ def theta_from_image(image: np.ndarray, response: Response = "srgb") -> AngleEst
         f"the next minimum of the entropy is {margin:.2f} bits higher; the light on surfaces varies by "
         f"{colours.change:.2f} in log R/B, bluer where they are darker (correlation {colours.redness:.2f})"
     )
-    if faults := [fault for failed, fault in tests if failed]:
+    faults = [fault for has_failed, fault in tests if has_failed]
+    if faults:
         error = float("inf")
         message = (
             f"the entropy is least at {np.rad2deg(theta):.0f}°, which is not reliable: {'; '.join(faults)}. Give "
@@ -181,12 +184,12 @@ def _histograms(log_rgb: np.ndarray, blocks: np.ndarray, keep: float) -> tuple[l
         raise CameraError(f"keep is {keep}: give the fraction of values to use, 0.5 to 1")
     chroma = log_rgb @ CHROMATICITY.T.astype(np.float32)
     chroma -= np.median(chroma, axis=0)
-    spread = float(np.median([np.std(chroma @ _direction(theta)) for theta in THETAS[::15]]))
+    spread = float(np.median([np.std(chroma @ _direction(theta)) for theta in SOME_THETAS]))
     if spread < LEAST_COLOUR:
         raise CameraError(
             "the image has one colour only: an angle needs surfaces of several colours, in light and shadow"
         )
-    scott = 3.5 * spread * len(chroma) ** (-1 / 3)
+    scott = SCOTT * spread * len(chroma) ** (-1 / 3)
     reach = REACH * float(np.quantile(np.abs(chroma).max(axis=1), 0.999))
     cell_width = max(FINENESS * scott / SUBDIVISION, 2 * reach / WIDEST_HISTOGRAM)
     n_cells = int(2 * reach / cell_width) + 2
@@ -241,7 +244,11 @@ def _shannon(fractions: np.ndarray) -> np.ndarray:
 
 
 def _quadratic(fractions: np.ndarray) -> np.ndarray:
-    """Renyi's quadratic entropy (b,), bits: -log of the information potential sum_ij G(x_i - x_j; 2 s^2) / n^2."""
+    """Renyi's quadratic entropy (b,), bits, of normalised histograms (b, cells).
+
+    It is -log of the information potential sum_ij G(x_i - x_j; 2 s^2) / n^2: the blurred histogram is the inner sum in
+    units of a cell, and there are SUBDIVISION cells in a bin.
+    """
     from scipy.ndimage import gaussian_filter1d  # heavy: imported when first needed
 
     # The kernel of pairs is sqrt(2) times as wide as that of the density, whose standard deviation is half a bin.
@@ -289,10 +296,11 @@ class _ColourVariation:
 
 
 def _colour_variation(log_rgb: np.ndarray, theta: float, width: float) -> _ColourVariation:
-    """Measure the variation of log-RGB (n, 3) float32; a bin of the invariant has a width, and counts as one value."""
+    """Measure the variation of log-RGB (n, 3) float32; values of the invariant within a width count as one."""
     towards_blue = temperature_direction(theta)
     chroma = log_rgb @ CHROMATICITY.T.astype(np.float32)
-    across, along = np.sqrt(np.maximum(np.linalg.eigvalsh(np.cov(chroma, rowvar=False)), 0.0))
+    variances = np.linalg.eigvalsh(np.cov(chroma, rowvar=False))  # the smaller first
+    across, along = np.sqrt(np.maximum(variances, 0.0))
     invariant = chroma @ _direction(theta)
     low, high = np.quantile(invariant, [0.01, 0.99])  # outliers would be alone in their bins
     inside = (invariant >= low) & (invariant <= high)

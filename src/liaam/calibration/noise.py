@@ -42,6 +42,7 @@ ROUNDS_OF_REPLICATES = 12  # That of a line which begins at the one for all bloc
 
 ROUNDED = 0.4  # Standard deviation, in steps of stored values, below which rounding hides noise
 ENDS = (0.05, 0.8)  # Range of brightness, as fractions of white, in which the line has to be known
+MIDDLE = 0.2  # Brightness between these, a mid-grey, at which messages state the noise too
 VAGUE = 0.25  # Largest relative standard error of the standard deviation at both ends of the range
 NARROW = 1.5  # Ratio of the brightest to the darkest blocks below which they count as one brightness
 COLOURED = 1.5  # Ratio of coarse to fine noise above which it is not white
@@ -52,6 +53,7 @@ MOVING = 2.5
 MOVED = 0.25  # Fraction of such blocks from which a pair is rejected
 PLACES = 40  # Number of groups of the jackknife over positions
 BRIGHTNESSES = 12  # That over brightnesses, for a single image
+TINY = 1e-300  # Added or compared to a divisor that may be 0, so that the quotient is large instead
 
 
 @dataclass(frozen=True)
@@ -380,7 +382,8 @@ def _line(blocks: np.ndarray, low: int, high: int = HIGHEST, start: np.ndarray |
     noise = variance - rounding
     # Without a start, all noise is of photons at first.
     line = np.array([max(np.median(noise / level), 0.0), 0.0]) if start is None else start
-    least = max(1e-3 * float(np.median(variance)), 1e-16)  # by which a deviation is divided
+    # A deviation is divided by this at least: where the line is near 0, its relative deviation has no meaning.
+    least = max(1e-3 * float(np.median(variance)), 1e-16)
     for _ in range(ROUNDS if start is None else ROUNDS_OF_REPLICATES):
         slope, offset = line
         predicted = slope * level + offset
@@ -420,17 +423,20 @@ def _on_line(blocks: np.ndarray, line: np.ndarray) -> np.ndarray:
 
 
 def _estimate(blocks: np.ndarray, response: Response, single: bool = False) -> NoiseEstimate:
-    """Fit the line to blocks, and test whether the noise is observable."""
+    """Fit the line to blocks, of a single image or without texture, and test whether the noise is observable."""
     white = float(to_linear(np.array(1.0), response))
-    low = FINE if single else TREND + 1
-    noisy = _enough(blocks)[blocks["energy"][:, TREND + 1 :].sum(axis=1) > CONSTANT]
+    low = FINE if single else TREND + 1  # degree of the polynomials from which all variation is noise
+    is_noisy = blocks["energy"][:, TREND + 1 :].sum(axis=1) > CONSTANT
+    noisy = _enough(blocks)[is_noisy]
     if len(noisy) < FEWEST:
         return _below_rounding(blocks)
+    # Twice, since a first line says which blocks the noise itself clips.
     used, line = _fitted(_weakest(noisy) if single else noisy, low, single)
     used = _enough(_unclipped(used, line, white))
     used, line = _fitted(used, low, single)
-    steps = _on_line(used, line) / np.maximum(12 * used["rounding"], 1e-300)  # squares of the steps of stored values
-    if np.median(steps) < ROUNDED**2:
+    squared_step = 12 * used["rounding"]  # the variance of an error that is uniform within a step is 1/12 of its square
+    in_squared_steps = _on_line(used, line) / np.maximum(squared_step, TINY)
+    if np.median(in_squared_steps) < ROUNDED**2:
         return _below_rounding(used)
     not_white = _not_white(used, low, single)
     darkest, brightest = np.percentile(used["level"], [5, 95])
@@ -441,7 +447,8 @@ def _estimate(blocks: np.ndarray, response: Response, single: bool = False) -> N
     slope, offset = line.tolist()
     slope_error, offset_error = np.sqrt(np.diag(covariance)).tolist()
     model = NoiseModel(slope, offset)
-    message = _deviations(model, [white * rho for rho in (ENDS[0], 0.2, ENDS[1])])
+    darkest_end, brightest_end = ENDS
+    message = _deviations(model, [white * rho for rho in (darkest_end, MIDDLE, brightest_end)])
     if vague:
         message += (
             f"; this is uncertain, from {len(used)} blocks with brightnesses of {darkest:.2g} to {brightest:.2g}: give "
@@ -476,7 +483,7 @@ def _not_white(blocks: np.ndarray, low: int, single: bool) -> str:
     # In a single image, the coarser structure has texture.
     coarse = _variance(blocks, COARSE, FINE - 1) if single else _variance(blocks, low, COARSE - 1)
     fine = _variance(blocks, FINE)
-    ratio = float(np.median(coarse) / max(np.median(fine), 1e-300))
+    ratio = float(np.median(coarse) / max(np.median(fine), TINY))
     if ratio < COLOURED:
         return ""
     cause = "it contains texture, or JPEG or demosaicking" if single else "JPEG or demosaicking"
@@ -497,10 +504,15 @@ def _of_one_brightness(blocks: np.ndarray, low: int, not_white: str) -> NoiseEst
 
 
 def _fitted(blocks: np.ndarray, low: int, single: bool) -> tuple[np.ndarray, np.ndarray]:
-    """Blocks and their line. In a single image, blocks whose texture exceeds the noise get less weight."""
+    """Fit the line; return the blocks with the weights that they have in it, and the line (2,).
+
+    In a single image, blocks whose texture exceeds the noise get less weight, else all have the same.
+    """
     line = _line(blocks, low)
     blocks = blocks.copy()
-    for _ in range(REWEIGHTINGS if single else 0):
+    if not single:
+        return blocks, line
+    for _ in range(REWEIGHTINGS):
         noise = np.maximum(_on_line(blocks, line) + blocks["rounding"], CONSTANT)
         texture = np.maximum(_variance(blocks, TREND + 1, COARSE - 1), CONSTANT)
         blocks["weight"] = np.square(np.minimum(1.0, noise / texture))

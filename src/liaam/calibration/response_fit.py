@@ -45,7 +45,7 @@ TERM_SPREAD = 0.5  # Prior standard deviation of a vignetting coefficient
 BALANCE_SPREAD = 0.1  # That of the logarithm of an image's white balance
 EXPOSURE_SPREAD = 5.0  # That of the logarithm of an image's exposure
 
-OUTLYING = 4.0  # Residual, in standard deviations, at which the weight is a quarter
+OUTLYING = 4.0  # Residual, in standard deviations, at which the weight is a quarter: rare if they are normal
 MOST_STEPS = 40  # Largest number of iterations
 LEAST_STEP = 1e-4  # Change of every unknown below which the iteration ends
 LEAST_INCREMENT = 1e-3  # Lower bound of the curve's increments, so that the curve rises
@@ -53,7 +53,7 @@ LEAST_SCALE = 0.3  # Lower bound of the scale of the residuals, which few residu
 LEAST_SHARE = 0.1  # Lower bound of the relative light with vignetting
 LEAST_FREEDOM = 0.05  # Lower bound of the variance of a residual relative to that of its noise
 
-LEAST_CONTRAST = 0.1  # Least difference of log exposures for an estimate
+LEAST_CONTRAST = 0.1  # Least difference of log exposures for an estimate: a factor of 1.1 in light
 WORST_RMS = 0.06  # Largest residual in log exposure of an estimate, if noise does not explain it
 WORST_NOISE = 0.3  # The largest if noise explains it
 MISFIT = 4.0  # Ratio of residuals to noise above which noise does not explain them; JPEG of quality 75 gives 4 to 6
@@ -233,10 +233,10 @@ class ResponseProblem:
         radius2 = self.measured.radius2
         m, n = radius2.shape
         share = light_share(radius2, unknowns.vignetting)
-        of_others = np.eye(m)[:, None, 1:]  # (m, 1, m - 1): 1 for the unknowns of each image but the first
-        by_exposures = np.broadcast_to(of_others, (m, n, m - 1))
-        chromaticity = CHROMATICITY.T[self.measured.channel]  # (n, 2)
-        by_balances = np.einsum("mop,nc->mnpc", of_others, chromaticity).reshape(m, n, -1)
+        of_others = np.eye(m)[:, 1:]  # (m, m - 1): 1 for an image and its own unknowns, which the first one lacks
+        by_exposures = np.broadcast_to(of_others[:, None], (m, n, m - 1))
+        chromaticity = CHROMATICITY.T[self.measured.channel]  # (n, 2): of each block's channel
+        by_balances = np.einsum("mp,nc->mnpc", of_others, chromaticity).reshape(m, n, -1)
         by_balances = by_balances[..., : len(unknowns.balances)]  # none in grey images
         powers = np.stack([radius2 ** (i + 1) for i in range(TERMS)], axis=-1)
         by_vignetting = powers[..., : self.terms] / share[..., None]
@@ -299,7 +299,20 @@ def light_share(radius2: np.ndarray, falloff: np.ndarray) -> np.ndarray:
 
 @dataclass(frozen=True)
 class ResponseFit:
-    """A solution, with the robust standard deviation of its residuals in units of the noise, and in log exposure."""
+    """A solution.
+
+    Attributes
+    ----------
+    problem : ResponseProblem
+    z : (P,) float64
+        The unknowns, in the order of :class:`Unknowns`.
+    covariance : (P, P) float64
+        Their covariance.
+    scale : float
+        Robust standard deviation of the residuals, in units of the noise.
+    rms : float
+        Root mean square of the residuals, in log exposure.
+    """
 
     problem: ResponseProblem
     z: np.ndarray
@@ -345,7 +358,7 @@ class ResponseFit:
 
 @dataclass(frozen=True)
 class _State:
-    """What an iteration begins with, and the next one too.
+    """What an iteration begins with, and leaves to the next one.
 
     Attributes
     ----------
@@ -423,18 +436,23 @@ def _iterated(problem: ResponseProblem, state: _State, prior_rows: np.ndarray, p
 
 
 def _bounded(gram: np.ndarray, moment: np.ndarray, n_increments: int) -> np.ndarray:
-    """Solve normal equations with positive increments, which are the first of the unknowns."""
+    """Solve normal equations gram @ z = moment with positive increments, which are the first of the unknowns.
+
+    With the Cholesky factor L of gram, they are those of the least squares |L' z - L^-1 moment|^2, which are solved
+    within bounds.
+    """
     from scipy.optimize import lsq_linear  # heavy: imported when first needed
 
     if not len(moment):
         return moment
     factor = np.linalg.cholesky(gram)
-    lower = np.where(np.arange(len(moment)) < n_increments, LEAST_INCREMENT, -np.inf)
-    return lsq_linear(factor.T, np.linalg.solve(factor, moment), (lower, np.inf)).x
+    is_increment = np.arange(len(moment)) < n_increments
+    lower_bounds = np.where(is_increment, LEAST_INCREMENT, -np.inf)
+    return lsq_linear(factor.T, np.linalg.solve(factor, moment), (lower_bounds, np.inf)).x
 
 
 def robust_weights(standard: np.ndarray) -> np.ndarray:
-    """Weights of Geman and McClure, which reject outliers, unlike Cauchy's."""
+    """Weights of Geman and McClure for residuals in standard deviations; far ones, unlike Cauchy's, hardly pull."""
     return 1.0 / np.square(1.0 + np.square(standard / OUTLYING))
 
 

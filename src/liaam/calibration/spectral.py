@@ -30,6 +30,14 @@ PEAK_OFFSET = 10.0
 VISIBLE = (300.0, 830.0)  # Wavelengths of the daylight table, nm; sensitivities outside are ignored
 FEWEST = 8  # Least number of wavelengths of sensitivity curves
 COARSEST = 25.0  # Largest gap between wavelengths of sensitivity curves, nm
+MOST_INVISIBLE = 0.02  # Largest share of a sensitivity outside the daylight table
+NORMAL = 560.0  # Wavelength at which the powers of radiators are normalised, nm, as CIE does with daylights
+FEWEST_LIGHTS = 8  # Least number of lights of a series, however narrow
+
+# Coloured surfaces: reflectances of moderate saturation with one low frequency, in so many phases
+N_HUES = 8
+HUE_PERIOD = 250.0  # nm
+HUE_AMPLITUDE = 0.25
 
 _ALIASES = {
     "wavelength": "wavelength_nm", "lambda": "wavelength_nm", "nm": "wavelength_nm",
@@ -58,17 +66,17 @@ def theta_from_peaks(peaks_nm: tuple[float, float, float]) -> AngleEstimate:
         If the peaks are not three decreasing wavelengths from 300 to 830 nm.
     """
     peaks = np.asarray(peaks_nm, dtype=np.float64)
-    falling = peaks.shape == (3,) and np.isfinite(peaks).all() and (np.diff(peaks) < 0).all()
-    if not falling or peaks[0] > VISIBLE[1] or peaks[2] < VISIBLE[0]:
+    are_falling = peaks.shape == (3,) and np.isfinite(peaks).all() and (np.diff(peaks) < 0).all()
+    if not are_falling or peaks[0] > VISIBLE[1] or peaks[2] < VISIBLE[0]:
         raise CameraError(
             f"peak wavelengths {peaks_nm}: give those of R, G and B in nm, longest first, such as 610, 540, 450"
         )
     theta = wien_theta(peaks)
     nm = np.arange(VISIBLE[0], VISIBLE[1] + 1)
     broad = theta_from_sensitivities(nm, np.exp(-0.5 * np.square((nm[:, None] - peaks) / SENSOR_WIDTH)))
-    moved = [wien_theta(peaks + offset) for offset in PEAK_OFFSET * np.eye(3)]
-    parts = [broad.standard_error, *(axis_difference(angle, theta) for angle in (broad.theta, *moved))]
-    error = float(np.linalg.norm(parts))
+    moved = [wien_theta(peaks + offset) for offset in PEAK_OFFSET * np.eye(3)]  # one peak after the other
+    differences = [axis_difference(angle, theta) for angle in (broad.theta, *moved)]
+    error = float(np.linalg.norm([broad.standard_error, *differences]))
     message = (
         f"by Wien's closed form; the error assumes broad sensors with effective wavelengths within {PEAK_OFFSET:g} nm "
         "of their peaks, under Planckian lights and daylights: sensitivity curves give a smaller error"
@@ -112,35 +120,48 @@ def theta_from_sensitivities(
     curves = np.asarray(sensitivities, dtype=np.float64)
     _check_curves(nm, curves)
     nm, curves = _resampled(nm, curves)
-    # A neutral surface, then eight hues of moderate saturation and one low frequency: frequency-limited reflectances
-    # after Stiles, Wyszecki and Ohta (JOSA 1977).
-    hues = 0.5 + 0.25 * np.cos(2 * np.pi * (nm / 250.0 - np.arange(8)[:, None] / 8))
+    log_responses = _log_responses(nm, curves, _series(nm, lights, kelvin))
+    of_white = {name: logs[0] for name, logs in log_responses.items()}
+    theta = _angle_of(list(of_white.values()))
+    # The cold and the hot lights of each surface show the curvature of its locus.
+    differences = []
+    for logs in log_responses.values():
+        middle = logs.shape[1] // 2
+        for locus in logs:
+            for half in (locus[: middle + 1], locus[middle:]):
+                differences.append(axis_difference(_angle_of([half]), theta))
+    error = root_mean_square(differences)
+    angles = [f"{np.rad2deg(_angle_of([locus])):.1f}° under the {name} series" for name, locus in of_white.items()]
+    message = (
+        f"white has {' and '.join(angles)}, {kelvin[0]:.0f} to {kelvin[1]:.0f} K; the error of "
+        f"{np.rad2deg(error):.1f}° is the spread between surfaces and between lights, since broad sensors do not have "
+        "a single angle"
+    )
+    warmth = np.concatenate([locus[:, 0] - locus[:, 2] for locus in of_white.values()])  # log R / B
+    change = float(np.sqrt(2.0) * np.std(warmth, ddof=1))  # the root mean square difference of two lights
+    n_surfaces = len(next(iter(log_responses.values())))
+    return AngleEstimate(theta, error, message, change, n_surfaces)
+
+
+def _log_responses(nm: np.ndarray, curves: np.ndarray, series: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
+    """Compute the log responses of a camera with sensitivities (n, 3) to surfaces under series of lights, each (m, n).
+
+    Return (k, m, 3) for each series: of a neutral surface, and of the coloured ones to which all channels respond.
+    """
+    # Frequency-limited reflectances after Stiles, Wyszecki and Ohta (JOSA 1977).
+    phases = np.arange(N_HUES)[:, None] / N_HUES
+    hues = 0.5 + HUE_AMPLITUDE * np.cos(2 * np.pi * (nm / HUE_PERIOD - phases))
     surfaces = np.vstack([np.ones_like(nm), hues])
     weighted = curves * _trapezoid_weights(nm)[:, None]
     responses = {
-        name: np.einsum("kn,mn,nc->kmc", surfaces, power, weighted, optimize=True)
-        for name, power in _series(nm, lights, kelvin).items()
+        name: np.einsum("kn,mn,nc->kmc", surfaces, power, weighted, optimize=True) for name, power in series.items()
     }
-    responsive = np.all([(r > 0).all(axis=(1, 2)) for r in responses.values()], axis=0)
-    if not responsive[0]:
+    are_responsive = np.all([(values > 0).all(axis=(1, 2)) for values in responses.values()], axis=0)
+    if not are_responsive[0]:
         raise CameraError(
             "a channel does not respond to white light: its sensitivity is zero or mostly negative; check the curves"
         )
-    series = {name: np.log(r[responsive]) for name, r in responses.items()}
-    theta = _angle_of([logs[0] for logs in series.values()])
-    # The cold and the hot lights of each surface show the curvature of its locus.
-    loci = [surface for logs in series.values() for surface in logs]
-    halves = [half for locus in loci for half in (locus[: len(locus) // 2 + 1], locus[len(locus) // 2 :])]
-    error = root_mean_square([axis_difference(_angle_of([half]), theta) for half in halves])
-    alone = {name: _angle_of([logs[0]]) for name, logs in series.items()}
-    warmth = np.concatenate([logs[0, :, 0] - logs[0, :, 2] for logs in series.values()])
-    parts = " and ".join(f"{np.rad2deg(angle):.1f}° under the {name} series" for name, angle in alone.items())
-    message = (
-        f"white has {parts}, {kelvin[0]:.0f} to {kelvin[1]:.0f} K; the error of {np.rad2deg(error):.1f}° is the spread "
-        "between surfaces and between lights, since broad sensors do not have a single angle"
-    )
-    change = float(np.sqrt(2.0) * np.std(warmth, ddof=1))
-    return AngleEstimate(theta, error, message, change, int(responsive.sum()))
+    return {name: np.log(values[are_responsive]) for name, values in responses.items()}
 
 
 def read_sensitivities(path: str | os.PathLike) -> tuple[np.ndarray, np.ndarray]:
@@ -176,7 +197,8 @@ def read_sensitivities(path: str | os.PathLike) -> tuple[np.ndarray, np.ndarray]
         _check_curves(nm, curves)
     except CameraError as error:
         raise CameraError(f"{path}: {error}") from error
-    red, blue = (float(nm @ np.maximum(curves[:, c], 0) / np.maximum(curves[:, c], 0).sum()) for c in (0, 2))
+    red = _mean_wavelength(nm, curves[:, 0])
+    blue = _mean_wavelength(nm, curves[:, 2])
     if red <= blue:
         raise CameraError(
             f"{path}: R has a shorter mean wavelength ({red:.0f} nm) than B ({blue:.0f} nm); name the columns in a "
@@ -185,12 +207,24 @@ def read_sensitivities(path: str | os.PathLike) -> tuple[np.ndarray, np.ndarray]
     return nm, curves
 
 
+def _mean_wavelength(nm: np.ndarray, curve: np.ndarray) -> float:
+    """Return the mean wavelength of a sensitivity (n,), weighted by that, without its negative values."""
+    positive = np.maximum(curve, 0)
+    return float(nm @ positive / positive.sum())
+
+
 def planckian(wavelengths_nm: np.ndarray, kelvin: np.ndarray | float, *, wien: bool = False) -> np.ndarray:
-    """Compute the spectral power (m, n) of Planckian radiators, 1 at 560 nm; ``wien``: by Wien's approximation."""
+    """Compute the spectral power (m, n) of Planckian radiators, 1 at 560 nm; ``wien``: by Wien's approximation.
+
+    It is proportional to nm^-5 / (exp(K2 / (nm T)) - 1), by Wien without the 1, at wavelength nm and temperature T.
+    """
     nm = np.asarray(wavelengths_nm, dtype=np.float64)
-    reach = K2_NM / np.atleast_1d(kelvin)[:, None]
-    ratio = np.exp(reach / 560.0 - reach / nm) if wien else np.expm1(reach / 560.0) / np.expm1(reach / nm)
-    return ratio * (560.0 / nm) ** 5
+    k2_by_kelvin = K2_NM / np.atleast_1d(kelvin)[:, None]
+    if wien:
+        ratio = np.exp(k2_by_kelvin / NORMAL - k2_by_kelvin / nm)
+    else:
+        ratio = np.expm1(k2_by_kelvin / NORMAL) / np.expm1(k2_by_kelvin / nm)
+    return ratio * (NORMAL / nm) ** 5
 
 
 def daylight(wavelengths_nm: np.ndarray, kelvin: np.ndarray | float) -> np.ndarray:
@@ -208,20 +242,24 @@ def _series(nm: np.ndarray, lights: str, kelvin: tuple[float, float]) -> dict[st
     """Spectra (m, n) of the requested series of lights, by name."""
     if lights not in get_args(Lights):
         raise CameraError(f"lights {lights!r} are unknown: give one of {', '.join(get_args(Lights))}")
-    cold, hot = (float(k) for k in kelvin)
+    cold = float(kelvin[0])
+    hot = float(kelvin[1])
     if not 1000.0 <= cold < hot <= 25000.0:
         raise CameraError(f"lights from {cold:g} to {hot:g} K: give the colder first, within 1000 to 25000 K")
 
-    def even_in_mired(cold: float) -> np.ndarray:
-        steps = round((1e6 / cold - 1e6 / hot) / MIRED_STEP)
-        return 1e6 / np.linspace(1e6 / cold, 1e6 / hot, max(8, steps + 1))
+    def even_in_mired(coldest: float) -> np.ndarray:
+        """Temperatures to the hottest, kelvin, that are evenly spaced in reciprocal megakelvin."""
+        n_steps = round((1e6 / coldest - 1e6 / hot) / MIRED_STEP)
+        return 1e6 / np.linspace(1e6 / coldest, 1e6 / hot, max(FEWEST_LIGHTS, n_steps + 1))
 
     if lights in ("planckian", "wien"):
         return {lights: planckian(nm, even_in_mired(cold), wien=lights == "wien")}
     if max(cold, COLDEST_DAYLIGHT) >= hot:
         raise CameraError(f"there is no CIE daylight from {cold:g} to {hot:g} K; give lights='planckian'")
-    day = {"daylight": daylight(nm, even_in_mired(max(cold, COLDEST_DAYLIGHT)))}
-    return day if lights == "daylight" else {"planckian": planckian(nm, even_in_mired(cold)), **day}
+    of_day = daylight(nm, even_in_mired(max(cold, COLDEST_DAYLIGHT)))
+    if lights == "daylight":
+        return {"daylight": of_day}
+    return {"planckian": planckian(nm, even_in_mired(cold)), "daylight": of_day}
 
 
 def _trapezoid_weights(nm: np.ndarray) -> np.ndarray:
@@ -238,7 +276,8 @@ def _angle_of(loci: list[np.ndarray]) -> float:
     if sizes[0] < 1e-6 * np.sqrt(len(chroma)):
         raise CameraError("the three channels respond alike to every light, so there is no angle; check the columns")
     row = np.cross(axes[0] @ CHROMATICITY, np.ones(3))
-    return float(np.arctan2(row[1], row[0]) % np.pi) % float(np.pi)
+    theta = float(np.arctan2(row[1], row[0]) % np.pi)
+    return theta % float(np.pi)  # again: a tiny negative angle has become pi by rounding
 
 
 def _check_curves(nm: np.ndarray, curves: np.ndarray) -> None:
@@ -250,23 +289,27 @@ def _check_curves(nm: np.ndarray, curves: np.ndarray) -> None:
         )
     if not np.isfinite(nm).all() or not np.isfinite(curves).all():
         raise CameraError("a wavelength or sensitivity is not a finite number; fill the gap or remove its row")
-    if (np.diff(nm) <= 0).any():
-        raise CameraError(f"wavelength {nm[1:][np.diff(nm) <= 0][0]:g} is not in order; give each once, shortest first")
+    steps = np.diff(nm)
+    if (steps <= 0).any():
+        first_wrong = nm[1:][steps <= 0][0]
+        raise CameraError(f"wavelength {first_wrong:g} is not in order; give each once, shortest first")
     if nm[0] < 100 or nm[-1] > 3000:
         raise CameraError(f"wavelengths from {nm[0]:g} to {nm[-1]:g} are not in nm; visible light has 380 to 780 nm")
-    if deaf := [name for name, curve in zip("RGB", curves.T, strict=True) if curve.max() <= 0]:
-        raise CameraError(f"channel {deaf[0]} has no sensitivity above 0; check the columns")
-    if (np.diff(nm) > COARSEST).any():
-        raise CameraError(f"wavelengths are {np.diff(nm).max():g} nm apart; give sensitivities every {COARSEST:g} nm")
+    for name, curve in zip("RGB", curves.T, strict=True):
+        if curve.max() <= 0:
+            raise CameraError(f"channel {name} has no sensitivity above 0; check the columns")
+    if (steps > COARSEST).any():
+        raise CameraError(f"wavelengths are {steps.max():g} nm apart; give sensitivities every {COARSEST:g} nm")
 
 
 def _resampled(nm: np.ndarray, curves: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Resample curves to steps of at most 1 nm within the daylight table."""
     area = np.abs(curves) * _trapezoid_weights(nm)[:, None]
-    if (area[(nm < VISIBLE[0]) | (nm > VISIBLE[1])].sum(axis=0) > 0.02 * area.sum(axis=0)).any():
+    is_invisible = (nm < VISIBLE[0]) | (nm > VISIBLE[1])
+    if (area[is_invisible].sum(axis=0) > MOST_INVISIBLE * area.sum(axis=0)).any():
         raise CameraError(
-            f"a channel has more than 2 % of its sensitivity outside {VISIBLE[0]:g} to {VISIBLE[1]:g} nm, where "
-            "daylight is unknown; measure the camera with its infrared filter"
+            f"a channel has more than {100 * MOST_INVISIBLE:g} % of its sensitivity outside {VISIBLE[0]:g} to "
+            f"{VISIBLE[1]:g} nm, where daylight is unknown; measure the camera with its infrared filter"
         )
     low = max(nm[0], VISIBLE[0])
     high = min(nm[-1], VISIBLE[1])

@@ -130,8 +130,8 @@ def fit(
 
     if every and init is not None:
         raise LiaamError("--all searches for every object and --init gives the place of one; use only one of them")
-    model_file, given = inputs.model_and_inputs(files, "fit")
-    images = [image for path in given for image in images_in(path)]
+    model_file, paths = inputs.model_and_inputs(files, "fit")
+    images = [image for path in paths for image in images_in(path)]
     check_name_by(name_by)
     check_absent(absent)
     outputs = Outputs.asked(output, formats, scheme=scheme, several=len(images) > 1 or every)
@@ -139,7 +139,7 @@ def fit(
         raise LiaamError(f"{output} is one file, and --crops writes more; give a folder with -o")
     if outputs.report is not None:
         of_files = {"ellipses": ellipses, "numbers": numbers, "names": names, "mesh": mesh, "format": formats != "json"}
-        refuse_for_page(output, [name for name, given in of_files.items() if given])
+        refuse_for_page(output, [name for name, is_given in of_files.items() if is_given])
     outputs = replace(outputs, name_by=name_by, crops=crops, absent=absent)
     inputs.refuse_inputs([output], images)
     model = load_model(model_file)
@@ -175,7 +175,7 @@ def fit(
                 if is_disk_full(outcome):  # the others would end like this
                     complain(f"stopped: {i - 1} of {len(images)} images are done; make room, and fit the others")
                     break
-    outputs.write_report(model, given)
+    outputs.write_report(model, paths)
     report.show(output, on_page=outputs.report is not None)
     if model.scale is not None and report.rows:
         say(f"images that state no scale have that of the training images, {model.scale} per pixel")
@@ -433,21 +433,27 @@ def fit_file(
     """
     from liaam.fitting.specimens import fit_photograph
 
-    if not every:
+    if not every:  # the names are known before the fit
         refuse_to_overwrite([outputs.path_of(stem, suffix) for suffix in outputs.suffixes])
     photograph = fit_photograph(fitter, image, init, every=every, stem=stem, name_by=outputs.name_by)
     pixels = photograph.pixels
     fitted = photograph.specimens
     length = photograph.length
-    stems = [f"{stem}_{i}" for i in range(1, len(fitted.results) + 1)] if every else [stem]
-    for name in stems if every else []:
-        refuse_to_overwrite([outputs.path_of(name, suffix) for suffix in outputs.suffixes])
+    stems = [stem]
+    if every:
+        stems = [f"{stem}_{i}" for i in range(1, len(fitted.results) + 1)]
+        for name in stems:
+            refuse_to_overwrite([outputs.path_of(name, suffix) for suffix in outputs.suffixes])
     if outputs.crops:
         refuse_images([outputs.path_of(name, CROP) for name in stems])
     for i, (name, result, specimen) in enumerate(zip(stems, fitted.results, fitted.named, strict=True)):
-        facts = result.to_dict(outputs.absent) | {"image": image.name, "specimen": specimen.name}
-        facts |= {"object": i + 1} if every else {}
-        facts |= {"code": specimen.code} if specimen.code else {}
+        facts = result.to_dict(outputs.absent)
+        facts["image"] = image.name
+        facts["specimen"] = specimen.name
+        if every:
+            facts["object"] = i + 1
+        if specimen.code:
+            facts["code"] = specimen.code
         facts["message"] = fitted.message(i)
         write_object(fitter.model, pixels, result, name, facts, length, outputs)
         outputs.add_fit(result, pixels, image, facts, length)
@@ -476,7 +482,8 @@ def write_object(
     facts = facts | facts_of(length)
     height, width = pixels.shape[:2]
     box = crop_box(result.place, (width, height)) if outputs.crops else None
-    facts |= {"crop": box} if box is not None else {}
+    if box is not None:
+        facts["crop"] = box
     if outputs.scheme is None:
         lines = Contour.all_of(model.contours)
         landmarks = Landmarks(

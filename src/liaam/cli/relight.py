@@ -76,7 +76,7 @@ def relight(
 ) -> None:
     """Show the objects in images under the training light, a lamp, or the light of another image."""
     model_file, images = inputs.model_and_inputs(files, "relight")
-    lamps, like = light_of(light, colour)
+    lamps, like = light_of(light, colour)  # neither of both for the training light
     outputs = output_paths(images, output, FLAT if light == FLAT else "relit")
     maps = [map_of(path) for path in outputs] if certainty else []
     images_read = images if like is None else [*images, like]
@@ -97,16 +97,18 @@ def relight(
     make_folder(outputs[0].parent)
     report = RelightReport(strict)
     n_images = len(images_read)
+    n_done = 0
+    other = None
     with progress_bar() as progress:
-        progress(0, n_images, images_read[-1].name)
-        other = None
-        if like is not None:  # it is read first
+        if like is not None:
+            progress(n_done, n_images, like.name)
             other, result = separated(fitter, read_image(like), None, str(like))
             report.add_fit(like, result, "its light was used although the fit may be wrong")
-        change = Change(lamps, other, ambient, strength, init, certainty)
-        n_before = n_images - len(images)
-        for i, (image, path) in enumerate(zip(images, outputs, strict=True), n_before):
-            progress(i, n_images, image.name)
+            n_done = 1
+        change = Change(lamps=lamps, other=other, ambient=ambient, strength=strength, init=init, certainty=certainty)
+        for image, path in zip(images, outputs, strict=True):
+            progress(n_done, n_images, image.name)
+            n_done += 1
             try:
                 relight_file(fitter, image, path, change, report)
             except LiaamError as error:
@@ -210,7 +212,10 @@ def picture_of_certainty(relighter: "Relighter") -> np.ndarray:
 
 
 def light_of(text: str, colour: str) -> "tuple[list[Lamp] | None, Path | None]":
-    """Return the lamp of a colour, or the image whose light is meant; neither for the training light."""
+    """Return the lamp that ``--light`` and its colour mean, or the image whose light is meant.
+
+    Of these two, one is None; both are for the training light.
+    """
     from liaam.relighting.lamp import DIRECTIONS, Lamp
 
     if text == FLAT:

@@ -49,12 +49,11 @@ from liaam.trays.order import reading_order
 
 OWN_SETTINGS = ("camera", "rotations", "restarts", "margin", "side")  # Fields of a fitter that users set by name
 
-
 NEARLY = 0.9
-"""Score of a detection, of the best one in the image, from which it counts although it is slightly uncertain."""
+"""Score of a detection, as a fraction of the best one in the image, from which it counts although it is uncertain."""
 
 AS_LARGE = 1.4
-"""Greatest ratio of its size to that of the best one."""
+"""Greatest ratio of the sizes of such a detection and of the best one, either way."""
 
 
 def _is_like(detection: Detection, best: Detection) -> bool:
@@ -267,8 +266,9 @@ class Fitter(OneShapeFitter):
         """Fit an image as it is and reversed left to right, unless the start says of which side the object is."""
         width = image.shape[1]
         of_start = reflections_of_start(self.model, init, width)
+        asked = [is_reflected for is_reflected in self._reflections if is_reflected in of_start]
         begun: list[_FirstFit] = []
-        for is_reflected in [each for each in self._reflections if each in of_start] or self._reflections:
+        for is_reflected in asked or self._reflections:  # a start of another side leaves the choice open
             if is_reflected:
                 start = reflected_start(self.model, init, width)
                 begun.append(self._begun(reflected_image(image), start, name, is_reflected=True))
@@ -279,10 +279,12 @@ class Fitter(OneShapeFitter):
         for other in begun[1:]:
             if not is_clear(best, replace(other.fit.result, found=other.fit.detection)):
                 best = likelier_side(best, other.completed(), self.model)
-        detections = [each.detection for each in begun if each.reflected != best.reflected]
+        detections_of_others = [
+            each.detection for each in begun if each.reflected != best.reflected and each.detection is not None
+        ]
+        best = with_detections(best, detections_of_others)
         assert self._sides is not None
-        found = with_detections(best, [each for each in detections if each is not None])
-        return replace(found, side=self._sides.of(best.reflected))
+        return replace(best, side=self._sides.of(best.reflected))
 
     def _begun(self, image, init, name: str, *, is_reflected: bool = False) -> _FirstFit:
         """Fit from the first start, with the part of the model to which it belongs if it is a whole shape."""
@@ -358,16 +360,17 @@ class Fitter(OneShapeFitter):
         if self._starts_from_poses(init):
             result = fit_from_poses(self, target, self.searched_rotations)
             return PlacedFit(result, target._replace(start=result.history[0].landmarks), detection)
-        in_rotations = self._targets_in_rotations(target, init)
-        if not self._several:
-            fits = [PlacedFit(self.fit_target(each), each, detection) for each in in_rotations or [target]]
-            return max(fits, key=lambda fit: likeliness(fit.result))
-        of_parts = [targets_at(each, self.finder.parts) for each in in_rotations]
-        if not of_parts:
-            of_parts = [self._targets_of_parts(target, image, init, name)]
-        is_last = self.judge.is_limited or searched_region(init, target.image, restarts=self.restarts) is None
+        rotated = self._targets_in_rotations(target, init)  # empty if one start is enough
         fits = []
-        for targets in of_parts:
+        if not self._several:
+            for each in rotated or [target]:
+                fits.append(PlacedFit(self.fit_target(each), each, detection))
+            return max(fits, key=lambda fit: likeliness(fit.result))
+        targets_of_starts = [targets_at(each, self.finder.parts) for each in rotated]  # by start, then by part
+        if not rotated:
+            targets_of_starts = [self._targets_of_parts(target, image, init, name)]
+        is_last = self.judge.is_limited or searched_region(init, target.image, restarts=self.restarts) is None
+        for targets in targets_of_starts:
             part, result = fit_likeliest_part(self.parts, targets, self.options, is_last)
             fits.append(PlacedFit(result, targets[part], detection, part))
         return max(fits, key=lambda fit: likeliness(fit.result))

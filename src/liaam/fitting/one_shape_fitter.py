@@ -10,7 +10,7 @@ import numpy as np
 from liaam.fitting.loop.encoded_image import NEAR
 from liaam.fitting.loop.levels import CoarseToFine, FittedLevel, Target, is_sane
 from liaam.fitting.loop.objective import PRIOR_OF_POSES, Objective, make_objectives
-from liaam.fitting.loop.options import SolverOptions, scored, spare
+from liaam.fitting.loop.options import SolverOptions, coarse_options, scored
 from liaam.fitting.methods import DEFAULT_METHOD, Method, get_method
 from liaam.fitting.quality import Calibration, Judge, Surroundings
 from liaam.fitting.result import FitResult, explained_fraction
@@ -28,7 +28,7 @@ REACH = 0.35
 # spot protocol two steps instead of three, and the same errors within 0.1 %.
 MAPPED_TOLERANCE = 1.0
 
-# Margin of fits from another landmarker's points, besides NEAR: their errors in standard deviations.
+# Margin of fits from another landmarker's points, besides NEAR: so many times their root mean square error.
 MAPPED_DEVIATIONS = 2.0
 # Squared distance to where the regressor leads from a result, in its mean squared error on left-out images, beyond
 # which the fit is repeated from there. Of right fits to shells, 95 % are below 0.2; wrong ones have 5 and more.
@@ -40,12 +40,12 @@ USUAL = SolverOptions()
 
 
 class Blurred(NamedTuple):
-    """A fit at the coarsest level, or at all but the sharpest: its target, levels, shape and quality."""
+    """A fit at the coarsest level, or at all but the sharpest."""
 
     target: Target
-    stages: list[FittedLevel]
-    shape: np.ndarray
-    quality: float
+    stages: list[FittedLevel]  # its levels; none if it diverged, or if the method is not calibrated
+    shape: np.ndarray  # (n, 2) reached, image pixels; the start without levels
+    quality: float  # 0 without levels
 
 
 @dataclass(frozen=True, eq=False)
@@ -197,9 +197,10 @@ class OneShapeFitter:
         return regressed, self._levels_from_points(regressed, deviation, options)
 
     def _doubt_about(self, target: Target, shape: np.ndarray) -> tuple[float, np.ndarray | None]:
-        """Return the squared distance to where the regressor leads from a shape, in its mean squared error, and where.
+        """Return how far, and to which landmarks (n, 2), the regressor leads from the shape that a fit has reached.
 
-        A right place is where it stays.
+        The squared distance is in units of its mean squared error on left-out images. From a right shape it leads to
+        about the same; from a shape where it is of no use, infinitely far and to None.
         """
         assert self.regressor is not None
         if not is_sane(shape, target.start):
@@ -234,9 +235,10 @@ class OneShapeFitter:
     def _blurred_levels(self, target: Target, options: SolverOptions) -> list[FittedLevel]:
         """Fit all levels but the sharpest, or the only one.
 
-        The last of these is as loose as in a whole fit, and those before it are looser: the loop loosens them again.
+        The last of these stops as early as in a whole fit. Those before it stop earlier than there, because their
+        tolerances are loosened twice: here, and as those of coarse levels of this fit.
         """
-        return self.coarse_to_fine.fit(target, spare(options), last=max(1, len(self.objectives) - 1))
+        return self.coarse_to_fine.fit(target, coarse_options(options), last=max(1, len(self.objectives) - 1))
 
     def fit_blurred(self, target: Target, options: SolverOptions) -> Blurred:
         """Fit all levels but the sharpest."""
@@ -244,7 +246,7 @@ class OneShapeFitter:
 
     def fit_coarsest(self, target: Target, options: SolverOptions) -> Blurred:
         """Fit the coarsest level of at least two."""
-        return self._blurred(target, self.coarse_to_fine.fit(target, spare(options), last=1))
+        return self._blurred(target, self.coarse_to_fine.fit(target, coarse_options(options), last=1))
 
     def fit_other_blurred(self, fit: Blurred, options: SolverOptions) -> Blurred:
         """Fit the blurred levels that remain, from the shape that the others have reached."""
@@ -253,7 +255,7 @@ class OneShapeFitter:
         if not n_fitted or n_fitted >= n_blurred:
             return fit
         from_there = fit.target._replace(start=fit.shape, margin=NEAR)
-        others = self.coarse_to_fine.fit(from_there, spare(options), first=n_fitted, last=n_blurred)
+        others = self.coarse_to_fine.fit(from_there, coarse_options(options), first=n_fitted, last=n_blurred)
         return self._blurred(fit.target, [*fit.stages, *others])
 
     def _blurred(self, target: Target, stages: list[FittedLevel]) -> Blurred:

@@ -23,7 +23,7 @@ Value = TypeVar("Value")
 
 
 def file_bytes(model: "AAM") -> bytes:
-    """Return the content of a model file_format."""
+    """Return the content of the file of a model, in the format of safetensors."""
     from safetensors.numpy import save
 
     header = _header(model)
@@ -51,6 +51,7 @@ def _mirror_images_of_landmarks(model: "AAM", i: int) -> np.ndarray | None:
         return None  # readers mirror other shapes only, and there is none before the first
     before = model.others[i - 1]
     other = model.others[i]
+    # Mirrored models have as many pixels, and those with features of a function cannot be mirrored.
     if before.n_pixels != other.n_pixels or before.features is not None:
         return None
     order = mirror_order(model.shape_model.mean)

@@ -53,6 +53,10 @@ from liaam.model.shape import ShapeModel, diagonal_of, similarity_modes
 from liaam.model.views import MESH, N_QUALITY_FEATURES, VIEWS, Level, Reliability, View
 from liaam.photometry.features import LARGEST, WIDEST, Features
 
+FEWEST_WEIGHTS = 3  # Of the quality in the oldest files: for 1 and two features
+# Key of the weights of a method's calibration
+WEIGHTS_KEY = re.compile(r"(?P<calibration>reliability(?:/(?P<method>[a-z0-9-]{1,40}))?)\.weights")
+
 
 def read_search_filter(tensors: dict[str, np.ndarray]) -> np.ndarray | None:
     """Return the filter of the search, (h, w, 2) float32; None if the model has none."""
@@ -104,7 +108,7 @@ def read_light(tensors: dict[str, np.ndarray], n: int) -> LightBasis:
     if stored is not None:
         modes = spread(modes, stored, axis=1).reshape(-1, SIDE, SIDE, 3)
     remainder = checked_tensor(tensors, "light.remainder", np.float16, (SIDE, SIDE))
-    # Coordinates of a mean shape with diagonal 1, and standard deviations.
+    # The mean shape has a diagonal of 1, up to rounding, and the remainder are standard deviations.
     if np.abs(mean).max() > 1.0 or diagonal_of(mean) < 0.5 or (remainder < 0).any():
         raise ValueError("the light basis has values out of range")
     check_magnitude("light.modes", modes, MAX_LOG_LIGHT)
@@ -113,7 +117,7 @@ def read_light(tensors: dict[str, np.ndarray], n: int) -> LightBasis:
 
 
 def read_features(header: dict, tensors: dict[str, np.ndarray]) -> Features | None:
-    """What is known of the user's function."""
+    """Return what a model knows of the user's function whose channels it fits; None if there is none."""
     if "features" not in header:
         return None
     mean = checked_tensor(tensors, "features.mean", np.float64, (None,))
@@ -128,7 +132,7 @@ def read_features(header: dict, tensors: dict[str, np.ndarray]) -> Features | No
 
 
 def read_point_map(tensors: dict[str, np.ndarray], n: int) -> PointMap | None:
-    """The map from another landmarker's points."""
+    """Return the map from another landmarker's points to the n landmarks; None if the model has none."""
     if "points.weights" not in tensors:
         return None
     weights = checked_tensor(tensors, "points.weights", np.float64, (n, None))
@@ -180,7 +184,10 @@ def read_in_box(tensors: dict[str, np.ndarray], n: int) -> np.ndarray | None:
 
 
 def read_regressor(tensors: dict[str, np.ndarray], kind: str, shapes: ShapeModel) -> LandmarkRegressor | None:
-    """Return the regressor or refiner, by its kind, with some shapes; None if the model has none."""
+    """Return the regressor or the refiner of a model; None if it has none.
+
+    ``kind`` is "regressor" or "refiner", and ``shapes`` the shape model under which its landmarks are combined.
+    """
     if f"{kind}.weights" not in tensors:
         return None
     n = shapes.n_points
@@ -193,11 +200,11 @@ def read_regressor(tensors: dict[str, np.ndarray], kind: str, shapes: ShapeModel
     variances = checked_tensor(tensors, f"{kind}.variances", np.float64, (n_steps, n, 2, 2))
     check_magnitude(f"{kind}.weights", weights, MAX_VALUE)
     check_magnitude(f"{kind}.offsets", offsets, MAX_VALUE)
-    for each in variances:
-        check_covariances(f"{kind}.variances", each, MAX_VARIANCE)
+    for of_step in variances:
+        check_covariances(f"{kind}.variances", of_step, MAX_VARIANCE)
     steps = [
-        RegressionStep(float(spacing), *of_step)
-        for spacing, *of_step in zip(spacings, weights, offsets, variances, strict=True)
+        RegressionStep(float(spacings[i]), weights=weights[i], offsets=offsets[i], errors=variances[i])
+        for i in range(n_steps)
     ]
     return LandmarkRegressor(shape_model=shapes, steps=tuple(steps), left_out=_point_errors(tensors, kind, n))
 
@@ -220,9 +227,19 @@ def read_view(
     in_pieces: bool,
     limits: dict[str, AppearanceLimits],
 ) -> View:
-    """Make one view from its header ``description``; all views share mean shape and mesh.
+    """Return one view of a model.
 
-    ``limits`` are by appearance.
+    Parameters
+    ----------
+    name : str
+    description : dict
+        The view in the header.
+    tensors : dict of arrays
+        Tensors of the model.
+    mean : (n, 2) float64
+        Mean shape, and with ``triangles`` (t, 3) and ``in_pieces`` the mesh, which all views share.
+    limits : dict of AppearanceLimits
+        What the sizes of the appearances may be, by name.
     """
     if name not in VIEWS:
         raise ValueError(f"view {shortened(name)!r} is unknown; the views are {', '.join(VIEWS)}")
@@ -250,6 +267,7 @@ def read_view(
         levels.append(Level(blur, appearances))
     if _lacks_appearance(name, levels):
         raise ValueError(f"view {name} lacks an appearance")
+    # Before the reference frame is made: one that is much larger would need more memory than the file's size suggests.
     if signed_areas(mean, triangles).sum() > ROOMY * n_pixels:
         raise ValueError(f"the reference frame of view {name} does not match its number of pixels")
     warp = VIEWS[name](_shape_model(description, tensors, mean), triangles, in_pieces)
@@ -265,11 +283,6 @@ def _lacks_appearance(view: str, levels: list[Level]) -> bool:
         # The drawings of a model and the light on its object need the logarithms of the sharpest level.
         return "log" not in levels[-1].appearances
     return not all(level.appearances for level in levels)
-
-
-FEWEST_WEIGHTS = 3  # Of the quality in the oldest files: for 1 and two features
-# Key of the weights of a method's calibration
-WEIGHTS_KEY = re.compile(r"(?P<calibration>reliability(?:/(?P<method>[a-z0-9-]{1,40}))?)\.weights")
 
 
 def _reliabilities(tensors: dict[str, np.ndarray], n: int) -> dict[str, Reliability]:
@@ -308,35 +321,38 @@ def _reliability(tensors: dict[str, np.ndarray], prefix: str, n: int) -> Reliabi
     """Return the calibration of a method with n landmarks; ``prefix`` starts the names of its tensors."""
     landmarks = checked_tensor(tensors, f"{prefix}.landmarks", np.float64, (n, 2, 2))
     bias = checked_tensor(tensors, f"{prefix}.bias", np.float64, (n, 2, 2))
-    unit = number_of(tensors, f"{prefix}.unit")
-    factor = number_of(tensors, f"{prefix}.variance_factor")
-    typical = number_of(tensors, f"{prefix}.typical")
-    prior = _number_or_one(tensors, f"{prefix}.prior")
-    final_prior = _number_or_one(tensors, f"{prefix}.final_prior")
-    expansion = _number_or_one(tensors, f"{prefix}.expansion")
     check_covariances(f"{prefix}.landmarks", landmarks, MAX_VARIANCE)
     check_covariances(f"{prefix}.bias", bias, MAX_VARIANCE)
+
+    unit = number_of(tensors, f"{prefix}.unit")
     if not unit > 0.0:
         raise ValueError(f"{prefix}.unit is not positive")
-    if not prior > 0.0:
-        raise ValueError(f"{prefix}.prior is not positive")
     if not LEAST_UNIT <= unit <= LARGEST_UNIT:
         raise ValueError(f"{prefix}.unit {unit:g} is not between {LEAST_UNIT:g} and {LARGEST_UNIT:g}")
-    if not 1.0 / MAX_FACTOR <= prior <= MAX_FACTOR:
-        raise ValueError(f"{prefix}.prior {prior:g} is not between {1.0 / MAX_FACTOR:g} and {MAX_FACTOR:g}")
-    if not 0.0 <= final_prior <= 1.0:
-        raise ValueError(f"{prefix}.final_prior is not between 0 and 1")
-    if not 1.0 <= expansion <= MOST_EXPANSION:
-        raise ValueError(f"{prefix}.expansion {expansion:g} is not between 1 and {MOST_EXPANSION:g}")
+    factor = number_of(tensors, f"{prefix}.variance_factor")
     if factor < 1.0:
         raise ValueError(f"{prefix}.variance_factor is below 1")
     check_magnitude(f"{prefix}.variance_factor", np.array(factor), MAX_FACTOR)
+    typical = number_of(tensors, f"{prefix}.typical")
     if not 0.0 <= typical <= 1.0:
         raise ValueError(f"{prefix}.typical is not a probability")
+    prior = _number_or_one(tensors, f"{prefix}.prior")
+    if not prior > 0.0:
+        raise ValueError(f"{prefix}.prior is not positive")
+    if not 1.0 / MAX_FACTOR <= prior <= MAX_FACTOR:
+        raise ValueError(f"{prefix}.prior {prior:g} is not between {1.0 / MAX_FACTOR:g} and {MAX_FACTOR:g}")
+    final_prior = _number_or_one(tensors, f"{prefix}.final_prior")
+    if not 0.0 <= final_prior <= 1.0:
+        raise ValueError(f"{prefix}.final_prior is not between 0 and 1")
+    expansion = _number_or_one(tensors, f"{prefix}.expansion")
+    if not 1.0 <= expansion <= MOST_EXPANSION:
+        raise ValueError(f"{prefix}.expansion {expansion:g} is not between 1 and {MOST_EXPANSION:g}")
+
     weights = checked_tensor(tensors, f"{prefix}.weights", np.float64, (None,))
     if not FEWEST_WEIGHTS <= len(weights) <= 1 + N_QUALITY_FEATURES:
         raise ValueError(f"{prefix}.weights has type {weights.dtype} and shape {weights.shape}")
     check_magnitude(f"{prefix}.weights", weights, MAX_FACTOR)
+
     return Reliability(
         landmarks=landmarks,
         bias=bias,

@@ -5,8 +5,8 @@ Rounding again changes nothing, so that a model file can hold rounded modes as t
 
 import numpy as np
 
-LARGEST = 127  # Largest code. 127 times a step of STEP_BITS bits is exact in single precision.
-STEP_BITS = 16  # Significant bits of a step
+LARGEST = 127  # Largest code, of 7 bits
+STEP_BITS = 16  # Significant bits of a step: with the 7 of a code fewer than the 24 of single precision, so exact
 
 
 def rounded(modes: np.ndarray) -> np.ndarray:
@@ -29,15 +29,24 @@ def decoded(codes: np.ndarray, steps: np.ndarray) -> np.ndarray:
 
 
 def steps_of(modes: np.ndarray) -> np.ndarray:
-    """Return the step of each of the modes (m, ...), (m,) float32; 0 for a mode of zeros."""
-    largest = np.abs(modes).max(axis=tuple(range(1, modes.ndim)), initial=0.0)
-    mantissas, exponents = np.frexp(largest.astype(np.float64) / LARGEST)
-    return np.ldexp(np.ceil(np.ldexp(mantissas, STEP_BITS)), exponents - STEP_BITS).astype(np.float32)
+    """Return the step of each of the modes (m, ...), (m,) float32; 0 for a mode of zeros.
+
+    It is the largest magnitude divided by the largest code, rounded up to the significant bits of a step.
+    """
+    axes_of_mode = tuple(range(1, modes.ndim))
+    largest = np.abs(modes).max(axis=axes_of_mode, initial=0.0)
+    mantissas, exponents = np.frexp(largest.astype(np.float64) / LARGEST)  # mantissas in [0.5, 1) times 2^exponents
+    whole_mantissas = np.ceil(np.ldexp(mantissas, STEP_BITS))
+    return np.ldexp(whole_mantissas, exponents - STEP_BITS).astype(np.float32)
 
 
 def _codes(modes: np.ndarray, steps: np.ndarray) -> np.ndarray:
-    return np.rint(modes / _by_mode(np.where(steps > 0, steps, np.float32(1)), modes)).astype(np.int8)
+    """Return the nearest codes of modes (m, ...) with some steps (m,), int8; 0 for modes of zeros."""
+    divisors = np.where(steps > 0, steps, np.float32(1))
+    return np.rint(modes / _by_mode(divisors, modes)).astype(np.int8)
 
 
 def _by_mode(steps: np.ndarray, modes: np.ndarray) -> np.ndarray:
-    return steps.reshape(-1, *(1,) * (modes.ndim - 1))
+    """Return steps (m,) as (m, 1, ...), with as many axes as the modes."""
+    other_axes = (1,) * (modes.ndim - 1)
+    return steps.reshape((len(steps), *other_axes))

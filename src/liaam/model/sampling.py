@@ -55,16 +55,24 @@ class _BlockMeans(NamedTuple):
             return None
         first = _first_block(low, joined)
         start = first * times - self.first
-        count = (high / joined + 1e-9).astype(int) - first
-        if (start < 0).any() or (start + times * count > self.means.light.shape[1::-1]).any() or count.min() < 2:
+        count = (high / joined + ROUNDING_OF_COUNT).astype(int) - first
+        is_inside = (start >= 0).all() and (start + times * count <= self.means.light.shape[1::-1]).all()
+        if not is_inside or count.min() < 2:  # a patch is sampled between two pixels along each axis
             return None
         means = self.means.averaged((start[0], start[1]), times, (count[1], count[0]))
         return _BlockMeans(means, first, joined)
 
 
 def _first_block(low: np.ndarray, size: float) -> np.ndarray:
-    # The grid of blocks does not depend on the margin, so that training and fitting use the same blocks.
-    return np.ceil(np.floor(low / size) if size == int(size) else low / size).astype(int)
+    """Return the indices (x, y) of the first block of a region that begins at a pixel (x, y).
+
+    It is the block that contains this pixel if blocks are of whole pixels, else the first one that begins at or after
+    it. Blocks are counted from the border of the image, not of the region, so that they do not depend on the margin,
+    and training and fitting use the same ones.
+    """
+    at = low / size
+    has_whole_pixels = size == int(size)
+    return (np.floor(at) if has_whole_pixels else np.ceil(at)).astype(int)
 
 
 @dataclass(frozen=True, eq=False)
@@ -102,6 +110,7 @@ class AveragedImage:
 
 # Relative tolerance of the size of blocks that levels share. The blur that follows compensates for the difference.
 SIZE_TOLERANCE = 0.1
+ROUNDING_OF_COUNT = 1e-9  # Added to a number of blocks, so that rounding takes none of a whole number
 
 
 def make_patch(
@@ -151,11 +160,14 @@ def corners_around(image: np.ndarray, shape: np.ndarray, margin: float, size: fl
 
     ``margin`` is a fraction of the shape's diagonal; twice ``size`` (image pixels) is added.
     """
-    (low, high), limits = corners_of(shape), np.array(image.shape[1::-1])
-    pad = margin * hypot(*(high - low).tolist()) + 2 * size
-    low = np.minimum(np.maximum(np.floor(low - pad), 0), limits - 2)
-    high = np.minimum(np.maximum(np.ceil(high + pad) + 1, low + 2), limits)
-    return low.astype(int), high.astype(int)
+    low, high = corners_of(shape)
+    width, height = (high - low).tolist()
+    pad = margin * hypot(width, height) + 2 * size
+    end_of_image = np.array(image.shape[1::-1])
+    # At least two pixels along each axis, between which a patch is sampled.
+    first = np.minimum(np.maximum(np.floor(low - pad), 0), end_of_image - 2)
+    end = np.minimum(np.maximum(np.ceil(high + pad) + 1, first + 2), end_of_image)
+    return first.astype(int), end.astype(int)
 
 
 def _limited(size: float, low: np.ndarray, high: np.ndarray) -> float:
@@ -170,7 +182,9 @@ def block_size(encoding: Encoding, scale: float, blur: float) -> float:
     """
     if encoding != "soft":  # whole pixels, never coarser than the model's
         return float(max(1, int(scale)))
-    return max(1.0, scale * max(FINENESS * blur, min(blur, 1.0)))
+    # As large as the blur, but at most one model pixel, unless the blur is above two of these.
+    model_pixels = max(FINENESS * blur, min(blur, 1.0))
+    return max(1.0, scale * model_pixels)
 
 
 # Size of a patch's pixels for soft, in standard deviations of its blur, on levels where the blur exceeds two model

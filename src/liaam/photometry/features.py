@@ -16,15 +16,25 @@ FeatureFunction = Callable[[np.ndarray], Any]
 
 # Largest number of channels that are compared; the core samples eight, and the last is the weight of the pixel
 WIDEST = 7
-MOST_CHANNELS = 4096  # Largest number of channels of a function
-LARGEST = 1e6  # Largest magnitude of a channel
+# Largest number of channels of a function. Training computes their covariance, which has 128 MB for so many.
+MOST_CHANNELS = 4096
+LARGEST = 1e6  # Largest magnitude of a channel, so that no sum of squares overflows in single precision
 
 
 @dataclass(frozen=True, eq=False)
 class Features:
-    """What a model knows of a function of the user: its name and, of its c channels, mean (c,) and projection (c, w).
+    """What a model knows of a function of the user.
 
-    The columns are orthonormal, and the w channels that are compared are ``(channels - mean) @ projection``.
+    The k channels that are compared are ``(channels - mean) @ projection`` of the c channels of the function.
+
+    Attributes
+    ----------
+    name : str
+        Name of the function.
+    mean : (c,) float64
+        Mean of its channels.
+    projection : (c, k) float64
+        Orthonormal columns.
     """
 
     name: str
@@ -33,7 +43,7 @@ class Features:
 
     @property
     def width(self) -> int:
-        """Number of channels that are compared, w."""
+        """Number of channels that are compared, k."""
         return self.projection.shape[1]
 
 
@@ -46,11 +56,11 @@ class Encoder:
 
     @property
     def width(self) -> int:
-        """Number of channels."""
+        """Number of channels that are compared, k."""
         return self.features.width
 
     def __call__(self, image: np.ndarray) -> np.ndarray:
-        """Encode an image (h, w, 3) float32 to (h, w, c) float32."""
+        """Encode an image (h, w, 3) float32 to the channels that are compared, (h, w, k) float32."""
         channels = channels_of(self.function, image)
         features = self.features
         if channels.shape[2] != len(features.mean):
@@ -62,7 +72,7 @@ class Encoder:
 
 
 def name_of(function: Any) -> str:
-    """Return the name of a function."""
+    """Return the name of a function. Raise if it has none, such as a lambda."""
     name = getattr(function, "__name__", "")
     if not callable(function) or not name.isidentifier():
         raise MethodError(f"features {function!r}: give a function with a name, defined by 'def'")
@@ -70,7 +80,7 @@ def name_of(function: Any) -> str:
 
 
 def channels_of(function: FeatureFunction, image: np.ndarray) -> np.ndarray:
-    """Return the channels of an image (h, w, 3), (h, w, c) float64, and check them."""
+    """Return the channels of an image (h, w, 3), (h, w, c) float64. Raise if they are not usable."""
     what = f"the function {getattr(function, '__name__', function)}"
     try:
         channels = np.asarray(function(image), dtype=np.float64)

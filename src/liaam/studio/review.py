@@ -402,8 +402,9 @@ class PictureStates:
     def _revision(self, file: File, did: str, bar: Bar, like: Size) -> str | None:
         """Return the revision of what an action is done to. Refuse an action that changes nothing.
 
-        What is done to are the landmarks, their placement if they are checked, or the proposal; None if a picture is
-        left out. An action that undoes another is done to the same. Deleted landmarks are kept in the store.
+        That is the revision of the landmarks, of their placement where they are checked, or of the proposal. An action
+        that undoes another has the revision of that one. Leaving a picture out has none. Before landmarks are deleted,
+        they are kept in the store.
         """
         if did in ("scaled", "unscaled"):
             return self._revision_to_scale(file, bar, like)

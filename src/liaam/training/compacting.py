@@ -18,8 +18,8 @@ ALL = "all"  # Value of methods: all of METHODS that a model can have
 Methods = Iterable[str | Method] | str
 """Methods by name or as rows, or a single name, which may be ``ALL``."""
 
-# Appearances whose modes are rounded to 8 bits, unless a method that is asked for fits them; others have 16. Half of
-# 560 fits of soft-li move by less than 0.004 % of the distance between the eyes.
+# Appearances whose modes are rounded to 8 bits, unless a method that was asked for fits them; the modes of others have
+# 16. Of 560 fits of soft-li, half move by less than 0.004 % of the distance between the eyes.
 EIGHT_BITS = ("soft", "search", "log")
 
 
@@ -103,7 +103,7 @@ def _reduced_level(view: View, view_name: str, i: int, methods: Sequence[Method]
     n_levels = len(view.levels)
     # Features are learnt only if training was given a function, so they are always asked for.
     names = {*wanted(methods, view_name, i, n_levels), "features"}
-    in_16_bits = _fitted_on_mesh(methods)
+    in_16_bits = _fitted_on_request(methods)
     appearances = {}
     for name, appearance in level.appearances.items():
         if name not in names:
@@ -116,10 +116,10 @@ def _reduced_level(view: View, view_name: str, i: int, methods: Sequence[Method]
     return replace(level, appearances=appearances)
 
 
-def _fitted_on_mesh(methods: Sequence[Method]) -> set[str]:
-    """Return the names of the appearances that methods fit on the mesh.
+def _fitted_on_request(methods: Sequence[Method]) -> set[str]:
+    """Return the names of the appearances that the methods fit which were asked for.
 
-    The default method is not among these methods, because it fits the surroundings: with 8 bits.
+    The default method is kept unasked. It fits the view of the surroundings, and the others that of the mesh.
     """
     return set().union(*(needed_by(method) for method in methods if method.view == MESH))
 
@@ -139,7 +139,7 @@ def _used_pixels(
 
 
 def _in_eight_bits(appearance: AppearanceModel) -> AppearanceModel:
-    """Round modes to 8 bits, and the rest to 16; eigenvalues stay as they are."""
+    """Return an appearance with modes of 8 bits, and 16 bits for the rest; eigenvalues stay as they are."""
     unexplained = appearance.unexplained
     return AppearanceModel(
         mean=_half(appearance.mean),
@@ -151,5 +151,5 @@ def _in_eight_bits(appearance: AppearanceModel) -> AppearanceModel:
 
 
 def _half(values: np.ndarray) -> np.ndarray:
-    """Round to 16 bits, the half precision of IEEE 754."""
+    """Return values rounded to 16 bits, the half precision of IEEE 754, as float32."""
     return values.astype(np.float16).astype(np.float32)

@@ -91,6 +91,7 @@ class Entry:
 
 
 def _read_reflected(read_image: Callable[[], np.ndarray]) -> np.ndarray:
+    """Read an image, and reverse it left to right."""
     return reflected_image(read_image())
 
 
@@ -160,9 +161,10 @@ def read_entries(data: Iterable, contours: Iterable | None = None, strict: bool 
         raise TrainingError(f"{data!r} is not a set of landmarked images; for a folder give liaam.load_folder(folder)")
     entries: list[Entry] = []
     contours_of_files: IndexedContours = ()
-    orders: dict[tuple[str, ...], tuple[str, ...]] = {}  # by the same names sorted: those in the first sample's order
+    first_names: tuple[str, ...] = ()  # of the landmarks of the first sample with names, and in its order
+    names_agree = True
     for i, item in enumerate(data):
-        sample = _read_sample(item, i, next(iter(orders.values()), ()))
+        sample = _read_sample(item, i, first_names)
         entry = sample.entry
         if entries and len(entry.points) != len(entries[0].points):
             raise TrainingError(
@@ -171,9 +173,10 @@ def read_entries(data: Iterable, contours: Iterable | None = None, strict: bool 
             )
         entries.append(entry)
         contours_of_files = contours_of_files or sample.contours
-        if sample.landmark_names:
-            orders.setdefault(tuple(sorted(sample.landmark_names)), sample.landmark_names)
-    landmark_names = next(iter(orders.values())) if len(orders) == 1 else ()
+        first_names = first_names or sample.landmark_names
+        if sample.landmark_names and sorted(sample.landmark_names) != sorted(first_names):
+            names_agree = False  # none in common, so that the landmarks were left in their order
+    landmark_names = first_names if names_agree else ()
     entries = _usable(entries, landmark_names, strict)
     if len(entries) < FEWEST:
         few = count_of(len(entries), "landmarked image")
@@ -181,7 +184,7 @@ def read_entries(data: Iterable, contours: Iterable | None = None, strict: bool 
     return TrainingData(
         entries=entries,
         contours=contours_of_files if contours is None else contours_of(contours, len(entries[0].points)),
-        edges=_edges_of(contours_of_files),
+        edges=_edges_of(contours_of_files),  # of the files only: those that were given define no mesh
         landmark_names=landmark_names,
     )
 
@@ -283,12 +286,12 @@ def _read_sample(item: Any, i: int, order: tuple[str, ...]) -> _Sample:
     """
     if hasattr(item, "landmarks"):
         name = item.name
-        read = item.read_image
+        read_image_of_item = item.read_image
         landmarks = item.landmarks
         image = getattr(item, "image", None)
     else:
         image, landmarks = _pair_of(item, i)
-        name, read = _image_of_pair(image, i)
+        name, read_image_of_item = _image_of_pair(image, i)
         if isinstance(landmarks, str | os.PathLike) and Path(landmarks).suffix:
             landmarks = _read_landmarks_of(image, landmarks)
     if order and isinstance(landmarks, Landmarks):
@@ -303,15 +306,20 @@ def _read_sample(item: Any, i: int, order: tuple[str, ...]) -> _Sample:
     _check_points(points, name)
     contours = tuple((tuple(c.indices), bool(c.closed)) for c in getattr(landmarks, "contours", ()))
     is_known = np.asarray(~np.isnan(points).any(axis=1))
-    known = None if is_known.all() else is_known
-    pixel = length_of(landmarks) if isinstance(landmarks, Landmarks) else None
-    side = getattr(item, "side", "") or side_of_text(getattr(landmarks, "side", ""))
-    read_width = partial(_width_of_file, image) if isinstance(image, str | os.PathLike) else None
-    entry = Entry(name, read, points, known, pixel, side, read_width)
+    entry = Entry(
+        name=name,
+        read_image=read_image_of_item,
+        points=points,
+        known=None if is_known.all() else is_known,
+        pixel=length_of(landmarks) if isinstance(landmarks, Landmarks) else None,
+        side=getattr(item, "side", "") or side_of_text(getattr(landmarks, "side", "")),
+        read_width=partial(_width_of_file, image) if isinstance(image, str | os.PathLike) else None,
+    )
     return _Sample(entry, contours, tuple(getattr(landmarks, "names", ())))
 
 
 def _width_of_file(image: str | os.PathLike) -> int:
+    """Return the width of an image file, pixels, without reading all of it."""
     return image_size(image)[0]
 
 

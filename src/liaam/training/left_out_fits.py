@@ -30,11 +30,13 @@ class LeftOutFit:
         Mean distance of the landmarks from the true ones, or of those on contours from the true contours, as a fraction
         of the shape's diagonal.
     evidence : (k,) float64
+        Features of quality, as of the result.
     unit : float
         Variance of a residual at weight 1.
     shapes : ShapeModel
         The shape model of the fit.
     contours : tuple of (indices, closed)
+        Lines through landmarks.
     truth : (n, 2) float64
         True landmarks, pixels of the frame.
     known : (n,) bool
@@ -104,17 +106,18 @@ class LeftOutFit:
 
     @property
     def surprise(self) -> float:
-        """Squared error of p in its covariance, 1 on average if that is right.
+        """Squared error of p in units of its covariance, 1 on average if that is right.
 
-        Landmarks that are not known are no surprise, so that only a share of the parameters' errors is seen.
+        Landmarks that are not known count as right, and the result is divided by the share of the others.
         """
-        seen = np.where(self.known[:, None], self.truth, self.landmarks)
-        off = self.shapes.parameters(seen) - self._expanded_p
+        compared = np.where(self.known[:, None], self.truth, self.landmarks)
+        error = self.shapes.parameters(compared) - self._expanded_p
         stated = expanded_covariance(self.covariance, len(self.p), self.expansion)
-        return surprise(off, stated) / float(self.known.mean())
+        return surprise(error, stated) / float(self.known.mean())
 
     @property
     def _expanded_p(self) -> np.ndarray:
+        """Parameters (n_p,) of the shape at its distance from the mean."""
         return self.shapes.expanded(self.p, self.expansion)
 
     @cached_property
@@ -125,10 +128,18 @@ class LeftOutFit:
 
 @dataclass(eq=False)
 class LeftOutFits:
-    """The fits of a method to left-out images, with one weight of the prior on the shape at the finest level.
+    """The fits of a method to left-out images.
 
-    ``n_near`` is the number of starts near the object, of which some fits may be lost by their status; the others are
-    in ``fits``, with those from other starts. Their shapes are at ``expansion`` times their distance from the mean.
+    Attributes
+    ----------
+    final_prior : float
+        Weight of the prior on the shape at the finest level of these fits.
+    expansion : float
+        Factor on the distance of the fitted shapes from the mean.
+    fits : list of LeftOutFit
+        Fits from starts near the object and from others, without those whose status says that they are lost.
+    n_near : int
+        Number of starts near the object, also of lost fits.
     """
 
     final_prior: float = 1.0
@@ -163,4 +174,6 @@ class LeftOutFits:
             return ""
         counts = f"{self.n_near_right} of {count_of(self.n_near, 'fit')} from starts near the object are right"
         right = f"in left-out images, {counts} (error at most {RIGHT:.0%} of the diagonal of the landmarks' box)"
-        return f"{right}; the mean error of right fits is {self.near_error:.1%}" if self.n_near_right else right
+        if not self.n_near_right:
+            return right
+        return f"{right}; the mean error of right fits is {self.near_error:.1%}"

@@ -24,16 +24,24 @@ TURN = 7.0
 GROWTH = 0.1
 SHIFT = 1.0
 RIDGE = 0.1  # Variance added to that of random images, as a fraction of it
-# Number of random images, their sides, the number of leaves in each, and the smallest radius of one, pixels
-LEAVES = 60
-SIDE = 160
-N_LEAVES = 600
-SMALLEST = 3.0
 BORDER = 4  # Margin around the filter's window in which gradients are computed, pixels
+LEAST_EXCESS = 0.01  # Least excess of pixels that an image is blurred for (see FilterLearner.add)
+OPENCV_SIDE = 32_767  # Pixels; of images with such a side OpenCV warps none
+
+N_IMAGES = 60  # Number of random images
+SIDE = 160  # Side of one, pixels
+N_LEAVES = 600  # Number of leaves in one: they hide about nine tenths of the ground
+SMALLEST = 3.0  # Smallest radius of a leaf, pixels; the largest is half the side
+LEAST_ASPECT = 0.3  # Least ratio of a leaf's sides
+BEYOND = 10.0  # Distance to which centres of leaves lie beyond the image, pixels
+GRAIN = 0.03  # Factor on white noise, blurred by 1 pixel; leaves have grey values from 0 to 1
 
 
 class FilterLearner:
     """Collects the orientations of training images around the object, and learns the search's filter from them.
+
+    The filter's window is the smallest rectangle around the mean shape, at the size of the search's templates, whose
+    middle pixel is the origin of the shape.
 
     Parameters
     ----------
@@ -41,6 +49,19 @@ class FilterLearner:
         Model with the mean shape and the mesh.
     blur : float
         Blur of the search, pixels of the model's reference frame.
+
+    Attributes
+    ----------
+    mean : (n, 2) float64
+        Mean shape, pixels of the filter, and the blur in these.
+    half : (2,) int
+        Pixels (x, y) of the window on each side of the middle one.
+    inside : (h, w) bool
+        Pixels of the window inside the mesh.
+    total : (h, w, 2) float64
+        Sums of the orientations, and ``counts`` (h, w) of the images that they are of, which show that part.
+    n_images : int
+        Number of images so far.
     """
 
     def __init__(self, model: AAM, blur: float) -> None:
@@ -48,16 +69,16 @@ class FilterLearner:
         self.mean = model.shape_model.mean * factor
         self.blur = blur * factor
         self.response: Response = model.response
-        frame = ReferenceFrame(self.mean, model.triangles)
-        at = np.rint(frame.pixels[:, ::-1] + frame.origin).astype(int)
-        self.half = np.abs(at).max(axis=0)
+        self._frame = ReferenceFrame(self.mean, model.triangles)
+        # (x, y) of the mesh's pixels from the origin of the shape
+        pixels = np.rint(self._frame.pixels[:, ::-1] + self._frame.origin).astype(int)
+        self.half = np.abs(pixels).max(axis=0)
+        self._x, self._y = (pixels + self.half).T  # of the same pixels in the window
         self.inside = np.zeros(2 * self.half[::-1] + 1, bool)
-        self.inside[at[:, 1] + self.half[1], at[:, 0] + self.half[0]] = True
+        self.inside[self._y, self._x] = True
         self.total = np.zeros((*self.inside.shape, 2))
-        self.counts = np.zeros(self.inside.shape)  # images that show each pixel's part of the object
-        self.count = 0
-        self._at = at
-        self._frame = frame
+        self.counts = np.zeros(self.inside.shape)
+        self.n_images = 0
 
     def add(self, image: np.ndarray, points: np.ndarray, known: np.ndarray | None = None) -> None:
         """Add a training image or a copy of one, in a pose near that of its landmarks.
@@ -66,79 +87,95 @@ class FilterLearner:
         """
         import cv2  # heavy: imported when first needed
 
-        rng = np.random.default_rng([40, self.count])
+        rng = np.random.default_rng([40, self.n_images])  # other images make no difference
         pose = align(self.mean, points)
         turn = np.deg2rad(rng.uniform(-TURN, TURN))
         growth = np.exp(rng.uniform(-GROWTH, GROWTH))
+        # A similarity from pixels of the filter, relative to the shape's origin, to pixels of the image.
         matrix = pose.matrix @ rotation(turn) * growth
         offset = pose.offset + pose.scale * rng.uniform(-SHIFT, SHIFT, 2)
         grey = Grey.of(image, self.response, float(np.sqrt(np.linalg.det(matrix))))
-        matrix = matrix / grey.reduce
+        matrix = matrix / grey.reduce  # to pixels of the reduced image, whose centres lie in the middle of blocks
         offset = (offset + 0.5) / grey.reduce - 0.5
-        left = max(np.linalg.det(matrix) - 1.0, 0.0)  # what is left to average over, as a variance
-        values = cv2.GaussianBlur(grey.values, (0, 0), 0.5 * np.sqrt(left)) if left > 0.01 else grey.values
-        affine = np.column_stack([matrix, offset - matrix @ (self.half + BORDER)])
+        values = grey.values
+        # A pixel of the filter covers s^2 pixels of the image. A blur by half of sqrt(s^2 - 1) prevents aliasing.
+        excess = max(np.linalg.det(matrix) - 1.0, 0.0)
+        if excess > LEAST_EXCESS:
+            values = cv2.GaussianBlur(values, (0, 0), 0.5 * np.sqrt(excess))
+        affine = np.column_stack([matrix, offset - matrix @ (self.half + BORDER)])  # from the window with its border
         width, height = (2 * (self.half + BORDER) + 1).tolist()
-        # OpenCV samples no picture with a side of 32767 pixels or more, so what lies around the object is cut out.
-        ends = picture_corners(height, width) @ affine[:, :2].T + affine[:, 2]
-        most = np.array(values.shape[::-1])
-        left, top = np.clip(np.floor(ends.min(axis=0)) - 2, 0, most - 1).astype(int)
-        right, bottom = np.clip(np.ceil(ends.max(axis=0)) + 3, 1, most).astype(int)
-        if most.max() >= 32_767:
-            values = values[top:bottom, left:right]
-            affine = affine - np.array([[0, 0, left], [0, 0, top]])
+        values, affine = _cut_for_opencv(values, affine, width, height)
         flags = cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP
-        seen = cv2.warpAffine(values, affine, (width, height), flags=flags, borderMode=cv2.BORDER_REPLICATE)
-        field = soft_directions(seen, self.blur)[BORDER:-BORDER, BORDER:-BORDER]
+        window = cv2.warpAffine(values, affine, (width, height), flags=flags, borderMode=cv2.BORDER_REPLICATE)
+        field = soft_directions(window, self.blur)[BORDER:-BORDER, BORDER:-BORDER]
         used = self._used(known)
         self.total += np.stack([np.real(field), np.imag(field)], axis=-1) * used[..., None]
         self.counts += used
-        self.count += 1
+        self.n_images += 1
 
     def _used(self, known: np.ndarray | None) -> np.ndarray:
         """Return the pixels of the window to use of an image with some known landmarks, (h, w) bool; by default all."""
         if known is None:
             return np.ones(self.inside.shape, bool)
+        are_known = self._frame.are_known(known)
         used = np.zeros(self.inside.shape, bool)
-        x, y = self._at[self._frame.are_known(known)].T
-        used[y + self.half[1], x + self.half[0]] = True
+        used[self._y[are_known], self._x[are_known]] = True
         return used
 
     def learnt(self) -> np.ndarray:
-        """Return the filter, (h, w, 2) float32, whose response to the mean is 1."""
+        """Return the filter, whose response to the mean is 1: (h, w, 2) float32, rounded to 16 bits as in its file."""
         y, x = np.nonzero(self.inside)
+        # Mean, covariance and weights are of both components of the k pixels inside: first all x, then all y.
         mean = (self.total[y, x] / np.maximum(self.counts[y, x], 1)[:, None]).T.ravel()
-        along = _covariances(self.blur, max(self.inside.shape))[:, :, y[:, None] - y, x[:, None] - x]
-        noise = along.transpose(0, 2, 1, 3).reshape(len(mean), len(mean))
-        noise[np.diag_indices(len(mean))] += RIDGE * noise.trace() / len(mean)
-        weights = np.linalg.solve(noise, mean)
-        weighted = np.zeros(self.total.shape, np.float16)
-        weighted[y, x] = (weights / (weights @ mean)).reshape(2, -1).T
-        return weighted.astype(np.float32)
+        by_distance = _covariances(self.blur, max(self.inside.shape))
+        of_pairs = by_distance[:, :, y[:, None] - y, x[:, None] - x]  # (2, 2, k, k): components, then pixels
+        covariance = of_pairs.transpose(0, 2, 1, 3).reshape(len(mean), len(mean))
+        covariance[np.diag_indices(len(mean))] += RIDGE * covariance.trace() / len(mean)
+        weights = np.linalg.solve(covariance, mean)
+        search_filter = np.zeros(self.total.shape, np.float16)
+        search_filter[y, x] = (weights / (weights @ mean)).reshape(2, -1).T
+        return search_filter.astype(np.float32)
+
+
+def _cut_for_opencv(values: np.ndarray, affine: np.ndarray, width: int, height: int) -> tuple[np.ndarray, np.ndarray]:
+    """Cut out of an image (h, w) what an affine map (2, 3) takes a window of a size to, if its sides are too long.
+
+    Return the part, with the map to it; or both as they are.
+    """
+    size = np.array(values.shape[::-1])
+    if size.max() < OPENCV_SIDE:
+        return values, affine
+    corners = picture_corners(height, width) @ affine[:, :2].T + affine[:, 2]
+    # With two pixels around, between which the border is interpolated.
+    left, top = np.clip(np.floor(corners.min(axis=0)) - 2, 0, size - 1).astype(int)
+    right, bottom = np.clip(np.ceil(corners.max(axis=0)) + 3, 1, size).astype(int)
+    return values[top:bottom, left:right], affine - np.array([[0, 0, left], [0, 0, top]])
 
 
 @lru_cache(maxsize=4)
 def _covariances(blur: float, reach: int) -> np.ndarray:
-    """Return the covariances (2, 2, size, size) of orientations by their distance along y and x, cyclic.
+    """Return the covariances of the components of orientations in random images, by the distance of two pixels.
 
-    The size is a product of small primes: transforms of others take ten times as long.
+    The result is (2, 2, size, size): first, second component, distance along y and x. Distances are cyclic, so that
+    index -1 is a distance of -1; those of at most ``reach`` are valid.
     """
     from scipy import fft  # heavy: imported when first needed
 
+    # A product of small primes: transforms of other sizes take ten times as long.
     size = cast("int", fft.next_fast_len(SIDE + reach, real=True))
     power: np.ndarray | float = 0.0
     for image in _random_images():
         field = soft_directions(image, blur)
         spectrum = np.asarray(fft.rfft2(np.stack([np.real(field), np.imag(field)]), (size, size)))
         power = power + spectrum[:, None] * spectrum[None].conj()
-    apart = np.minimum(np.arange(size), size - np.arange(size))
-    pairs = np.maximum(SIDE - apart, 1)
-    return fft.irfft2(power / LEAVES, (size, size)) / (pairs[:, None] * pairs)
+    distance = np.minimum(np.arange(size), size - np.arange(size))
+    n_pairs = np.maximum(SIDE - distance, 1)  # of rows, or of columns, of an image at that distance
+    return fft.irfft2(power / N_IMAGES, (size, size)) / (n_pairs[:, None] * n_pairs)
 
 
 @lru_cache(maxsize=1)
 def _random_images() -> np.ndarray:
-    """Draw the random images, (LEAVES, SIDE, SIDE) float32, once for all models of a process.
+    """Draw the random images, (N_IMAGES, SIDE, SIDE) float32, once for all models of a process.
 
     They are ellipses and boxes that hide each other, with some noise.
     """
@@ -146,18 +183,21 @@ def _random_images() -> np.ndarray:
 
     rng = np.random.default_rng(41)
     images = []
-    few = (0.5 * SIDE) ** -2
-    many = SMALLEST**-2
-    for _ in range(LEAVES):
+    # The density of radii r is r^-3, under which dead leaves look alike at every scale. Its distribution is linear in
+    # r^-2, which is drawn uniformly between those of the smallest and of the largest radius.
+    of_smallest = SMALLEST**-2
+    of_largest = (0.5 * SIDE) ** -2
+    for _ in range(N_IMAGES):
         image = np.full((SIDE, SIDE), rng.uniform(), np.float32)
-        for radius in (many + rng.uniform(size=N_LEAVES) * (few - many)) ** -0.5:
-            x, y = rng.uniform(-10.0, SIDE + 10.0, 2).tolist()
-            box = (x, y), (2.0 * radius, 2.0 * radius * rng.uniform(0.3, 1.0)), rng.uniform(0.0, 180.0)
+        radii = (of_smallest + rng.uniform(size=N_LEAVES) * (of_largest - of_smallest)) ** -0.5
+        for radius in radii:
+            x, y = rng.uniform(-BEYOND, SIDE + BEYOND, 2).tolist()
+            box = (x, y), (2.0 * radius, 2.0 * radius * rng.uniform(LEAST_ASPECT, 1.0)), rng.uniform(0.0, 180.0)
             if rng.uniform() < 0.5:
                 cv2.ellipse(image, box, float(rng.uniform()), -1, cv2.LINE_AA)
             else:
                 corners = np.rint(cv2.boxPoints(box)).astype(np.int32)
                 cv2.fillConvexPoly(image, corners, float(rng.uniform()), cv2.LINE_AA)
         grain = cv2.GaussianBlur(rng.normal(size=image.shape).astype(np.float32), (0, 0), 1.0)
-        images.append(image + 0.03 * grain)
+        images.append(image + GRAIN * grain)
     return np.stack(images)

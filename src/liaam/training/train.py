@@ -136,7 +136,7 @@ def train(
     groups = shape_groups(samples.shapes, samples.names, options.shapes)
     if len(groups) > 1 and not isinstance(lamps, str | PathLike | LearntLamps | None):
         lamps = list(lamps)  # every model learns from them
-    task = _Task(
+    task = _Task(  # the same for all parts
         options=options,
         camera=camera,
         lamps=lamps,
@@ -147,9 +147,10 @@ def train(
     )
     models = []
     for group in groups:
-        part = samples if len(groups) == 1 else _part_of(samples, group, progress)
-        points_of_part = points if len(groups) == 1 else points_of(points, group)
-        models.append(_train_one(part, points_of_part, task))
+        if len(groups) == 1:
+            models.append(_train_one(samples, points, task))
+        else:
+            models.append(_train_one(_part_of(samples, group, progress), points_of(points, group), task))
     models = [replace(model, sides=samples.sides) for model in models]
     scale = shared_length([entry.pixel for entry in samples.entries])
     if any(model.rotations == ALL_ROTATIONS for model in models):  # all shapes are searched for in one way
@@ -219,10 +220,11 @@ def _train_one(data: TrainingData, points: Points | None, task: _Task) -> AAM:
     model = _without_appearances(data, shapes, task)
     entries, grey = check_images(data.entries, model.warp, camera.response)
     while True:
-        sound = without_folded(data.entries, shapes.mean, shapes.mesh.triangles, options.strict)
+        sound = without_folded(entries, shapes.mean, shapes.mesh.triangles, options.strict)
         if len(sound) == len(entries):
             break
-        # Learn again from the images that do not fold the mesh, which have been checked already.
+        # Learn again without the images that fold the mesh, until none does: each mesh is that of another mean shape.
+        # The images are not read and checked again.
         data = _part_of(replace(data, entries=entries), sound, task.progress)
         entries = data.entries
         grey = grey[sound]
@@ -230,8 +232,8 @@ def _train_one(data: TrainingData, points: Points | None, task: _Task) -> AAM:
         shapes = _learn_shapes(data, options)
         model = _without_appearances(data, shapes, task)
     if shapes.mesh.in_pieces:
-        about_mesh = shapes.mesh.describe(len(entries), data.landmark_names, model.n_points)
-        warnings.warn(about_mesh, stacklevel=4)  # the caller of train, which is decorated
+        description = shapes.mesh.describe(len(entries), data.landmark_names, model.n_points)
+        warnings.warn(description, stacklevel=4)  # the caller of train, which is decorated
 
     encoder = None if task.features is None else encoder_of(task.features, entries, shapes.mean, camera)
     lamps = _lamps(task, entries, shapes.mean) if options.n_copies else None
@@ -256,14 +258,14 @@ def _train_one(data: TrainingData, points: Points | None, task: _Task) -> AAM:
             n_objects=len(groups),
             forced=options.regressor is True,
         )
-    names = _names_to_learn(options, has_features=encoder is not None)
+    appearance_names = _appearances_to_learn(options, has_features=encoder is not None)
     blurs = options.blurs_by_view
     with reported("training", task.progress) as report:
         steps = _steps(model, options, shapes.folds, report)
-        filters = FilterLearner(model, blurs[MESH][0])
-        sampled = sample_all(entries, grey, model, blurs, names, steps, copies, encoder, filters)
+        filters = FilterLearner(model, blurs[MESH][0])  # which sees all images and copies while they are sampled
+        sampled = sample_all(entries, grey, model, blurs, appearance_names, steps, copies, encoder, filters)
         model = replace(model, search_filter=filters.learnt())
-        model = _with_appearances(model, sampled, names, shapes.folds, options, steps)
+        model = _with_appearances(model, sampled, appearance_names, shapes.folds, options, steps)
         _check_cost(model)
         if options.leave_out:
             model = calibrated(
@@ -273,7 +275,7 @@ def _train_one(data: TrainingData, points: Points | None, task: _Task) -> AAM:
                 missing=shapes.missing,
                 sampled=sampled,
                 copied=copies,
-                settings=_settings_of_parts(shapes, options),
+                settings=_settings_by_view(shapes, options),
                 methods=_methods_to_calibrate(options),
                 folds=shapes.folds,
                 steps=steps,
@@ -286,7 +288,7 @@ def _train_one(data: TrainingData, points: Points | None, task: _Task) -> AAM:
         warnings.warn(
             f"the model has no regressor, which is learnt from {LEAST_OBJECTS + 1} objects with all landmarks at "
             "least: give more of them",
-            stacklevel=4,
+            stacklevel=4,  # the caller of train, which is decorated
         )
     if options.keeps_all:  # a model of exactly the training images is not rounded
         return model
@@ -345,14 +347,14 @@ def _without_appearances(data: TrainingData, shapes: _Shapes, task: _Task) -> AA
     )
 
 
-def _names_to_learn(options: TrainingOptions, has_features: bool) -> Wanted:
-    """Return the names of the appearances to learn, by view and level."""
+def _appearances_to_learn(options: TrainingOptions, has_features: bool) -> Wanted:
+    """Return the names of the appearances to learn, by view and level; ``has_features`` of a function of the user."""
     methods = chosen(options.methods)
     names = {}
     for view in VIEWS:
         n_levels = len(options.blurs_by_view[view])
         names[view] = [wanted(methods, view, i, n_levels) for i in range(n_levels)]
-    if has_features:  # of a function of the user
+    if has_features:
         names[MESH] = [[*of_level, "features"] for of_level in names[MESH]]
     return names
 
@@ -360,7 +362,7 @@ def _names_to_learn(options: TrainingOptions, has_features: bool) -> Wanted:
 def _with_appearances(
     model: AAM,
     sampled: Sampled,
-    names: Wanted,
+    appearance_names: Wanted,
     folds: list[np.ndarray],
     options: TrainingOptions,
     steps: Steps,
@@ -371,14 +373,15 @@ def _with_appearances(
         levels = []
         for i, blur in enumerate(options.blurs_by_view[view]):
             steps.next(f"appearance of the {view}", learning_cost(model.n_textures))
-            appearances = level_appearances(sampled, names[view][i], i, model.camera.theta, variance, folds)
+            names = appearance_names[view][i]
+            appearances = level_appearances(sampled, names, i, model.camera.theta, variance, folds)
             levels.append(Level(float(blur), appearances))
         model = model.with_view(view, levels=tuple(levels))
     return model
 
 
-def _settings_of_parts(shapes: _Shapes, options: TrainingOptions) -> Mapping[str, ViewSettings]:
-    """Return what models without some images are trained with, by view: the same as the whole model."""
+def _settings_by_view(shapes: _Shapes, options: TrainingOptions) -> Mapping[str, ViewSettings]:
+    """Return the settings of each view, with which models that leave images out are trained as this one was."""
     return {
         view: ViewSettings(
             recipe=shapes.recipes[view],

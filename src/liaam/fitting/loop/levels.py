@@ -23,7 +23,7 @@ from liaam.fitting.loop.encoded_image import (
     noise_table,
 )
 from liaam.fitting.loop.objective import Objective, State
-from liaam.fitting.loop.options import SolverOptions, spare
+from liaam.fitting.loop.options import SolverOptions, coarse_options
 from liaam.fitting.methods import Method
 from liaam.fitting.thresholds import THRESHOLDS
 from liaam.model.sampling import AveragedImage
@@ -40,7 +40,8 @@ from liaam.photometry.encoding import (
 )
 from liaam.workers import one_numpy_thread
 
-# Pixels of an image of floats up to which its light is computed once for all levels and starts; else by level.
+# Pixels of an image of floats up to which its light, 16 bytes a pixel, is computed once for all levels and starts; for
+# larger ones it is computed at each level around the object only.
 LARGEST_FLOATS = 4_000_000
 
 
@@ -120,14 +121,16 @@ class Target(NamedTuple):
     def prepared(self, objectives: Sequence[Objective]) -> "Target":
         """Return a target with the noise measured if it is needed, and the nearest shape of the model as start (eq 2).
 
-        That shape is for several levels, of which the coarse ones cannot show all; one level starts from it anyway.
+        A single level starts from that shape anyway, since it projects its start. Of several levels the coarse ones
+        have fewer modes: they keep what these cannot show of the start, also what no mode of the model can show.
         """
         target = self.measured(objectives[-1].method)
-        warp = objectives[-1].warp
         if len(objectives) == 1:
             return target
+        warp = objectives[-1].warp
         pose = align(warp.rest, self.start)
-        return target._replace(start=pose(warp.shape(warp.parameters(pose.inverse()(self.start)))))
+        p = warp.parameters(pose.inverse()(self.start))
+        return target._replace(start=pose(warp.shape(p)))
 
     def measured(self, method: Method) -> "Target":
         """Return a target with the noise measured in the image, if the method needs it and it is unknown."""
@@ -155,38 +158,40 @@ class CoarseToFine:
         """Return whether the core can fit an image in one call with these options."""
         if options.elimination != "varpro" or not all(each.is_compiled for each in self.objectives):
             return False
-        floats = target.image.dtype.kind == "f" and target.image[..., 0].size > LARGEST_FLOATS
-        return isinstance(self.objectives[0].method.encoding, str) and not floats
+        if not isinstance(self.objectives[0].method.encoding, str):  # a function of the user
+            return False
+        has_large_floats = target.image.dtype.kind == "f" and target.image[..., 0].size > LARGEST_FLOATS
+        return not has_large_floats
 
     def fit(self, target: Target, options: SolverOptions, first: int = 0, last: int | None = None) -> list[FittedLevel]:
-        """Fit an image at the levels from one on, up to another; fewer levels if the fit diverges."""
+        """Fit an image at the levels ``first`` to ``last``, excluded; fewer levels if the fit diverges."""
         objectives = self.objectives[first:last]
-        levels = []
         if not self.can_take(target, options):
             return solve_levels(objectives, target, options)
         if (first, last) not in self._compiled:
             self._compiled[first, last] = self._prepare(objectives)
         target = target.prepared(objectives)
+        solved = self._call(self._compiled[first, last], target, options)
+        levels = []
         shape = target.start
-        for objective, each in zip(objectives, self._call(self._compiled[first, last], target, options), strict=False):
-            pose, to_patch = (Similarity(rows[:, :2], rows[:, 2]) for rows in (each.pose, each.to_patch))
+        for objective, of_core in zip(objectives, solved, strict=False):  # fewer are solved if the fit diverges
             level = FittedLevel(
                 objective=objective,
-                pose=pose,
-                solution=each.fit,
-                to_patch=to_patch,
-                patch_size=each.patch_size,
+                pose=_similarity(of_core.pose),
+                solution=of_core.fit,
+                to_patch=_similarity(of_core.to_patch),
+                patch_size=of_core.patch_size,
                 begun_at=None if objective is objectives[-1] else shape,
             )
             levels.append(level)
-            shape = levels[-1].reached
+            shape = level.reached
         return levels
 
     @one_numpy_thread()  # so that the bits of a fit do not depend on the number of threads
     def _prepare(self, objectives: Sequence[Objective]) -> Any:
+        """Give the core what it needs of some levels for all images."""
         warps: list[Any] = [objective.warp for objective in objectives]  # of a mesh: that is what the core can fit
         method = objectives[0].method
-        theta = objectives[0].theta_model
         levels = [
             {
                 "objective": each.compiled,
@@ -196,35 +201,51 @@ class CoarseToFine:
             }
             for each, warp in zip(objectives, warps, strict=True)
         ]
-        fields = {"levels": levels, "mean": _flat(warps[0].rest), "encoding": ENCODINGS.index(method.encoding)}
-        fields |= {"theta_1": float(theta), "has_invariant": method.solves_angle, "keeps_samples": self.keeps_samples}
-        return _core.prepare(fields)
+        return _core.prepare(
+            {
+                "levels": levels,
+                "mean": _flat(warps[0].rest),
+                "encoding": ENCODINGS.index(method.encoding),
+                "theta_1": float(objectives[0].theta_model),
+                "has_invariant": method.solves_angle,
+                "keeps_samples": self.keeps_samples,
+            }
+        )
 
     def _call(self, compiled: Any, target: Target, options: SolverOptions) -> list:
+        """Fit an image with the core; return its solutions of the levels, fewer if the fit diverges."""
         objective = self.objectives[0]
-        linear = target.linear
-        noise = target.noise
-        image = linear.image
         encoding = objective.method.encoding
-        response = linear.response
-        start_fields = {
+        linear = target.linear
+        points = np.zeros(0) if target.mapped is None else target.mapped
+        precision = np.zeros((0, 0)) if target.pull is None else target.pull
+        theta_2 = objective.theta_model if target.theta is None else target.theta
+        target_fields = {
             "start": _flat(target.start),
-            "points": _flat(np.zeros(0) if target.mapped is None else target.mapped),
-            "point_precision": np.ascontiguousarray(np.zeros((0, 0)) if target.pull is None else target.pull),
+            "points": _flat(points),
+            "point_precision": np.ascontiguousarray(precision),
             "margin": float(target.margin),
-            "theta_2": float(objective.theta_model if target.theta is None else target.theta),
-            "log_noise": NO_NOISE if noise is None else noise_table(noise).astype(np.float32),
+            "theta_2": float(theta_2),
+            "log_noise": NO_NOISE if target.noise is None else noise_table(target.noise).astype(np.float32),
             "first_log": LOG_RANGE[0],
             "last_log": LOG_RANGE[1],
         }
-        given = encoding == "soft" and linear.grey, log_floor(response), start_fields, options.as_dict
-        if image.dtype.kind == "f":
+        is_grey_soft = encoding == "soft" and linear.grey  # then it compares brightness only
+        floor = log_floor(linear.response)
+        if linear.image.dtype.kind == "f":
             means = linear.light_of(encoding)
-            return compiled.fit_light(means.light, means.finite, *given)
-        return compiled.fit(image, light_table(image.dtype.str, encoding, response), *given)
+            return compiled.fit_light(means.light, means.finite, is_grey_soft, floor, target_fields, options.as_dict)
+        table = light_table(linear.image.dtype.str, encoding, linear.response)
+        return compiled.fit(linear.image, table, is_grey_soft, floor, target_fields, options.as_dict)
+
+
+def _similarity(rows: np.ndarray) -> Similarity:
+    """Return the similarity that the core writes as (2, 3): a matrix, and an offset in the last column."""
+    return Similarity(rows[:, :2], rows[:, 2])
 
 
 def _flat(points: np.ndarray) -> np.ndarray:
+    """Return points (n, 2) as (2 n,) float64: x, y, x, y ..."""
     return np.ascontiguousarray(points, np.float64).ravel()
 
 
@@ -236,7 +257,7 @@ def solve_levels(objectives: Sequence[Objective], target: Target, options: Solve
     averaged = averaged_image(objectives, target)
     shape = target.start
     for objective in objectives:
-        level_options = options if objective is finest else spare(options)
+        level_options = options if objective is finest else coarse_options(options)
         image, state, pose = prepare_level(objective, target, stages, level_options, averaged)
         solution = objective.solve(image, state, level_options, evaluate_last=objective is finest)
         stage = FittedLevel(
@@ -248,7 +269,7 @@ def solve_levels(objectives: Sequence[Objective], target: Target, options: Solve
             begun_at=None if objective is finest else shape,
         )
         stages.append(stage)
-        shape = stages[-1].reached
+        shape = stage.reached
         if not is_sane(shape, target.start):
             break
     return stages
@@ -279,7 +300,12 @@ def prepare_level(
     The pose is updated at each level because shape modes rotate and scale with it, and the patch is cut around the
     current shape. ``averaged`` is the image averaged for all levels; by default it is averaged here.
     """
-    shape, margin = (stages[-1].reached, NEAR) if stages else (target.start, target.margin)
+    if stages:
+        shape = stages[-1].reached
+        margin = NEAR
+    else:
+        shape = target.start
+        margin = target.margin
     warp = objective.warp
     method = objective.method
     pose = align(warp.rest, shape)
@@ -306,9 +332,15 @@ def prepare_level(
 def _first_angles(
     objective: Objective, image: EncodedImage, state: State, options: SolverOptions, theta: float | None
 ) -> np.ndarray:
+    """Return the angles (theta_1, theta_2) that the first level starts from.
+
+    ``theta`` is that of the image's camera, for methods that estimate no angle. Of those that estimate theta_2 alone,
+    it is at its optimum for the start (:mod:`liaam.fitting.loop.angles`).
+    """
     if theta is not None and objective.method.free_angles == "none":
         return np.array([state.angles[0], theta])
-    if objective.method.free_angles != "image" or not objective.method.solves_angle or options.angle_start == "model":
+    has_optimum = objective.method.free_angles == "image" and objective.method.solves_angle
+    if not has_optimum or options.angle_start == "model":
         return state.angles
     return np.array([state.angles[0], best_image_angle(objective, image, state)])
 

@@ -24,10 +24,13 @@ FINITE = (
     "final_prior",
     "observable",
 )
-OPTIONAL = ("early_tolerance", "final_prior", "scoring")  # None: the method's own, or the model's
+"""Options that are finite numbers of at least 0."""
+
+OPTIONAL = ("early_tolerance", "final_prior", "scoring")
+"""Options that may be None: the default is the method's own, or the model's."""
 
 MOST_ITERATIONS = 1_000_000
-"""Largest number of steps that makes sense."""
+"""Largest number of steps that makes sense: fits take about 15, and the core counts them in 32 bits."""
 
 
 @dataclass(frozen=True)
@@ -119,7 +122,7 @@ def scored(method: Method, options: SolverOptions) -> Method:
 
 
 @lru_cache(maxsize=16)
-def spare(options: SolverOptions) -> SolverOptions:
+def coarse_options(options: SolverOptions) -> SolverOptions:
     """Return looser options for a coarse level, whose solution only starts the next."""
     scoring = None if options.scoring is None else 0
     tolerance = THRESHOLDS["COARSE"] * options.tolerance

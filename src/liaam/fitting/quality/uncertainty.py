@@ -9,6 +9,10 @@ from liaam.model.contours import Contours, contour_turns
 from liaam.model.shape import ShapeModel, Similarity, own_parameters
 
 UNOBSERVABLE = 1e12  # Variance in directions that nothing determines
+# Least ratio of the smallest to the largest eigenvalue of a precision in observable directions, above the rounding of
+# its sums; and, of the pivots of a Cholesky factor, whose squares are like eigenvalues, that above which all are.
+LEAST_EIGENVALUE = 1e-12
+CLEAR_PIVOT = 1e-5
 
 
 def covariance(
@@ -58,24 +62,33 @@ def _precision_of_image(stage: FittedLevel, whole: Objective) -> np.ndarray:
 
 def _inverse(precision: np.ndarray) -> np.ndarray:
     """Invert a precision matrix, whose null space has the variance :data:`UNOBSERVABLE`."""
-    try:
-        factor = np.linalg.cholesky(precision)
-    except np.linalg.LinAlgError:
-        factor = np.zeros((1, 1))
-    pivots = factor.diagonal()
-    if pivots.min() > 1e-5 * pivots.max():  # everything is observable; takes a quarter of the time
-        half = np.linalg.inv(factor)
-        return half.T @ half
+    factor = _factor_if_observable(precision)
+    if factor is not None:  # takes a quarter of the time
+        inverse_factor = np.linalg.inv(factor)
+        return inverse_factor.T @ inverse_factor
     values, vectors = np.linalg.eigh(precision)
-    is_observable = values > 1e-12 * max(values[-1], 1e-300)
+    is_observable = values > LEAST_EIGENVALUE * max(values[-1], 1e-300)  # none if all are 0
     variances = np.divide(1.0, values, out=np.full_like(values, UNOBSERVABLE), where=is_observable)
     return (vectors * variances) @ vectors.T
 
 
+def _factor_if_observable(precision: np.ndarray) -> np.ndarray | None:
+    """Return the Cholesky factor of a precision matrix if everything is clearly observable; else None."""
+    try:
+        factor = np.linalg.cholesky(precision)
+    except np.linalg.LinAlgError:
+        return None
+    pivots = factor.diagonal()
+    return factor if pivots.min() > CLEAR_PIVOT * pivots.max() else None
+
+
 def expanded_covariance(spread: np.ndarray, n_p: int, factor: float) -> np.ndarray:
-    """Return the covariance (n_q, n_q) of (p, free angles) if a factor multiplies the shape modes in p (n_p,)."""
+    """Return the covariance (n_q, n_q) of (p, free angles) if a factor multiplies the shape modes in p (n_p,).
+
+    ``spread`` (n_q, n_q) is the covariance without it.
+    """
     scales = np.ones(len(spread))
-    scales[: n_p - 4] = factor  # without the similarity
+    scales[: n_p - 4] = factor  # the last four of p are the similarity
     return scales[:, None] * spread * scales
 
 

@@ -84,9 +84,20 @@ class Loop:
         Variance of a residual of weight 1, for the prior of another landmarker's points.
     precision : (n_p,) float64
         Diagonal of the shape prior in the units of the normal equations.
+    free : (n_q,) bool
+        Which entries of q = (p, free angles) may move.
+    damping_matrix : (n_q, n_q) float64
+        The expected curvature with the priors, relative to which steps are damped.
     step, last_step : (n_q,) float64
-        The proposed step of q = (p, free angles), and the last accepted one.
+        The proposed step of q, and the last accepted one.
+    before : tuple of arrays
+        p, angles and lambda before the proposed step.
     """
+
+    free: np.ndarray
+    damping_matrix: np.ndarray
+    step: np.ndarray
+    before: tuple[np.ndarray, np.ndarray, np.ndarray]
 
     def __init__(self, problem: Problem, objective: Any) -> None:
         self.problem = problem
@@ -101,7 +112,7 @@ class Loop:
         """Minimise the cost from the problem's state. Always terminates."""
         problem = self.problem
         is_joint = controls.options.elimination == "joint"
-        solves = True  # for lambda; the joint form only at the first state
+        solves = True  # whether lambda is solved for at the state; in the joint form only at the first one
         trace = Trace()
         current = LoopVariables(damping=controls.damping, rounds=self.first_rounds() if controls.reweigh else 0)
         while True:
@@ -193,9 +204,11 @@ class Loop:
         trace.angle_history.append(problem.angles.copy())
 
     def linearise(self, controls: Controls, fresh: bool, ends: bool) -> None:
-        """Compute the normal equations, and which entries of q may move.
+        """Compute the normal equations at the state, the expected Hessian, and which entries of q may move.
 
-        They are those with the expected gradient if the steps use it, unless this is the end.
+        The equations have the expected gradient in E if the steps use it, unless this is the end: then the Hessian of
+        the image's own gradient is what covariances need. The expected Hessian is computed anew after new weights
+        (``fresh``); without the expected gradient it is that of the image's own.
         """
         problem = self.problem
         if controls.expected and not ends:
@@ -216,8 +229,10 @@ class Loop:
         problem = self.problem
         # The variance of a residual of weight 1: of the weights if they have one, else of the residuals.
         has_variance = self.fields["weighting"] == BY_ROWS and np.isfinite(problem.noise_variance)
-        of_residual = self.fields["correlated"] * problem.squares / problem.weight
-        variance = problem.noise_variance if has_variance else of_residual
+        if has_variance:
+            variance = problem.noise_variance
+        else:
+            variance = self.fields["correlated"] * problem.squares / problem.weight
         self.add_priors(controls.options.shape_prior, variance)
         if controls.expected:
             has_step, self.step = clamped_newton_step(
@@ -232,10 +247,14 @@ class Loop:
                 self.least_curvature *= 2.0
         else:
             has_step, self.step = damped_step(problem.hessian, problem.gradient, self.free, damping)
+        return Proposal(has_step, negligible=bool(has_variance) and self.is_negligible(controls, damping, variance))
+
+    def is_negligible(self, controls: Controls, damping: float, variance: float) -> bool:
+        """Return whether the step is short compared with its own standard deviation."""
         squared_length = float(self.step @ self.damping_matrix @ self.step)
         limit = controls.options.relative_tolerance**2 * len(self.step) * variance
-        can_be_negligible = has_variance and squared_length < limit and damping <= T["MOST_NEGLIGIBLE_DAMPING"]
-        return Proposal(has_step, negligible=bool(can_be_negligible and self.movement() < T["LONGEST_UNSEEN"]))
+        is_in_noise = squared_length < limit and damping <= T["MOST_NEGLIGIBLE_DAMPING"]
+        return bool(is_in_noise and self.movement() < T["LONGEST_UNSEEN"])
 
     def has_texture(self) -> bool:
         """Return whether image and model both have texture, and all sums are finite."""
@@ -500,13 +519,14 @@ def early_of(options: Any, method: Any, is_finest: bool, is_scored: bool) -> tup
 def score(loop: Loop, trace: Trace, controls: Controls) -> None:
     """Take steps with the expected gradient from the solution of a level; none if they raise the cost."""
     problem = loop.problem
-    problem_before = {**vars(problem)}
+    problem_before = dict(vars(problem))
     loop_before = {name: getattr(loop, name) for name in CARRIED}
-    state = problem.p.copy(), problem.angles.copy(), problem.lam.copy()
+    state = problem.p.copy(), problem.angles.copy(), problem.lam.copy()  # lambda changes in place
     more = loop.run(controls)
     if more.costs[-1] <= T["SCORING_RISE"] * trace.costs[-1]:
         append(more, trace)
         return
+    # Undo the run: with no more steps, the loop only computes again what the solution consists of.
     vars(problem).update(problem_before)
     vars(loop).update(loop_before)
     problem.set_state(*state)
@@ -526,7 +546,7 @@ def collect(loop: Loop, trace: Trace) -> SimpleNamespace:
     """Collect the solution, with the names of the core's ``Solution``."""
     problem = loop.problem
     # Rows that count as contrast: for weights by rows those of the gradients.
-    shown = GRADIENT_ROWS if loop.fields["weighting"] == BY_ROWS else problem.k
+    n_rows = GRADIENT_ROWS if loop.fields["weighting"] == BY_ROWS else problem.k
     return SimpleNamespace(
         p=problem.p,
         angles=problem.angles,
@@ -546,7 +566,7 @@ def collect(loop: Loop, trace: Trace) -> SimpleNamespace:
         angle_fixed=trace.angle_fixed,
         no_texture=trace.no_texture,
         prior_scale=loop.prior_scale,
-        contrast=contrast(problem, problem.model_sqrt_weights, shown),
-        weighted_contrast=contrast(problem, problem.masked, shown),
-        n_counted=int(np.count_nonzero(problem.masked[:, :shown])),
+        contrast=contrast(problem, problem.model_sqrt_weights, n_rows),
+        weighted_contrast=contrast(problem, problem.masked, n_rows),
+        n_counted=int(np.count_nonzero(problem.masked[:, :n_rows])),
     )

@@ -19,8 +19,9 @@ from liaam.image_reference import CHANNELS, sample
 if TYPE_CHECKING:
     from liaam.fitting.loop.encoded_image import EncodedImage
 
-UNKNOWN = 1e5  # variance of a pixel whose logarithm is not usable
-LEAST_UNEXPLAINED = 0.02  # lower bound on the unexplained variance, as a fraction of the residual's
+UNKNOWN = 1e5  # variance of a pixel whose logarithm is not usable: far above any, so that its weight is almost 0
+# Lower bound on the unexplained variance, as a fraction of the residual's: an overestimated noise would leave none.
+LEAST_UNEXPLAINED = 0.02
 MOST_DIRECTION_NOISE = 0.5  # upper bound on the variance of each component of a direction: that of a random direction
 
 FACTORS = np.concatenate((np.zeros(1), np.geomspace(1e-3, 30.0, 19)))  # on the learnt errors: the likeliest is used
@@ -39,7 +40,36 @@ L1_AT = 0.1  # residual below which the weight of l1, its inverse, stops growing
 
 
 class Problem:
-    """An objective at one encoded image, with the state of the fit and all that follows from it."""
+    """An objective at one encoded image, with the state of the fit and all that follows from it.
+
+    Each method says what it computes. Those on which others depend:
+
+    Attributes
+    ----------
+    p, angles, lam : (n_p,), (2,) and (m,) float64
+        The state: shape parameters, (theta_1, theta_2) and lambda.
+    values, samples : (n, 8) and (n, k) float64
+        Channels of the image at W(x; p), and their product with P(theta_2).
+    usable : (n,)
+        1 where these are inside the image and usable, else 0.
+    residual : (n, k) float64
+        Image minus model (eq 10).
+    gradients, expected : (n, k, 2) float64
+        Derivatives of the samples by x and y of W(x; p), model pixels: the image's own, and those that the fitted
+        appearance has.
+    sqrt_weights, masked : (n, k) float64
+        Square roots of the weights, and these with 0 where a pixel is not usable.
+    gram, factor : (m, m) float64
+        A'A of the weighted modes A, and the Cholesky factor of that with the ridge.
+    ar, aj : (m,) and (m, n_q) float64
+        A'r and A'J.
+    hessian, expected_hessian : (n_q, n_q) float64
+        E'QJ of the last derivatives, and of the last ones with the expected gradient in both, E'QE.
+    gradient : (n_q,) float64
+        E'Qr.
+    squares, weight : float
+        Sums of the weighted squares of the residual, and of the weights.
+    """
 
     def __init__(self, objective: Any, image: "EncodedImage") -> None:
         self.warp = objective.warp
@@ -47,7 +77,7 @@ class Problem:
         self.image = image
         self.normalise = objective.method.normalise
         self.n = len(self.fields["errors"])
-        self.k = len(self.fields["metric"][0]) // CHANNELS
+        self.k = len(self.fields["metric"][0]) // CHANNELS  # three parts, each (k, CHANNELS) in one row
         # P(theta_1) A_0 and P(theta_1) A_i (eq 4), and their gradients: constant, or constant, cos and sin part.
         self.mode_parts = objective.mean_and_modes.astype(np.float64)  # (1 or 3, 1 + m, n k)
         self.mode_gradient_parts = objective.gradients_of_modes
@@ -171,6 +201,8 @@ class Problem:
         E = self._weighted_jacobian(self.gradients if image_in_e else self.expected)
         self.aj = (self.modes[1:] * masked) @ J
         hessian = E.T @ J
+        # E and J have the same derivatives by the angles, C. Between p and the angles both blocks are E'C, which has no
+        # noise of the image's own gradient if E has the expected one.
         hessian[n_p:, :n_p] = hessian[:n_p, n_p:].T
         hessian -= self.aj.T @ self.solve_modes(self.aj)
         self.hessian = 0.5 * (hessian + hessian.T)
@@ -287,17 +319,19 @@ class Problem:
     def _row_noise(self) -> np.ndarray:
         """Variance of the rows of ``soft`` due to noise, to first order, (n, k).
 
-        With o = g / sqrt(|g|^2 + e^2), do/dg = (I - o o') / sqrt(|g|^2 + e^2), and the square root follows from |o|.
+        A direction is o = g / s of a gradient g, with s^2 = |g|^2 + e^2 and e the softness. Noise of variance v in each
+        component of g gives o the covariance v (do/dg)(do/dg)', where do/dg = (I - o o') / s. With the rest
+        t = 1 - |o|^2 = e^2 / s^2, that is (v t / e^2) (I - (1 + t) o o').
         """
         direction = self.values[:, :2]
         logs = self.values[:, 2:5]
         share_of_colour = self.values[:, 5]
         self.has_colour = ((share_of_colour >= ALL_COLOUR) & self.fields["colours"]).astype(float)
         deviation = self._log_noise(logs)
-        light = np.exp(np.clip(logs, -20.0, 20.0)) * BRIGHTNESS
+        light = np.exp(np.clip(logs, -20.0, 20.0)) * BRIGHTNESS  # clipped, so that it stays finite
         slope_variance = np.square(self.image.slope_noise_gain * deviation * light).sum(axis=1)
         slope_variance /= np.square(light.sum(axis=1) + LOG_FLOOR)
-        rest = np.clip(1.0 - np.square(direction).sum(axis=1), 0.0, None)  # e^2 / (|g|^2 + e^2)
+        rest = np.clip(1.0 - np.square(direction).sum(axis=1), 0.0, None)
         by_slope = slope_variance * rest / SOFTNESS**2
         of_direction = by_slope[:, None] * (1.0 - np.square(direction) * (1.0 + rest)[:, None])
         noise = np.zeros((self.n, CHANNELS))
@@ -312,9 +346,9 @@ class Problem:
         return np.interp(np.nan_to_num(logs, nan=first), tabulated, self.image.log_noise)
 
     def _log_variance(self, deviation: np.ndarray) -> np.ndarray:
-        """Variance of logarithms: the blur reduces it, but not the bias due to the logarithm's curvature."""
+        """Mean squared error of logarithms: variance, which the blur reduces, and squared bias, which it does not."""
         blurred = np.square(self.image.value_noise_gain * deviation)
-        bias = 0.5 * np.square(deviation)
+        bias = 0.5 * np.square(deviation)  # log(x + n) is log x + n / x - (n / x)^2 / 2 on average
         return blurred + np.square(bias)
 
     def _weigh_by_noise(self) -> bool:
@@ -328,7 +362,7 @@ class Problem:
         by_noise = self.channel_noise @ np.square(self.metric).T
         squares = np.square(self.residual).mean(axis=1)[counts]
         noise = by_noise.mean(axis=1)[counts]
-        # The factor on the model's errors under which the residuals are most likely.
+        # The factor on the model's errors under which the residuals are most likely, as Gaussians with this variance.
         expected = noise + FACTORS[:, None] * errors[counts] + 1e-300
         minus_log_likelihoods = (np.log(expected) + squares / expected).sum(axis=1)
         factor = FACTORS[minus_log_likelihoods.argmin()]
@@ -365,14 +399,19 @@ class Problem:
 
     def arrays(self) -> dict[str, Any]:
         """Return arrays and numbers at the state, in the shapes of the core's; derivatives only where computed."""
-        flat = ("residual", "base_sqrt_weights", "sqrt_weights", "masked", "variance", "weight_slope")
-        spatial = ("gradients", "expected")
-        others = ("values", "usable", "modes", "metric", "noise_variance", "squares", "weight", "lam", "gram", "factor")
-        optional = ("ar", "columns", "aj", "hessian", "gradient", "gain", "offset")
-        arrays = {name: getattr(self, name).ravel() for name in flat}
-        arrays |= {name: getattr(self, name).reshape(-1, 2) for name in spatial if hasattr(self, name)}
-        arrays |= {name: getattr(self, name) for name in others}
-        return arrays | {name: getattr(self, name) for name in optional if hasattr(self, name)}
+        by_row = ("residual", "base_sqrt_weights", "sqrt_weights", "masked", "variance", "weight_slope")  # (n, k)
+        spatial = ("gradients", "expected")  # (n, k, 2)
+        of_appearance = ("values", "usable", "metric", "gain", "offset", "modes", "lam", "noise_variance")
+        of_equations = ("squares", "weight", "gram", "factor", "ar", "columns", "aj", "hessian", "gradient")
+        arrays: dict[str, Any] = {}
+        for name, value in vars(self).items():
+            if name in by_row:
+                arrays[name] = value.ravel()
+            elif name in spatial:
+                arrays[name] = value.reshape(-1, 2)
+            elif name in of_appearance or name in of_equations:
+                arrays[name] = value
+        return arrays
 
 
 def loss_weights(loss: int, u: np.ndarray) -> np.ndarray:
@@ -392,10 +431,13 @@ def loss_weights(loss: int, u: np.ndarray) -> np.ndarray:
     return np.ones_like(u)
 
 
-def contrast(problem: Problem, sqrt_weights: np.ndarray, shown: int) -> np.ndarray:
-    """Sum weights, weighted samples and their squares, and weighted squares of the residual, per row, (shown, 4)."""
-    weights = problem.usable[:, None] * np.square(sqrt_weights[:, :shown])
-    samples = problem.gain * problem.samples[:, :shown]
-    residual = problem.residual[:, :shown]
+def contrast(problem: Problem, sqrt_weights: np.ndarray, n_rows: int) -> np.ndarray:
+    """Return four sums over the pixels, of each of the first rows, (n_rows, 4).
+
+    They are those of the weights, of the weighted samples and their squares, and of the weighted squared residual.
+    """
+    weights = problem.usable[:, None] * np.square(sqrt_weights[:, :n_rows])
+    samples = problem.gain * problem.samples[:, :n_rows]
+    residual = problem.residual[:, :n_rows]
     parts = weights, weights * samples, weights * np.square(samples), weights * np.square(residual)
     return np.stack([part.sum(axis=0) for part in parts], axis=1)

@@ -21,7 +21,7 @@ from liaam.fitting.loop.levels import CoarseToFine, FittedLevel, LinearImage, Ta
 from liaam.fitting.loop.objective import make_objectives
 from liaam.fitting.loop.options import SolverOptions
 from liaam.fitting.methods import get_method
-from liaam.fitting.search.responses import Bank, Peaks, strongest
+from liaam.fitting.search.responses import Bank, Peaks, joined, strongest
 from liaam.fitting.search.starts import region_in
 from liaam.fitting.search.templates import (
     TEMPLATE,
@@ -236,8 +236,7 @@ class Finder:
             chosen = choose(_best_first(detections), are_beside, most)
         else:
             search = self._search_for_one(linear)
-            best = (search.for_one(least) or [self._in_the_middle(linear.image)])[0]
-            chosen = [replace(best, others=search.beside(best))]
+            chosen = [self._with_others(search, search.for_one(least))]
         return [detection for detection in chosen if detection.score >= least]
 
     def first_in(self, linear: LinearImage) -> Detection:
@@ -249,7 +248,14 @@ class Finder:
         if not self.model.others:
             return self.find_in(linear)[0]
         search = self._search_for_one(linear)
-        best = (search.for_one(only_large=True) or [self._in_the_middle(linear.image)])[0]
+        return self._with_others(search, search.for_one(only_large=True))
+
+    def _with_others(self, search: "_Search", detections: Sequence[Detection]) -> Detection:
+        """Return the first of the detections of one object, with the further objects that its search has seen.
+
+        Without any detection, it is the mean shape in the middle of the image.
+        """
+        best = detections[0] if detections else self._in_the_middle(search.image)
         return replace(best, others=search.beside(best))
 
     def _search_for_one(self, linear: LinearImage, known: float = 0.0) -> "_Search":
@@ -273,8 +279,9 @@ class Finder:
         because deformations of the reduced model are a bad start. ``known`` is about the diagonal of the object in
         pixels, if there is a box around it.
         """
-        search = self._search_for_one(linear, known)
-        if not self.model.others:
+        if self.model.others:
+            search = self._search_for_one(linear, known)
+        else:
             search = _Search(self, linear, count=LOOKED * most, bank=self.filters, known=known)
         best = choose(search.ranked(), are_apart, most)
         return self._with_means(choose([*best, *search.filling()], are_apart))
@@ -314,8 +321,9 @@ class Finder:
         around = linear.crop(first, last)
         sizes = diagonal * STEP ** np.array(SIZES_NEAR)
         search = _Search(self, around, count=PLACES + PLACES_PER_OBJECT, bank=self.templates, sizes=sizes)
-        found = [detection.landmarks for detection in _best_first(search.for_all())[:1]]
-        return [shape + first for shape in [*found, *search.turned(around, start - first, TURNED_STARTS)]]
+        starts = [detection.landmarks for detection in _best_first(search.for_all())[:1]]
+        starts += search.turned(around, start - first, TURNED_STARTS)
+        return [shape + first for shape in starts]  # in pixels of the whole image
 
     def _fit_place(self, linear: LinearImage, place: "_Place") -> Detection:
         """Fit the reduced model at a place, and score the result; 0 if the fit diverges."""
@@ -368,7 +376,7 @@ class Finder:
 
 
 def _best_first(detections: list[Detection]) -> list[Detection]:
-    """Sort detections by their score."""
+    """Sort detections by their score, the highest first."""
     return sorted(detections, key=lambda detection: -detection.score)
 
 
@@ -456,7 +464,10 @@ class _Search:
         return self._ranked(self._fit_those(places))
 
     def _ranked(self, fits: list[tuple[Detection, float]]) -> list[Detection]:
-        """Sort detections by score and size, and the responses of learnt filters, which come with them."""
+        """Sort detections, which come with the responses at their places, the likeliest first.
+
+        They are compared by score, size and, of learnt filters, the response.
+        """
         of_response = self.limits.of_response if self.bank.normalised else 0.0
 
         def rank(detection: Detection, response: float) -> float:
@@ -521,11 +532,12 @@ class _Search:
         scores = [
             self.finder._fit_start(linear, shape, field).score for shape, field in zip(starts, fields, strict=True)
         ]
-        best: list[int] = []
-        for i in np.argsort(np.negative(scores), kind="stable").tolist():
-            if len(best) < count and all(np.cos(turns[i] - turns[j]) < np.cos(TURNED_APART) for j in best):
-                best.append(i)
-        return [starts[i] for i in best]
+        chosen: list[int] = []
+        for i in np.argsort(np.negative(scores), kind="stable").tolist():  # the highest score first
+            are_apart_from_chosen = np.cos(turns[i] - turns[chosen]) < np.cos(TURNED_APART)
+            if len(chosen) < count and are_apart_from_chosen.all():
+                chosen.append(i)
+        return [starts[i] for i in chosen]
 
     def _field_of(self, scale: float) -> Field:
         """Return the field whose scale is nearest."""
@@ -534,8 +546,8 @@ class _Search:
     def _look(self, sizes: np.ndarray, worth: float = 0.0) -> np.ndarray:
         """Search these sizes; return the places of the strongest responses, also of those searched before.
 
-        Responses below the fraction ``worth`` of the strongest may be left out; of filters, those of no use to a search
-        that goes on.
+        Responses below the fraction ``worth`` of the strongest may be left out. Those of filters are kept for later
+        calls, so that only responses below :data:`WEAK` are left out, whatever this one needs.
         """
         if self.bank.normalised:
             worth = WEAK
@@ -552,7 +564,7 @@ class _Search:
             self.fields.append(field)
             self.peaks_of_fields.append(peaks)
         self.looked_at += sizes.tolist()
-        self.peaks = Peaks(*map(np.concatenate, zip(*self.peaks_of_fields, strict=True)))
+        self.peaks = joined(self.peaks_of_fields)
         self.strongest = strongest(self.peaks, APART * small.diagonal, self.count)
         return self.strongest
 

@@ -23,7 +23,9 @@ CLOSE = 0.3  # The same for the sharpest level
 # Quality from which a fit is worth more time: at the blurred levels for the sharpest, and there for other starts. Of
 # 302 fits with less at the blurred levels, 1 was right and not doubtful, of 658 with more 314.
 HOPEFUL = 0.2
-BRIEFEST = 2  # Largest number of steps at the sharpest level of a first fit with less, for what a result says
+# Largest number of steps at the sharpest level of a fit with less, if others follow: enough for its result to have a
+# quality, by which it is compared with these.
+BRIEFEST = 2
 
 
 class PartFit(NamedTuple):
@@ -56,21 +58,24 @@ def fit_likeliest_part(
         The same image and start for each of them.
     options : SolverOptions
     is_last : bool
-        Whether there are no other places to fit. Else the fit is not finished where the blurred levels give no hope.
+        Whether no fits at other places follow. If they do, the sharpest level gets :data:`BRIEFEST` steps only where
+        the blurred levels give no hope.
 
     Returns
     -------
     tuple of int and FitResult
         The index of the part, and its fit. Where the blurred levels cannot be judged, each part is fitted.
     """
+    fits: dict[int, FitResult] = {}  # by the index of the part
     if len(fitters) == 1 or not all(map(_can_be_judged, fitters, targets)):
-        pairs = zip(fitters, targets, strict=True)
-        fits = {i: fitter.fit_target(target, options) for i, (fitter, target) in enumerate(pairs)}
+        for part, (fitter, target) in enumerate(zip(fitters, targets, strict=True)):
+            fits[part] = fitter.fit_target(target, options)
     else:
         likely = _likely(fit_coarsest(fitters, targets, options), LIKELY)
-        blurred = _likely([fit_further(fitters, each, options) for each in likely], CLOSE)
-        fits = {part: _finished(fitters[part], fit, options, is_last) for part, fit in blurred}
-    best = max(fits, key=lambda i: (fits[i].status.ok, *likeliness(fits[i])))
+        close = _likely([fit_further(fitters, each, options) for each in likely], CLOSE)
+        for part, fit in close:
+            fits[part] = _fit_sharpest(fitters[part], fit, options, is_last)
+    best = max(fits, key=lambda part: (fits[part].status.ok, *likeliness(fits[part])))
     return best, fits[best]
 
 
@@ -81,12 +86,12 @@ def fit_coarsest(fitters: Sequence[OneShapeFitter], targets: Sequence[Target], o
 
 
 def fit_further(fitters: Sequence[OneShapeFitter], coarsest: PartFit, options: SolverOptions) -> PartFit:
-    """Fit the blurred levels that remain."""
+    """Fit the blurred levels that remain after the coarsest."""
     return coarsest._replace(fit=fitters[coarsest.part].fit_other_blurred(coarsest.fit, options))
 
 
-def _finished(fitter: OneShapeFitter, fit: Blurred, options: SolverOptions, is_last: bool) -> FitResult:
-    """Fit the sharpest level: with few steps if there is no hope, unless it is the last fit."""
+def _fit_sharpest(fitter: OneShapeFitter, fit: Blurred, options: SolverOptions, is_last: bool) -> FitResult:
+    """Fit the sharpest level: with few steps if there is no hope and fits at other places follow."""
     if not is_last and fit.quality < HOPEFUL:
         options = replace(options, max_iterations=min(BRIEFEST, options.max_iterations))
     return fitter.fit_sharpest(fit, options)
@@ -100,5 +105,5 @@ def _likely(fits: Sequence[PartFit], share: float) -> list[PartFit]:
 
 def _can_be_judged(fitter: OneShapeFitter, target: Target) -> bool:
     """Return whether fits to a target at the blurred levels have a quality."""
-    is_usual = fitter.regressor is None and target.pull is None  # others do not use all levels
-    return fitter.reliability is not None and len(fitter.objectives) > 1 and is_usual
+    uses_all_levels = fitter.regressor is None and target.pull is None  # from given points, some are left out
+    return uses_all_levels and fitter.reliability is not None and len(fitter.objectives) > 1

@@ -14,7 +14,7 @@ import numpy as np
 
 from liaam.fitting.loop.encoded_image import NEAR
 from liaam.fitting.loop.levels import FittedLevel, Target, is_sane
-from liaam.fitting.loop.options import spare
+from liaam.fitting.loop.options import coarse_options
 from liaam.fitting.quality import quality_features
 from liaam.fitting.result import FitResult, likeliness
 from liaam.model.file_format import ALL_ROTATIONS
@@ -37,7 +37,7 @@ def fit_from_poses(fitter: "OneShapeFitter", target: Target, rotations: str) -> 
     """
     target = target.measured(fitter.objectives[-1].method)
     brief = replace(fitter.options, max_iterations=min(BRIEF, fitter.options.max_iterations))
-    fit_levels = partial(fitter.coarse_to_fine.fit, options=spare(brief))
+    fit_levels = partial(fitter.coarse_to_fine.fit, options=coarse_options(brief))
     last = len(fitter.objectives) - 1
     starts = posed_starts(fitter, target.start, rotations)
     fits = [fit_levels(target._replace(start=start), last=1) for start in starts]

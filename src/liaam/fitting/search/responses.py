@@ -13,7 +13,11 @@ from liaam.fitting.search.templates import Field, OrientationTemplate, spectra
 SPECTRA_KEPT = 600_000
 SURROUNDINGS = 2  # radius in pixels within which a place has to be the maximum
 LEAST_RESPONSE = 1e-3  # of a place, so that flat regions have none
-SIMILAR_SIZES = 0.3  # difference of the logarithms of sizes below which two peaks may show the same object
+# Difference of the logarithms of sizes below which two peaks may show the same object: those of neighbouring sizes,
+# which are a factor of 1.2 apart, but not of the next ones.
+SIMILAR_SIZES = 0.3
+# Least length of a tile, in lengths of the longest template: tiles overlap by one of these, which is computed twice.
+TEMPLATES_PER_TILE = 4
 
 
 class Peaks(NamedTuple):
@@ -29,8 +33,8 @@ class Peaks(NamedTuple):
 class Bank:
     """Templates that are correlated with fields of images.
 
-    Objects may extend ``pad`` pixels beyond a field. If ``normalised``, responses are the correlations themselves, not
-    mean cosines.
+    Objects may extend ``pad`` pixels beyond a field. Responses are mean cosines; or the correlations themselves, if the
+    templates are ``normalised`` already, as learnt filters are.
     """
 
     def __init__(self, templates: Sequence[OrientationTemplate], pad: int, normalised: bool = False) -> None:
@@ -39,7 +43,7 @@ class Bank:
         self.normalised = normalised
         self.shapes = np.array([template.field.shape for template in templates])
         self.origins = np.array([template.origin for template in templates])
-        n_fields = len(templates) + len(templates) % 2  # they are compared in pairs; the last one may be empty
+        n_fields = len(templates) + len(templates) % 2  # an even number, for pairs; the last field may be empty
         fields = np.zeros((n_fields, *self.shapes.max(axis=0)), np.complex64)
         for i, template in enumerate(self.templates):
             height, width = template.field.shape
@@ -47,22 +51,24 @@ class Bank:
             fields[i, :height, :width] = template.field / norm
         first = fields[::2]
         second = fields[1::2]
-        # What an image and its conjugate are compared with, for both of a pair at once (see _correlated)
+        # With corr(f, t) the sum of f times the conjugate of t, the real response to a template t is half the sum of
+        # corr(f, t) and corr(conj f, conj t). Of a pair a and b, the response to a plus i times that to b is therefore
+        # corr(f, a - i b) / 2 + corr(conj f, conj a - i conj b) / 2. These two fields are kept for each pair.
         self.pairs = 0.5 * np.stack([first - 1j * second, first.conj() - 1j * second.conj()], axis=1)
         self._spectra: dict[tuple[int, int], list[np.ndarray]] = {}
 
     def peaks(self, field: Field, which: int, count: int, worth: float) -> Peaks:
-        """Return the strongest local maxima of each template's correlation with a field (of index ``which``).
+        """Return the strongest local maxima of each template's correlation with a field, at most ``count`` of each.
 
-        Maxima below the fraction ``worth`` of the strongest may be left out.
+        ``which`` is the index of the field. Maxima below the fraction ``worth`` of the strongest may be left out.
         """
-        size = np.maximum(np.array(field.values.shape) + 2 * self.pad, self.shapes.max(axis=0))
-        inside = (size + 1 - self.shapes).tolist()  # where templates lie in the padded field
+        size = np.maximum(np.array(field.values.shape) + 2 * self.pad, self.shapes.max(axis=0))  # of the padded field
+        n_positions = (size + 1 - self.shapes).tolist()  # of each template in it: (rows, columns)
         floor = LEAST_RESPONSE
         places = []
         responses = []
         # Of an odd number of templates, there is one correlation more: that with the empty field of the last pair.
-        for (height, width), cosine in zip(inside, self._correlated(field, size), strict=False):
+        for (height, width), cosine in zip(n_positions, self._correlated(field, size), strict=False):
             places_of_template, values = _core.best_peaks(cosine[:height, :width], count, floor, SURROUNDINGS)
             if len(values):
                 floor = max(floor, worth * float(values[0]))
@@ -79,27 +85,27 @@ class Bank:
         )
 
     def _correlated(self, field: Field, size: np.ndarray) -> Iterator[np.ndarray]:
-        """Yield the correlation with each template in turn: cosines between orientations, times both lengths.
+        """Yield the correlation with each template in turn, (rows, columns) float32.
 
-        It is the real part of that of complex fields, c: half the sum of c and its conjugate, which is the correlation
-        of the conjugate fields. So one inverse transform of complex numbers makes those of two templates.
+        At each position it is the sum of the cosines between orientations, times the lengths of both. One inverse
+        transform makes those of two templates, as its real and its imaginary part (see ``pairs``).
         """
         import cv2  # heavy: imported when first needed
 
         fast, tiles = self._tiles(size)
         spectra_of_tiles = [spectra(*self._cut(field.values, tile), fast) for tile in tiles]
         product = np.empty((*fast, 2), np.float32)
-        joined = product if len(tiles) == 1 else np.empty((*size, 2), np.float32)
+        whole = product if len(tiles) == 1 else np.empty((*size, 2), np.float32)
         for spectra_of_pair in self._spectra_of(fast):
             for tile, spectra_of_tile in zip(tiles, spectra_of_tiles, strict=True):
                 _core.correlate(spectra_of_tile, spectra_of_pair, product)
                 cv2.idft(product, product)
-                if joined is not product:
+                if whole is not product:
                     # Where templates reach beyond the tile's end, the product is wrong: the next tile overwrites that.
-                    part = joined[tile]
+                    part = whole[tile]
                     part[:] = product[: part.shape[0], : part.shape[1]]
-            yield joined[..., 0]
-            yield joined[..., 1]
+            yield whole[..., 0]
+            yield whole[..., 1]
 
     def _tiles(self, size: np.ndarray) -> tuple[tuple[int, int], list[tuple[slice, slice]]]:
         """Cut a padded field of a size along its longer side; return the size of transforms, and the tiles.
@@ -108,29 +114,35 @@ class Bank:
         """
         import cv2  # heavy: imported when first needed
 
-        axis = int(size[1] >= size[0])
+        axis = int(size[1] >= size[0])  # the longer one: 0 for rows, 1 for columns
         length = int(size[axis])
+        breadth = int(size[1 - axis])
         longest_template = int(self.shapes[:, axis].max())
         shortest_template = int(self.shapes[:, axis].min())
-        longest_tile = max(SPECTRA_KEPT // int(size[1 - axis]), 4 * longest_template)
+        longest_tile = max(SPECTRA_KEPT // breadth, TEMPLATES_PER_TILE * longest_template)
         tile_size = size.copy()
         tile_size[axis] = min(length, longest_tile)
         fast = int(cv2.getOptimalDFTSize(int(tile_size[0]))), int(cv2.getOptimalDFTSize(int(tile_size[1])))
         if length <= longest_tile:
             return fast, [(slice(0, int(size[0])), slice(0, int(size[1])))]
-        step = fast[axis] + 1 - longest_template
-        across = slice(0, int(size[1 - axis]))
+        step = fast[axis] + 1 - longest_template  # positions at which every template lies in a tile
+        across = slice(0, breadth)
         tiles = []
         for first in range(0, length - shortest_template + 1, step):
             along = slice(first, min(first + fast[axis], length))
-            tiles.append((across, along) if axis else (along, across))
+            tiles.append((along, across) if axis == 0 else (across, along))
         return fast, tiles
 
     def _cut(self, values: np.ndarray, tile: tuple[slice, slice]) -> tuple[np.ndarray, tuple[int, int]]:
-        """Return a tile's part of a field and its conjugate, (2, h, w), and its first row and column in the tile."""
-        rows, columns = (slice(max(each.start - self.pad, 0), max(each.stop - self.pad, 0)) for each in tile)
-        first = max(self.pad - tile[0].start, 0), max(self.pad - tile[1].start, 0)
-        part = values[rows, columns]
+        """Return a tile's part of a field and its conjugate, (2, h, w), and its first row and column in the tile.
+
+        A tile is one of the padded field, in which the field itself begins at row and column ``pad``.
+        """
+        rows, columns = tile
+        field_rows = slice(max(rows.start - self.pad, 0), max(rows.stop - self.pad, 0))
+        field_columns = slice(max(columns.start - self.pad, 0), max(columns.stop - self.pad, 0))
+        first = max(self.pad - rows.start, 0), max(self.pad - columns.start, 0)
+        part = values[field_rows, field_columns]
         return np.array([part, part.conj()]), first
 
     def _spectra_of(self, size: tuple[int, int]) -> list[np.ndarray]:
@@ -141,7 +153,7 @@ class Bank:
         n_pixels = float(np.prod(size))  # OpenCV's inverse is not normalised
         spectra_of_pairs = [spectra(pair / n_pixels, (0, 0), size) for pair in self.pairs]
         sizes = [*self._spectra, size]  # a copy: other threads may search at the same time
-        while sizes and sum(height * width for height, width in sizes) > SPECTRA_KEPT:
+        while sizes and sum(height * width for height, width in sizes) > SPECTRA_KEPT:  # remove the oldest
             oldest = sizes.pop(0)
             self._spectra.pop(oldest, None)
         if sizes:  # else this one is too large to be cached
@@ -151,6 +163,17 @@ class Bank:
     def __getstate__(self) -> dict:
         """Leave out the spectra, which are large and quick to compute."""
         return {**self.__dict__, "_spectra": {}}
+
+
+def joined(parts: Sequence[Peaks]) -> Peaks:
+    """Return the maxima of several fields as one record."""
+    return Peaks(
+        centres=np.concatenate([peaks.centres for peaks in parts]),
+        scales=np.concatenate([peaks.scales for peaks in parts]),
+        fields=np.concatenate([peaks.fields for peaks in parts]),
+        templates=np.concatenate([peaks.templates for peaks in parts]),
+        responses=np.concatenate([peaks.responses for peaks in parts]),
+    )
 
 
 def strongest(peaks: Peaks, apart: float, count: int) -> np.ndarray:

@@ -11,7 +11,7 @@ import numpy as np
 
 from liaam.fitting.loop.levels import FittedLevel, Target, is_sane, prepare_level
 from liaam.fitting.loop.objective import Objective
-from liaam.fitting.loop.options import SolverOptions, spare
+from liaam.fitting.loop.options import SolverOptions, coarse_options
 from liaam.fitting.one_shape_fitter import OneShapeFitter
 from liaam.fitting.result import FitResult
 from liaam.model.shape import diagonal_of
@@ -46,7 +46,7 @@ def other_starts(objective: Objective, target: Target, options: SolverOptions, c
     The mean shape in the pose of the start is deformed and shifted, and fitted at the coarsest level, whose objective
     is given. The best of these are deformed further and fitted again. The shapes of least cost are returned.
     """
-    options = spare(options)
+    options = coarse_options(options)
     image, state, pose = prepare_level(objective, target.measured(objective.method), (), options)
     n_modes = objective.warp.n_parameters - 4  # the similarity vectors come last
     warp = objective.warp

@@ -40,7 +40,7 @@ def learn_lamps(
         the lamps ``00`` and ``07``. An object must not move between its images.
     training_lamp : str, optional
         Name of the lamp of the training images. It may be omitted if exactly one lamp is common to all objects.
-    response
+    response : Response
         Response of the camera.
     progress : callable, optional
         Called with (done, total, what) before each image, and at the end.
@@ -115,24 +115,24 @@ def _lamp_of(picture: Sample) -> str:
 
 
 def _training_lamp(objects: dict[str, list[Sample]], requested: str | None) -> str:
-    """Name of the training lamp: the given one, or the only one that all objects have in common."""
+    """Return the name of the training lamp: the requested one, or the only one that all objects have in common."""
     counts = Counter()  # number of objects with each lamp
     for pictures in objects.values():
         counts.update({_lamp_of(picture) for picture in pictures})
-    if requested is None:
-        common = [lamp for lamp, count in counts.items() if count == len(objects)]
-        if len(common) == 1:
-            return common[0]
+    choice = f"choose from {', '.join(sorted(counts))}"
+    if requested is not None:
+        if requested not in counts:
+            raise TrainingError(f"no image has the lamp {requested!r} in its name; {choice}")
+        return requested
+    common = [lamp for lamp, count in counts.items() if count == len(objects)]
+    if len(common) != 1:
         fault = "the training light is ambiguous: name its lamp (--training-lamp, or training_lamp=...)"
-    else:
-        if requested in counts:
-            return requested
-        fault = f"no image has the lamp {requested!r} in its name"
-    raise TrainingError(f"{fault}; choose from {', '.join(sorted(counts))}")
+        raise TrainingError(f"{fault}; {choice}")
+    return common[0]
 
 
 def _base(name: str, pictures: list[Sample], training_lamp: str) -> Sample:
-    """Find the image of an object under the training light, and check that the object has not moved."""
+    """Return the image of an object under the training light. Raise if it has none or no others, or has moved."""
     base = next((picture for picture in pictures if _lamp_of(picture) == training_lamp), None)
     if base is None:
         raise TrainingError(
@@ -152,7 +152,10 @@ def _base(name: str, pictures: list[Sample], training_lamp: str) -> Sample:
 
 
 def _field(before: np.ndarray, after: np.ndarray, base: Sample, picture: Sample, mean: np.ndarray) -> np.ndarray:
-    """Log ratio of two images, warped to the mean shape, (SIDE, SIDE, 3) float16."""
+    """Return the logarithm of the ratio of two images, warped to the mean shape, (SIDE, SIDE, 3) float16.
+
+    ``before`` and ``after`` are sRGB values of ``base`` and ``picture``, (h, w, 3) float32.
+    """
     from scipy.interpolate import LinearNDInterpolator  # heavy: imported when first needed
 
     if before.shape != after.shape:
