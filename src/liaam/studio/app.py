@@ -172,6 +172,7 @@ class Studio:
             route("POST", UPLOADS, self._upload, data, status=201),
             route("GET", UPLOADS + "/{id}/image", self._image, limiter=shown),
             route("GET", UPLOADS + "/{id}/chroma", self._chroma, limiter=shown),
+            route("GET", UPLOADS + "/{id}/tiles/{level:int}/{column:int}/{row:int}", self._tile, limiter=shown),
             route("GET", "/api/model/file", self._model_file),
             route("POST", GUEST, self._receive_guest, data, models),
             route("DELETE", GUEST, lambda _: self.models.publish(None, place="guest")),
