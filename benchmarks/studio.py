@@ -104,6 +104,7 @@ def enlarged(path: Path, folder: Path) -> Path:
 
 def theta_rate(page) -> float:
     """Frames per second of the invariant image while its slider is dragged to and fro."""
+    page.locator("[data-testid=expert]").check()
     page.locator("[data-testid=layer-invariant]").click()
     page.wait_for_load_state("networkidle")
     box = page.locator("[data-testid=theta-slider]").bounding_box()

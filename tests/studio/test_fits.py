@@ -307,7 +307,7 @@ class TestFit:
         assert not thread.daemon  # the end of the interpreter would abort it in compiled code
         thread.join()
         assert len(fits._fitters) == 1  # that fits and searches
-        searcher = fits._fitters.peek((id(head_model), "soft-li", False))
+        searcher = fits._fitters.peek((id(head_model), "soft-li", False, "auto"))
         assert searcher is not None
         assert "templates" in searcher.finder.__dict__
 
@@ -632,6 +632,11 @@ class TestRequests:
         assert made["error"]["percent"] < 5
         assert isinstance(made["theta_deg"], float)
 
+    def test_a_side_that_is_chosen(self, page):
+        fits = [page.fit(picture="face.png", **asked).json() for asked in ({}, {"side": "mirrored"}, {"side": "auto"})]
+        assert [made["side"] for made in fits] == [None, "mirrored", None]
+        assert fits[0]["shape"] == fits[2]["shape"]
+
     def test_a_dropped_picture(self, page, folder):
         data = (folder / "face.png").read_bytes()
         upload = page.ask("POST", "/api/uploads?name=face.png", content=data).json()
@@ -686,6 +691,8 @@ class TestRequests:
             ({"picture": 7}, 422, "the picture to fit is unclear"),
             ({"picture": "face.png", "method": "magic"}, 422, "unknown method 'magic'"),
             ({"picture": "face.png", "method": 7}, 422, "the method is not a string"),
+            ({"picture": "face.png", "side": 7}, 422, "the side is not a string"),
+            ({"picture": "face.png", "side": "left"}, 422, "unknown side 'left'"),
             ({"picture": "face.png", "start": "there"}, 422, "the start is unclear"),
             ({"picture": "face.png", "start": {"box": [5, 5, 5, 5]}}, 422, "the box 5, 5, 5, 5 is empty"),
             ({"picture": "face.png", "start": {"box": [900, 900, 990, 990]}}, 422, "the start lies outside the image"),

@@ -9,7 +9,7 @@ from PIL import Image
 
 from liaam.io import read_image, read_strips, write_image
 from liaam.studio import pictures as module
-from liaam.studio.pictures import Pictures, read_for_work, source_of, work_size
+from liaam.studio.pictures import Pictures, Uploads, read_for_work, source_of, work_size
 from liaam.studio.refusal import Refusal
 from liaam.studio.tiles import Tiles, size_at
 
@@ -81,3 +81,14 @@ def test_large_pictures_are_worked_on_at_half_their_size(tmp_path, rng, monkeypa
     assert read_for_work(path).shape == (350, 500, 3)
     header = np.frombuffer(Pictures().chroma(source, 200, "srgb")[8:16], np.float32)
     assert header[0] == pytest.approx(1001, rel=0.03)  # in pixels of the picture
+
+
+def test_dropped_pictures_have_tiles_too(tmp_path, rng):
+    path = tmp_path / "wing.jpg"
+    write_image(path, smooth(rng, 1300, 700))
+    pictures = Pictures()
+    uploads = Uploads(pictures)
+    source = uploads.source(uploads.add(path.read_bytes(), "wing.jpg").id)
+    of_file = Tiles(pictures).get(source_of(path, 10**9), 0, 1, 1)
+    assert Tiles(pictures).get(source, 0, 1, 1) == of_file
+    assert np.array_equal(np.vstack(list(read_strips(path.read_bytes(), rows=100))), read_image(path))

@@ -19,7 +19,6 @@ from liaam.io.landmarks.reading import Reading
 if TYPE_CHECKING:
     from liaam.datasets.label_faults import LabelFault
 
-FEW_MISTAKES = 2  # Mirrored images, whose sides are not stated, that may be mistakes, however few images there are
 MAX_WARNINGS = 3  # Faults that liaam train prints before it refers to liaam check
 
 
@@ -154,23 +153,17 @@ def with_enough_landmarks(samples: list[Sample]) -> list[Sample]:
 
 
 def reflected_before(samples: list[Sample], sides: str) -> np.ndarray:
-    """Return which samples are compared reflected, (m,) bool, and say how many.
-
-    A few that are mirrored, while sides are not stated, may be mistakes: these are compared as they are, and named.
-    """
-    from liaam.datasets.sides import FEW, sides_of_shapes
+    """Return which samples are compared reflected, (m,) bool, and say how many."""
+    from liaam.datasets.sides import sides_for_check
 
     if sides == "one":
         return np.zeros(len(samples), bool)
     stated = [sample.side for sample in samples]
     marks = np.array([sample.landmarks.points for sample in samples])
-    found = sides_of_shapes(marks, stated, [sample.name for sample in samples])
+    found = sides_for_check(marks, stated, [sample.name for sample in samples])
     if found.said:
         complain(found.said)
-    is_few = found.is_other.sum() <= max(FEW_MISTAKES, FEW * len(samples))
-    if found.sides is None or (is_few and not any(stated)):
-        return np.zeros(len(samples), bool)
-    if found.sides.n_other:
+    if found.sides is not None and found.sides.n_other:
         which = some_names([samples[i].name for i in np.flatnonzero(found.is_other).tolist()])
         count = f"{found.sides.n_other} of {count_of(len(samples), 'image')}"
         say(f"side {found.sides.other}: {count}, whose landmarks are compared reflected: {which}")

@@ -34,6 +34,7 @@ MEDIANS = 3  # Number of times that shapes are aligned to their median
 UPRIGHT = np.pi / 4
 ALIGNED = 0.8
 FEW = 0.1  # Share of mirrored shapes below which, where more are stated, they were reflected before
+FEW_MISTAKES = 2  # Mirrored shapes, whose sides are not stated, that may be mistakes, however few shapes there are
 MOST_AGAINST = 0.25  # Largest share of stated sides that the shapes may contradict
 
 
@@ -109,6 +110,18 @@ def sides_of_shapes(shapes: np.ndarray, stated: Sequence[str], names: Sequence[s
         is_or_are = "image is" if len(against) == 1 else "images are"
         said = f"{len(against)} {is_or_are} of the other side than stated, by the shape, and taken so: {listed}"
     return SidesOfShapes(by_shape, _sides(own, by_shape), said)
+
+
+def sides_for_check(shapes: np.ndarray, stated: Sequence[str], names: Sequence[str]) -> SidesOfShapes:
+    """Return the sides by which landmarks are compared where faults are looked for; as :func:`sides_of_shapes`.
+
+    A few that are mirrored, while sides are not stated, may be mistakes: these are compared as they are.
+    """
+    found = sides_of_shapes(shapes, stated, names)
+    is_few = found.is_other.sum() <= max(FEW_MISTAKES, FEW * len(shapes))
+    if found.sides is None or (is_few and not any(stated)):
+        return SidesOfShapes(np.zeros(len(shapes), bool), said=found.said)
+    return found
 
 
 def check_stated(stated: Sequence[str], names: Sequence[str]) -> None:

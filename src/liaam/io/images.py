@@ -150,21 +150,24 @@ def read_preview(
         return _upright(rgb_of(opened.image), opened)
 
 
-def read_strips(path: AnyPath, max_pixels: int | None = None, rows: int = ROWS_AT_ONCE) -> Iterator[np.ndarray]:
+def read_strips(
+    path: AnyPath | bytes, max_pixels: int | None = None, rows: int = ROWS_AT_ONCE, name: str = "image"
+) -> Iterator[np.ndarray]:
     """Yield an image in strips of so many rows, from the top, as :func:`read_image` reads it.
 
-    Images of 8 bits take 4 bytes per pixel meanwhile, instead of 7.
+    Images of 8 bits take 4 bytes per pixel meanwhile, instead of 7. Bytes are those of an image file, except RAW files;
+    errors call it `name`.
     """
     whole: np.ndarray | None = None
-    if is_raw(path):
+    if not isinstance(path, bytes) and is_raw(path):
         whole = read_raw(path, max_pixels)
     else:
-        with _opened(path) as opened:
+        with _opened(path, name) as opened:
             check_size(opened.name, opened.width, opened.height, max_pixels)
             if not opened.fault and len(opened.pages) <= 1 and not opened.deep:
                 yield from _strips_of(opened, rows)
                 return
-        whole = read_image(path, max_pixels)
+        whole = read_preview(path, None, max_pixels, name)
     for top in range(0, len(whole), rows):
         yield whole[top : top + rows]
 

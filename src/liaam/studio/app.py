@@ -25,6 +25,7 @@ from starlette.types import Receive, Scope, Send
 from liaam import __version__
 from liaam.errors import ImageError, LiaamError
 from liaam.fitting.methods import DEFAULT_METHOD, METHODS
+from liaam.fitting.sides import AUTO
 from liaam.io.images import PICTURE_SUFFIXES, VIDEO_SUFFIXES
 from liaam.io.landmarks import LANDMARK_SUFFIXES
 from liaam.model import load_model
@@ -150,6 +151,7 @@ class Studio:
             route("PUT", of_picture + "landmarks", self._save_landmarks, read_json),
             route("GET", of_picture + "history", lambda asked: project.history(asked.path_params["name"])),
             route("POST", "/api/review", self._review, read_json),
+            route("PUT", "/api/sides", self._save_sides, read_json),
             route("POST", "/api/removed", partial(self._change_files, picture_files.remove), read_json),
             route("POST", "/api/restored", partial(self._change_files, picture_files.restore), read_json),
             route("POST", "/api/renamed", self._rename, read_json),
@@ -172,6 +174,7 @@ class Studio:
             route("POST", UPLOADS, self._upload, data, status=201),
             route("GET", UPLOADS + "/{id}/image", self._image, limiter=shown),
             route("GET", UPLOADS + "/{id}/chroma", self._chroma, limiter=shown),
+            route("GET", UPLOADS + "/{id}/tiles/{level:int}/{column:int}/{row:int}", self._tile, limiter=shown),
             route("GET", "/api/model/file", self._model_file),
             route("POST", GUEST, self._receive_guest, data, models),
             route("DELETE", GUEST, lambda _: self.models.publish(None, place="guest")),
@@ -245,6 +248,12 @@ class Studio:
         # One event, because a page that falls behind is disconnected. "" means that there is no file any more.
         written = [{"name": name, "revision": now or ""} for name, now in answer.pop("revisions").items()]
         self.events.publish("landmarks", written)
+        self.background.woken.set()
+        self.events.publish("project", {})
+        return answer
+
+    def _save_sides(self, request: Request, data: Any) -> contract.SidesBefore:
+        answer = self.project.save_sides(data)
         self.background.woken.set()
         self.events.publish("project", {})
         return answer
@@ -380,7 +389,10 @@ class Studio:
     def _fit(self, request: Request, body: Any) -> dict[str, Any]:
         body, of, source, method = self._to_fit(body)
         truth = None if of[0] == "upload" else truth_of(self.project.landmarks(of[1]))
-        return self.fits.fit(source, of, method, parse_start(body.get("start")), truth).as_json()
+        side = body.get("side", AUTO)
+        if not isinstance(side, str):
+            raise Refusal(422, "the side is not a string: send auto, or one of the model's sides")
+        return self.fits.fit(source, of, method, parse_start(body.get("start")), truth, side).as_json()
 
     def _fit_all(self, request: Request, body: Any) -> dict[str, Any]:
         _, of, source, method = self._to_fit(body)

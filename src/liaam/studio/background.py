@@ -7,15 +7,16 @@ faces in them, the folder gets its points and its proposals, until a person defi
 import os
 import threading
 import time
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from contextlib import closing, suppress
 from functools import cached_property, lru_cache, partial
-from pathlib import Path
+from pathlib import Path, PurePosixPath
 from typing import Any
 
 import numpy as np
 
 from liaam.datasets.label_faults import LEAST_PICTURES, find_label_faults
+from liaam.datasets.sides import reflected_shapes, sides_for_check
 from liaam.errors import LiaamError
 from liaam.fitting import FitResult, Fitter
 from liaam.io import Contour, Landmarks
@@ -27,7 +28,8 @@ from liaam.studio.fits import WARM_UP, example
 from liaam.studio.layers import fit_file
 from liaam.studio.model_store import ModelInUse, ModelStore
 from liaam.studio.pictures import file_tag
-from liaam.studio.project import Project
+from liaam.studio.project import Annotated, Project
+from liaam.studio.sides import completed
 from liaam.studio.template import Template, template_of
 from liaam.studio.training import Publish, Trainer
 from liaam.workers import in_order
@@ -200,12 +202,7 @@ class Background:
         revisions = {item.name: item.revision for item in done}
         if revisions == self._checked:
             return True
-        slips: dict[str, tuple[str, str, list[int]]] = {}
-        whole = [item for item in done if item.placed.all()]
-        for fault in find_label_faults([item.points for item in whole]) if len(whole) >= LEAST_PICTURES else ():
-            item = whole[fault.picture]
-            slips.setdefault(item.name, (item.revision, fault.message, [int(index) for index in fault.points]))
-        self.project.set_slips(slips)
+        self.project.set_slips(slips_in([item for item in done if item.placed.all()]))
         self._checked = revisions
         self.checks += 1
         self._next_check = time.monotonic() + 9 * (time.monotonic() - began)
@@ -215,6 +212,25 @@ class Background:
     def has_checked(self, done: Mapping[str, str]) -> bool:
         """Whether these landmarks, revisions by picture, have been checked, or nothing is checked at all."""
         return self._thread.ident is None or self._checked == done
+
+
+def slips_in(whole: Sequence[Annotated]) -> dict[str, tuple[str, str, list[int]]]:
+    """Return the revision, the slip and its points of pictures that have all points, by name of those with a slip.
+
+    Objects of the other side are compared reflected.
+    """
+    if len(whole) < LEAST_PICTURES:
+        return {}
+    shapes = np.array([item.points for item in whole])
+    names = [str(PurePosixPath(item.name).with_suffix("")) for item in whole]
+    sides = completed([item.side for item in whole], names, shapes)
+    with suppress(LiaamError):  # many shapes contradict their sides; training will say so
+        shapes = reflected_shapes(shapes, sides_for_check(shapes, sides, names).is_other)
+    slips: dict[str, tuple[str, str, list[int]]] = {}
+    for fault in find_label_faults([*shapes]):
+        item = whole[fault.picture]
+        slips.setdefault(item.name, (item.revision, fault.message, [int(index) for index in fault.points]))
+    return slips
 
 
 def template_of_model(model: AAM) -> Template:

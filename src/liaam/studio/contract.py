@@ -42,6 +42,7 @@ class Picture(TypedDict):
     absent: Annotated[NotRequired[int], "Number of points that the object lacks."]
     unconfirmed: Annotated[NotRequired[int], "Number of points that no person placed, moved or confirmed one by one."]
     revision: Annotated[NotRequired[str | None], "Of the landmark file; null if there is none."]
+    side: Annotated[NotRequired[str], "left or right, as a person or the landmark file says; empty if none does."]
 
 
 class Template(TypedDict):
@@ -133,6 +134,12 @@ class Reviewed(TypedDict):
     refused: Annotated[dict[str, str], "Reasons by name."]
 
 
+class SidesBefore(TypedDict):
+    """The answer to a request that says the sides of pictures."""
+
+    before: Annotated[dict[str, str], "What was said of them, by picture; to undo it."]
+
+
 class Removed(TypedDict):
     """Pictures that were removed from the folder, or restored."""
 
@@ -157,6 +164,15 @@ class HistoryEntry(TypedDict):
     revision: str | None
 
 
+class Sides(TypedDict):
+    """The sides of the training pictures of a model, such as left and right wings."""
+
+    own: Annotated[str, "left, right, or original where it was not stated: the side that the others were reflected to."]
+    other: str
+    n_own: int
+    n_other: int
+
+
 class Model(TypedDict):
     """The model in use."""
 
@@ -175,6 +191,7 @@ class Model(TypedDict):
     source: Literal["file", "studio", "guest", "face"]
     left_out: Annotated[dict[str, str], "Why its training left out pictures that have not changed since, by name."]
     mean: list[list[float]]
+    sides: Annotated[Sides | None, "null: there is one side only, as far as is known."]
 
 
 class Training(TypedDict):
@@ -361,8 +378,8 @@ EVENTS: dict[str, Any] = {
 """Data of the events that the server sends, by kind."""
 
 TYPES = (
-    Contour, Picture, Template, Bar, FoundScale, Marks, Base, SaveMarks, Saved, Reviewed, Removed, Renamed,
-    HistoryEntry, Model, Training, Method, Version,
+    Contour, Picture, Template, Bar, FoundScale, Marks, Base, SaveMarks, Saved, Reviewed, SidesBefore, Removed, Renamed,
+    HistoryEntry, Sides, Model, Training, Method, Version,
     Counted, Formats, Limits, Project, Unchanged, Column, Grid, Space, GroupTest, Shapes,
     ShapeAgreement, Agreement,
 )  # fmt: skip

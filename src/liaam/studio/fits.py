@@ -21,6 +21,7 @@ from liaam.fitting.fitter import Fitter
 from liaam.fitting.low_quality import fit_where_found
 from liaam.fitting.methods import DEFAULT_METHOD, methods_of
 from liaam.fitting.result import FitResult
+from liaam.fitting.sides import AUTO
 from liaam.fitting.specimens import fit_specimens
 from liaam.formatting import finite_list, finite_or_none
 from liaam.io import Contour, Landmarks
@@ -49,7 +50,7 @@ second per megapixel. Exported files have the full size."""
 LAYER_BYTES = 30_000_000  # maximum bytes of encoded layers in the cache
 LIGHT_BYTES = 200_000_000  # maximum bytes of relighters in the cache: a few at 1280 pixels, one at 2048
 MODELS_KEPT = 2  # models whose fits are cached: the current and the previous one, each with tens of megabytes
-FITTERS_KEPT = 16  # fitters in the cache, one for each model, method, and kind of picture (RAW or not)
+FITTERS_KEPT = 16  # fitters in the cache, one for each model, method, kind of picture (RAW or not), and side
 Lighting = tuple[Sequence[Lamp], float]  # lamps, and the fraction of ambient light
 SHARP = 2.0
 """Diagonal of the object on the copy of a large picture, relative to the model's, from which its fit is kept. The
@@ -200,7 +201,7 @@ class Fits:
         self.models = models
         self.pictures = pictures
         self._fits: Kept[str, Fit] = Kept(settings.fits_kept)
-        self._fitters: Kept[tuple[int, str, bool], Fitter] = Kept(FITTERS_KEPT)
+        self._fitters: Kept[tuple[int, str, bool, str], Fitter] = Kept(FITTERS_KEPT)
         self._found: Kept[tuple[str, str, tuple[int, ...], int], Sequence[Detection]] = Kept(settings.fits_kept)
         self._layers: Kept[tuple[str, str, int], tuple[bytes, Any]] = Kept(LAYER_BYTES, lambda layer: len(layer[0]))
         self._lights: Kept[tuple[str, tuple[int, int]], Relighter] = Kept(LIGHT_BYTES, lambda light: light.nbytes)
@@ -226,7 +227,7 @@ class Fits:
         """Fit an example in a thread, unless the model has fitted, so that the first real fit does no set-up work."""
 
         def warm_up() -> None:
-            if current is None or self._fitters.peek((id(current.model), DEFAULT_METHOD, False)) is not None:
+            if current is None or self._fitters.peek((id(current.model), DEFAULT_METHOD, False, AUTO)) is not None:
                 return
             with suppress(LiaamError):  # the request that needs the result will report it
                 image = example(current.model, WARM_UP)
@@ -248,15 +249,16 @@ class Fits:
         method: str = DEFAULT_METHOD,
         start: Any = None,
         truth: np.ndarray | None = None,
+        side: str = AUTO,
     ) -> Fit:
         """Fit a picture (``of``: ``picture`` or ``upload``, and its name or id) and cache the result.
 
         ``start`` is as for :meth:`Fitter.fit`; by default the object is searched for. ``truth`` are the
-        picture's landmarks (n, 2), NaN where they are to be ignored.
+        picture's landmarks (n, 2), NaN where they are to be ignored. ``side`` is that of :class:`Fitter`.
         """
         if (current := self.models.current) is None:
             raise Refusal(409, "there is no model yet: train one first, or drop a model file on the page")
-        fitter = self._fitter(current, method, source.raw)
+        fitter = self._fitter(current, method, source.raw, side)
         computed = None
         if start is None and source.has_copy:  # tried first: it will do for an object that is large on it
             computed = self._compute(source, fitter, current, start=None, on_copy=True)
@@ -485,12 +487,13 @@ class Fits:
         methods = (*methods_of(current.model), DEFAULT_METHOD)
         return self._fitter(current, methods[0], raw)
 
-    def _fitter(self, current: ModelInUse, method: str, raw: bool) -> Fitter:
-        """Return the fitter of a model and a method, for pictures that are ``raw`` (linear values) or not."""
+    def _fitter(self, current: ModelInUse, method: str, raw: bool, side: str = AUTO) -> Fitter:
+        """Return the fitter of a model, a method and a side, for pictures that are ``raw`` (linear values) or not."""
         # A fitter holds its model, so that the id is not used again. A model may be prepared before it has a number.
         model = current.model
         camera = model.camera.suited_to(raw=raw)
-        return self._fitters.get((id(model), method, raw), lambda: Fitter(model, method, camera=camera))
+        key = (id(model), method, raw, side)
+        return self._fitters.get(key, lambda: Fitter(model, method, camera=camera, side=side))
 
 
 @dataclass(frozen=True, eq=False)

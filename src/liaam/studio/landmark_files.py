@@ -21,9 +21,11 @@ from liaam.errors import LandmarkError
 from liaam.io.atomic import write_bytes_atomically, write_text_atomically
 from liaam.io.files import read_bytes, some_names
 from liaam.io.landmarks import Landmarks, parse_landmark_data
+from liaam.io.sides import side_of_text
 from liaam.studio import contract
 from liaam.studio.folder import OWN_SUFFIXES, File, Listing, Signature, disk_errors, revision_of
 from liaam.studio.refusal import Refusal
+from liaam.studio.sides import SIDES
 from liaam.studio.store import Store, StoredTable
 from liaam.studio.template import Template, landmarks_of, parse_points, text_of
 
@@ -65,7 +67,7 @@ class Marks:
 class LandmarkFiles:
     """Landmark files of the listed pictures, cached until they change; ``problems`` are those of no picture."""
 
-    def __init__(self, listing: Listing, store: Store, most_bytes: int, bars: StoredTable) -> None:
+    def __init__(self, listing: Listing, store: Store, most_bytes: int, bars: StoredTable, sides: StoredTable) -> None:
         self._listing = listing
         self._store = store
         self._folder = listing.folder
@@ -76,7 +78,8 @@ class LandmarkFiles:
         self.problems: list[str] = []
         self._pairs_of = lru_cache(1)(self._pair)
         self._paired_version = -1
-        self.bars = bars  # shared by all sets of landmarks of the folder
+        self.bars = bars  # shared by all sets of landmarks of the folder, as are the sides
+        self.sides = sides
         self._invisible = StoredTable(store, "invisible")  # points by name and revision of a .pts
 
     def of(self, picture: File) -> Marks:
@@ -192,6 +195,12 @@ class LandmarkFiles:
             return "mm"
         return "" if landmarks is None else landmarks.unit
 
+    def side_of(self, picture: File) -> str:
+        """Return the side of the object, as a person or the landmark file says; empty if none says left or right."""
+        landmarks = self.of(picture).landmarks
+        said = self.sides.get(picture.name) or side_of_text("" if landmarks is None else landmarks.side)
+        return said if said in SIDES else ""
+
     def scale_bar(self, picture: File) -> dict[str, Any]:
         """Return the ``bar`` of a picture; its ``scale`` without one; and, of a shared bar, what was ``before``."""
         landmarks = self.of(picture).landmarks
@@ -218,6 +227,8 @@ class LandmarkFiles:
         target = self.target(picture)
         before = self.of(picture)
         name = self._folder.name_of(target)
+        if picture.name not in self.sides and (side := self.side_of(picture)):
+            self.sides.save({picture.name: side})  # of a table; the file that replaces it holds none
         if before.file == name and (before.landmarks is None or len(before.landmarks) != len(template)):
             data = read_bytes(target, LandmarkError, sys.maxsize)
             copy = self._store.path(f"kept/{target.stem}.{revision_of(data)}{target.suffix}")

@@ -176,4 +176,12 @@ def model_json(
         # Without pictures that have changed since: the next training may use them.
         "left_out": {name: why for name, why in left_out.items() if name in unchanged},
         "mean": model.shape_model.mean.tolist(),
+        "sides": _sides_json(model),
     }
+
+
+def _sides_json(model: AAM) -> contract.Sides | None:
+    sides = model.sides
+    if sides is None:
+        return None
+    return {"own": sides.own, "other": sides.other, "n_own": sides.n_own, "n_other": sides.n_other}

@@ -332,6 +332,7 @@ class Uploads:
             (upload.width, upload.height),
             lambda: decode_image(data or self.get(number).data, name, pixels),
             lambda size: read_preview(data or self.get(number).data, size, pixels, name),
+            strips=lambda: read_strips(data or self.get(number).data, pixels, TILE, name),
         )
 
 

@@ -33,6 +33,7 @@ from liaam.studio.pictures import PictureSource, source_of
 from liaam.studio.refusal import Refusal
 from liaam.studio.review import PictureStates, ReviewLog, parse_who
 from liaam.studio.settings import StudioSettings
+from liaam.studio.sides import parse_sides
 from liaam.studio.store import Store, StoredTable
 from liaam.studio.template import (
     Template,
@@ -76,6 +77,7 @@ class Annotated:
     own: np.ndarray  # (n,) bool: points that a person has placed, moved or confirmed one by one
     revision: str  # :meth:`PictureStates.version_of` the landmarks
     slip: str | None = None  # description of what seems to be wrong
+    side: str = ""  # of the object, as a person or the landmark file says
 
     @property
     def placed(self) -> np.ndarray:
@@ -189,7 +191,8 @@ class Project:
         self._salt = secrets.token_hex(8)  # makes stamps of another run different
         self._listing = Listing(self.folder, self.settings.pixels, place=f"{set_name}/" if set_name else "")
         bars = first._landmarks.bars if first else StoredTable(self.store, "bar")
-        self._landmarks = LandmarkFiles(self._listing, self.store, self.settings.upload_bytes, bars)
+        sides = first._landmarks.sides if first else StoredTable(self.store, "side")
+        self._landmarks = LandmarkFiles(self._listing, self.store, self.settings.upload_bytes, bars, sides)
         self._proposals = StoredTable(self.store, "proposal")
         # Pictures left at the mean shape have no landmark file, so no training uses them.
         self._unchecked = StoredTable(self.store, "unchecked")
@@ -335,7 +338,7 @@ class Project:
     def _revisions(self, among: Container[str]) -> dict[str, str]:
         """Return the revisions of :meth:`annotated` pictures, of those with these names at the last scan."""
         files = [file for file in self._listing.pictures if file.name in among and self._is_for_training(file)]
-        return {file.name: self._states.version_of(self._landmarks.of(file)) for file in files}
+        return {file.name: self._states.version_of(file, self._landmarks.of(file)) for file in files}
 
     def annotated(self) -> list[Annotated]:
         """Return the pictures that have all points, but for absent ones, and are not left out of training."""
@@ -353,8 +356,9 @@ class Project:
                             path=self.root / file.name,
                             points=marks.landmarks.points,
                             own=own_points(self._states.origins_of(file, marks)),
-                            revision=self._states.version_of(marks),
+                            revision=self._states.version_of(file, marks),
                             slip=slip,
+                            side=self._landmarks.side_of(file),
                         )
                     )
         return annotated
@@ -385,6 +389,8 @@ class Project:
         text = collection_text(name, collection, sizes)
         if kind == "csv":
             text = _with_column(text, "origin", [origin or "" for picture in pictures for origin in picture.origins])
+            sides = [picture.landmarks.side for picture in pictures for _ in picture.origins]
+            text = _with_column(text, "side", sides) if any(sides) else text
         return name, text.encode()
 
     def placed(self, to: str = "export") -> list[Placed]:
@@ -399,7 +405,8 @@ class Project:
                 if template and marks.landmarks and marks.fits(template) and not isinstance(size, str):
                     scale = self._landmarks.scale_of(file)
                     unit = self._landmarks.unit_of(file) if scale else ""
-                    landmarks = replace(marks.landmarks, scale=scale, unit=unit, names=template.names)
+                    side = self._landmarks.side_of(file) or marks.landmarks.side
+                    landmarks = replace(marks.landmarks, scale=scale, unit=unit, names=template.names, side=side)
                     pictures.append(Placed(file, landmarks, [*self._states.origins_of(file, marks)], size))
         if not pictures:
             raise Refusal(422, f"no picture has landmarks yet: place the points of one, then {to}")
@@ -484,7 +491,8 @@ class Project:
             for each in self.sets:
                 project = self.of_set(each)
                 tables = (project._proposals, project._unchecked, project._absent, project._origins.table)
-                for table in (*tables, project._landmarks.bars) if each == "" else tables:
+                shared = (project._landmarks.bars, project._landmarks.sides)
+                for table in (*tables, *shared) if each == "" else tables:
                     table.rename({name: new})
                 project._landmarks.rename_invisible(moves)
                 project._log.rename(name, new)
@@ -616,6 +624,18 @@ class Project:
             of_any_size = data.get("anyway") is True
             size = self._listing.usable_size(self._find(drawn_on))
             return self._states.apply(files, "scaled", who, bar, like=None if of_any_size else size)
+
+    def save_sides(self, data: Any) -> contract.SidesBefore:
+        """Say the ``sides`` of the objects in pictures, by name (:func:`liaam.studio.sides.parse_sides`)."""
+        sides = parse_sides(self.checked(data, "sides, by picture").get("sides"))
+        self.folder.check_writable()
+        with self._lock:
+            self._rescan(strict=True)
+            table = self._landmarks.sides
+            names = [self._find(name).name for name in sides]
+            before = {name: table.get(name, "") for name in names}
+            table.save({name: sides[name] or None for name in names})
+            return {"before": before}
 
     def history(self, name: str) -> list[contract.HistoryEntry]:
         """Return the newest entries of a picture in the log."""

@@ -198,6 +198,7 @@ class PictureStates:
             "absent": len(self.absent_of(file, marks)),
             "unconfirmed": self.unconfirmed(file, marks),
             "revision": marks.revision,
+            "side": self.landmarks.side_of(file),
         }
 
     def _state_of(self, file: File, marks: Marks, proposal: Mapping[str, Any] | None) -> contract.Progress:
@@ -311,15 +312,17 @@ class PictureStates:
             return None, []
         version, slip, wrong_points = self.slips[file.name]
         marks = self.landmarks.of(file)
-        has_changed = version != self.version_of(marks)
+        has_changed = version != self.version_of(file, marks)
         is_checked = self.log.who("checked", file.name, marks.placement) is not None
         if has_changed or is_checked:
             return None, []
         return slip, wrong_points
 
-    def version_of(self, marks: Marks) -> str:
-        """Return a value that changes with what a model is trained on: points and template, but not the scale."""
-        return f"{marks.placement}-{self.templates.revision}"
+    def version_of(self, file: File, marks: Marks) -> str:
+        """Return a value that changes with what a model is trained on: points, template and side, but not the scale."""
+        side = self.landmarks.side_of(file)
+        version = f"{marks.placement}-{self.templates.revision}"
+        return f"{version}-{side}" if side else version
 
     def is_done(self, file: File) -> bool:
         """Whether all points of a picture are placed, most of them inside it, but for absent ones."""

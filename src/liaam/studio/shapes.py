@@ -31,6 +31,7 @@ from liaam.studio import contract
 from liaam.studio.folder import plain_name
 from liaam.studio.project import Placed, Project
 from liaam.studio.refusal import Refusal
+from liaam.studio.sides import SIDES, completed
 from liaam.tables import Columns
 
 GROUPS = "groups"
@@ -75,7 +76,7 @@ class Sample:
 def sample_of(project: Project, asked: Mapping[str, str]) -> Sample:
     """Measure all pictures of a project, as a request asks: ``measures``, ``scale``, ``by`` and ``estimate``."""
     placed = project.placed("measure")
-    specimens, sides = _of_one_side([_specimen(picture) for picture in placed])
+    specimens, sides = _of_one_side(_with_sides([_specimen(picture) for picture in placed]))
     scale = asked.get("scale") or _unit_of_files(specimens)
     if asked.get("estimate"):
         specimens, _ = with_estimated_landmarks(specimens, "tps", scale)
@@ -156,6 +157,16 @@ def _specimen(picture: Placed) -> Specimen:
         side=side_of_text(landmarks.side),
         image=picture.file.name,
     )
+
+
+def _with_sides(specimens: Sequence[Specimen]) -> list[Specimen]:
+    """Complete the sides that are known of some specimens only."""
+    stated = [specimen.side for specimen in specimens]
+    if all(stated) or not {*stated} & {*SIDES} or not {*stated} <= {"", *SIDES}:
+        return [*specimens]
+    shapes = np.array([specimen.points for specimen in specimens])
+    sides = completed(stated, [specimen.name for specimen in specimens], shapes)
+    return [replace(specimen, side=side or said) for specimen, side, said in zip(specimens, sides, stated, strict=True)]
 
 
 def _of_one_side(specimens: Sequence[Specimen]) -> tuple[tuple[Specimen, ...], str]:

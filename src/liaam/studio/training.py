@@ -26,7 +26,6 @@ from liaam.errors import ImageError, LiaamError, TrainingError
 from liaam.fitting import Fitter
 from liaam.io import image_size
 from liaam.io.landmarks import Contour, Landmarks
-from liaam.io.sides import sides_by_place_or_name
 from liaam.model import AAM, load_model
 from liaam.model.mesh import folded_share
 from liaam.model.shape import align, diagonal_of
@@ -36,6 +35,7 @@ from liaam.studio.model_store import MODEL_FILE, ModelStore, Versions
 from liaam.studio.pictures import read_for_work, work_size
 from liaam.studio.project import Annotated, Project
 from liaam.studio.refusal import Refusal
+from liaam.studio.sides import completed
 from liaam.tracking.motion import rescaled
 from liaam.workers import fresh_interpreters, obey_parent
 
@@ -319,7 +319,8 @@ def _train(
     while True:
         used = [item for item in job.done if item.name not in {*left_out, *unused}]
         marks = [Landmarks(_points_at_work(item), job.contours, job.names) for item in used]
-        sides = sides_by_place_or_name([str(PurePosixPath(item.name).with_suffix("")) for item in used])
+        names = [str(PurePosixPath(item.name).with_suffix("")) for item in used]
+        sides = completed([item.side for item in used], names, np.array([each.points for each in marks]))
         items = [
             SimpleNamespace(name=item.name, landmarks=landmarks, read_image=partial(read, item), side=side)
             for item, landmarks, side in zip(used, marks, sides, strict=True)

@@ -26,6 +26,11 @@ def client(page, where) -> list[float]:
     return page.evaluate("where => window.liaamStudio.annotate.toClient(where)", where)
 
 
+def as_expert(page) -> None:
+    """Let the page show methods, residuals and iterations, and the tab Compare; call it before the page is opened."""
+    page.add_init_script("localStorage.setItem('liaam-studio:expert', 'on')")
+
+
 def annotate(page, what: str):
     """Ask the Annotate tab's hooks."""
     return page.evaluate(f"() => window.liaamStudio.annotate.{what}")

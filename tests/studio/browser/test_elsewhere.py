@@ -247,8 +247,8 @@ def test_back_and_forward_move_between_pictures_and_tabs(serve, page, marked):
     page.wait_for_timeout(600)  # faster steps are one
     open_picture(page, NAMES[2])
     page.wait_for_timeout(600)
-    page.locator("[data-testid=tab-compare]").click()
-    wait_for_tab(page, "Compare")
+    page.locator("[data-testid=tab-measure]").click()
+    wait_for_tab(page, "Measure")
     page.go_back()
     wait_for_tab(page, "Annotate")
     opened(page, NAMES[2])
@@ -257,7 +257,7 @@ def test_back_and_forward_move_between_pictures_and_tabs(serve, page, marked):
     page.go_forward()
     opened(page, NAMES[2])
     page.go_forward()
-    wait_for_tab(page, "Compare")
+    wait_for_tab(page, "Measure")
     page.reload()
-    wait_for_tab(page, "Compare")
+    wait_for_tab(page, "Measure")
     assert page.evaluate("() => window.liaamStudio.state.current") == NAMES[2]

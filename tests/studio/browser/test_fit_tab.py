@@ -5,7 +5,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from people import shoot, wait_for, wait_until
+from people import as_expert, shoot, wait_for, wait_until
 
 from liaam.io import read_landmarks, write_image, write_landmarks
 
@@ -45,6 +45,7 @@ def lit_file(lit_portrait, tmp_path) -> Path:
 def fit_tab(serve, page, folder, portraits, portrait_model):
     """Give the page with the Fit tab open on the first portrait, of which the landmarks are known."""
     write_landmarks(folder / "portrait-01.pts", portraits[0].landmarks)
+    as_expert(page)
     page.goto(serve(folder, "--model", str(portrait_model)).address)
     page.wait_for_selector("[role=tab][aria-selected=true]")
     page.locator("[data-testid=strip] [data-name='portrait-01.png']").click()

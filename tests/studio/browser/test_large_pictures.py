@@ -71,3 +71,19 @@ def test_a_large_picture_is_fitted_on_a_copy(serve, page, large, portrait_model,
     wait_for(page, "() => window.liaamStudio.fit.fit")
     shape = np.array(page.evaluate("() => window.liaamStudio.fit.fit.shape"))
     assert np.linalg.norm(shape - truth, axis=1).mean() < 0.03 * size
+
+
+def test_a_large_picture_that_is_dropped_is_fitted_and_sharp(serve, page, large, folder, portrait_model):
+    page.goto(serve(folder, "--model", str(portrait_model)).address)
+    opened(page, "portrait-01.png")
+    page.locator("[data-testid=tab-fit]").click()
+    tiles = []
+    page.on("request", lambda request: tiles.append(request.url) if "/tiles/" in request.url else None)
+    page.locator("[data-testid=fit-file]").set_input_files(large / "wing.jpg")
+    wait_for(page, "() => window.liaamStudio.fit.fit?.upload && window.liaamStudio.fit.viewer.width === 7200")
+    assert not page.evaluate(RED.replace("annotate", "fit"), [5001.5, 3001.5])
+    page.evaluate("() => window.liaamStudio.fit.viewer.fitTo([4940, 2960, 5060, 3040], 0)")
+    wait_for(page, RED.replace("annotate", "fit"), [5001.5, 3001.5])
+    assert tiles and all("/uploads/" in address for address in tiles)
+    shown = page.evaluate("() => window.liaamStudio.fit.viewer.source.height")
+    assert shown <= 2048  # not the whole picture

@@ -4,7 +4,7 @@ import json
 
 import numpy as np
 import pytest
-from people import NAMES, annotate, client, opened, points_of, saved, shoot, violations, wait_for
+from people import NAMES, annotate, as_expert, client, opened, points_of, saved, shoot, violations, wait_for
 
 from liaam.io import Landmarks, write_landmarks
 from liaam.training import train
@@ -51,6 +51,7 @@ def sized(request, open_page, serve, marked, five_point_model):
     """Give a page of one size on a folder with a model; a narrow one has touch."""
     width, height = request.param
     page = open_page(width, height, has_touch=width < NARROW)
+    as_expert(page)
     page.goto(serve(marked, "--model", str(five_point_model)).address)
     opened(page, NAMES[0])
     return page
@@ -105,6 +106,7 @@ SCROLLED = """viewer => {
 @pytest.mark.parametrize("size", [(640, 360), (1280, 360), (1000, 700)], ids=lambda size: f"{size[0]}x{size[1]}")
 def test_a_low_or_narrow_page_scrolls_and_cuts_nothing_off(open_page, serve, marked, five_point_model, size, artefacts):
     page = open_page(*size)
+    as_expert(page)
     page.goto(serve(marked, "--model", str(five_point_model)).address)
     opened(page, NAMES[0])
     side = page.locator("section:not([hidden]) .side").bounding_box()

@@ -4,7 +4,7 @@ import hashlib
 
 import numpy as np
 import pytest
-from people import NAMES, annotate, client, kill, opened, points_of, saved, shoot, wait_for
+from people import NAMES, annotate, as_expert, client, kill, opened, points_of, saved, shoot, wait_for
 
 from liaam.io import Landmarks, read_image, write_image, write_landmarks
 
@@ -202,6 +202,7 @@ def test_a_picture_that_was_panned_is_drawn_as_if_it_were_drawn_anew(page, serve
 def fitted(page, serve, folder, portraits, portrait_model):
     """Give the page with a fit in the Fit tab."""
     write_landmarks(folder / "portrait-01.pts", portraits[0].landmarks)
+    as_expert(page)
     page.goto(serve(folder, "--model", str(portrait_model)).address)
     opened(page, "portrait-02.png")
     page.locator("[data-testid=tab-fit]").click()

@@ -4,7 +4,7 @@ from pathlib import Path
 from urllib.parse import unquote
 
 import pytest
-from people import NAMES, annotate, client, shoot, wait_for, wait_for_state, wait_until
+from people import NAMES, annotate, as_expert, client, shoot, wait_for, wait_for_state, wait_until
 from test_adding import READY
 
 from liaam.io import Landmarks, write_landmarks
@@ -162,6 +162,7 @@ def test_after_the_last_picture_the_page_leads_on(small, artefacts):
 def test_compare_shows_the_object_on_a_phone(serve, open_page, folder, portrait_model, portraits, artefacts):
     write_landmarks(folder / "portrait-01.ljson", Landmarks(portraits[0].landmarks))
     page = open_page(390, 844, has_touch=True)
+    as_expert(page)
     page.goto(serve(folder, "--model", str(portrait_model)).address)
     wait_for(page, READY)
     page.locator("[data-testid=tab-compare]").click()

@@ -967,7 +967,7 @@ test("what was left out, what was passed over, and a model of another template a
   });
   assert.equal(groups.length, 3);
   assert.match(groups[0].lines[0], /3 points where the template has 2/);
-  assert.deepEqual(groups[1].lines, ["x.png: too dark"]);
+  assert.deepEqual(groups[1].lines, [{ name: "x.png", why: "too dark" }]);
 });
 
 test("brightness, contrast and gamma of zero change nothing, and 1 stands for a factor of two", () => {

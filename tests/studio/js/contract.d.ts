@@ -38,6 +38,8 @@ interface Picture {
   unconfirmed?: number;
   /** Of the landmark file; null if there is none. */
   revision?: string | null;
+  /** left or right, as a person or the landmark file says; empty if none does. */
+  side?: string;
 }
 
 /** The points that are placed on every picture. */
@@ -133,6 +135,12 @@ interface Reviewed {
   refused: Record<string, string>;
 }
 
+/** The answer to a request that says the sides of pictures. */
+interface SidesBefore {
+  /** What was said of them, by picture; to undo it. */
+  before: Record<string, string>;
+}
+
 /** Pictures that were removed from the folder, or restored. */
 interface Removed {
   /** Restores them. */
@@ -153,6 +161,15 @@ interface HistoryEntry {
   did: string;
   picture: string;
   revision: string | null;
+}
+
+/** The sides of the training pictures of a model, such as left and right wings. */
+interface Sides {
+  /** left, right, or original where it was not stated: the side that the others were reflected to. */
+  own: string;
+  other: string;
+  n_own: number;
+  n_other: number;
 }
 
 /** The model in use. */
@@ -177,6 +194,8 @@ interface Model {
   /** Why its training left out pictures that have not changed since, by name. */
   left_out: Record<string, string>;
   mean: number[][];
+  /** null: there is one side only, as far as is known. */
+  sides: Sides | null;
 }
 
 /** The state of the training. */

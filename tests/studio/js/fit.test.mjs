@@ -12,6 +12,7 @@ import {
 import { relativeCosts } from "./modules/fit-iterations.js";
 import { FrameMeter } from "./modules/ui.js";
 import { specimenText, useAsAnnotation } from "./modules/fit-setup.js";
+import { sidesInWords } from "./modules/sides.js";
 import { Sources } from "./modules/fit-source.js";
 import { boxAfterKey, boxBetween, boxMoved, BoxTool, isDrawn, MeanTool } from "./modules/fit-start.js";
 import * as inv from "./modules/fit-theta.js";
@@ -348,6 +349,10 @@ test("a fit that failed or is doubtful says what to do", () => {
   assert.equal(verdictOf(fit({ found: null })).kind, "good");
   assert.equal(verdictOf(fit()).title, "converged, quality 93 %");
   assert.equal(verdictOf(fit({ quality: null })).title, "converged, quality unknown");
+  assert.ok(!JSON.stringify(factsOf(fit({ theta_deg: 118 }), false)).includes("θ"));
+  assert.equal(verdictOf(fit(), false).title, "Quality 93 %");
+  const unfinished = verdictOf(fit({ ok: false, status: "max iterations" }), false);
+  assert.deepEqual([unfinished.kind, unfinished.title], ["warn", "not finished"]);
 });
 
 test("the colour of a fit follows from its status alone, as in overlays", () => {
@@ -427,7 +432,7 @@ test("points that are not finite become null", () => {
   assert.deepEqual(iterations[0].shape, [null]);
 });
 
-test("a fit is remembered by picture, method and model only", async () => {
+test("a fit is remembered by picture, method, side and model only", async () => {
   const state = Object.assign(new EventTarget(), {
     project: { model: { number: 1 } },
     send: (request) => request("here"),
@@ -440,10 +445,11 @@ test("a fit is remembered by picture, method and model only", async () => {
   };
   const store = new FitStore(state);
   const made = await store.run(source, "soft-li", { box: [0, 0, 9, 9] });
-  const asked = { picture: "a", method: "soft-li", start: { box: [0, 0, 9, 9] }, folder: "here" };
+  const asked = { picture: "a", method: "soft-li", start: { box: [0, 0, 9, 9] }, side: "auto", folder: "here" };
   assert.deepEqual(sent, [["/api/fits", asked]]);
   assert.equal(store.recall(source, "soft-li"), made);
   assert.equal(store.recall(source, "rgb"), null);
+  assert.equal(store.recall(source, "soft-li", "left"), null);
   state.project.model.number = 2;
   assert.equal(store.recall(source, "soft-li"), null);
   state.project.model.number = 1;
@@ -598,4 +604,11 @@ test("tiles are asked for from the middle of the view, and drawn once they are t
   assert.ok(drawn.includes("512 0 512 512"));
   tiles.close();
   assert.equal(tiles.cover(ctx, view), false);
+});
+
+test("what training did about sides is told", () => {
+  const told = (own, other, nOther) => sidesInWords({ own, other, n_own: 7, n_other: nOther });
+  assert.equal(told("right", "left", 2), "2 of 9 training pictures were left, and reflected to be right.");
+  assert.equal(told("original", "mirrored", 1), "1 of 8 training pictures was mirrored, and reflected.");
+  assert.equal(told("right", "left", 0), "All training pictures are right.");
 });

@@ -91,7 +91,7 @@ export function createAdding(app) {
     await app.sources.take(item.file);
     const source = app.sources.current;
     if (source?.file !== item.file) return undefined; // another one was opened meanwhile
-    if (source.quality >= SURE) return toast("Drag the lamp to move its light. Save the picture with Export.");
+    if (source.quality >= SURE) return toast("Drag the lamp to move its light.");
     app.sources.backToFolder();
     return add([item]);
   }

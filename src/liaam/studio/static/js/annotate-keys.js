@@ -8,7 +8,7 @@ export const SHORTCUTS = [
   { keys: "Shift+Enter", what: "After a picture opened from the wall: return, and accept what is in view there" },
   { keys: "N", what: "Open it without accepting" },
   { keys: "Tab Shift+Tab", what: "Next, previous point (Escape, then Tab: leave the picture)" },
-  { keys: "← → ↑ ↓", what: "Move the selected points by 1 px (Shift: 10, Alt: 0.1)" },
+  { keys: "← → ↑ ↓", what: "Move the selected points, or the mean shape, by 1 px (Shift: 10, Alt: 0.1)" },
   { keys: "Ctrl+← Ctrl+→", what: "Rotate them by 1° (Shift: 5°)" },
   { keys: "Ctrl+↑ Ctrl+↓", what: "Scale them by 1 % (Shift: 5 %)" },
   { keys: "Shift click", what: "Add to the selection (Shift drag: select with a box)" },
@@ -62,6 +62,7 @@ export function createKeys(tab) {
     if (isIn(event, WITH_ARROWS) && event.target !== tab.panel.list) return false;
     if (!doc.editable || tab.tool.gesture) return true;
     if (!editing && marking.placing) commands.placeChosen();
+    if (!editing && !doc.selection.size) marking.select(marking.framed()); // an untouched mean shape is moved as a whole
     const chosen = [...doc.selection].filter((i) => doc.points[i]);
     const before = doc.points;
     if (editing && !chosen.length && tab.templates.doc.shiftAxis(event)) return true;

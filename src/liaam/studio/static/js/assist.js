@@ -86,12 +86,13 @@ export function reason(picture, pictures, model) {
   return `The least certain of the remaining pictures (${text}, median ${uncertain(median)}).`;
 }
 
-/** Notices about the folder and the model: [{title, lines}], without empty ones. */
+/** Notices about the folder and the model: [{title, lines}], without empty ones. A line is a text, or {name, why} about a
+ *  picture. */
 export function notices({ model, template, pictures = [], problems = [] }) {
-  const left = Object.entries(model?.left_out ?? {}).map(([name, why]) => `${name}: ${why}`);
+  const left = Object.entries(model?.left_out ?? {}).map(([name, why]) => ({ name, why }));
   const groups = [
     { title: "Other template", lines: [mismatch({ model, template })].filter(Boolean) },
-    { title: "Possible slips", lines: slipped(pictures).map(({ name, slip }) => `${name}: ${slip}`) },
+    { title: "Possible slips", lines: slipped(pictures).map(({ name, slip }) => ({ name, why: slip })) },
     { title: "Left out of training", lines: left },
     { title: "In the folder", lines: problems },
   ];
@@ -208,8 +209,15 @@ export function createAssist(app, commands) {
     if (JSON.stringify(groups) === noted) return; // keep an opened list open
     noted = JSON.stringify(groups);
     notes.hidden = !groups.length;
-    notes.replaceChildren(...groups.map(({ title, lines }) => (lines.length === 1 ? h("p.small", lines[0])
-      : h("details.small", h("summary", `${title}: ${lines.length} notices`), listOf(lines)))));
+    notes.replaceChildren(...groups.map(({ title, lines }) => (lines.length === 1 ? h("p.small", noticed(lines[0]))
+      : h("details.small", h("summary", `${title}: ${lines.length} notices`), listOf(lines.map(noticed))))));
+  }
+
+  /** A line of a notice, which opens the picture that it is about. */
+  function noticed(line) {
+    if (typeof line === "string") return line;
+    const open = h("button.link", { type: "button", testid: "notice", onclick: () => state.select(line.name) }, line.name);
+    return [open, `: ${line.why}`];
   }
 
   function refresh() {

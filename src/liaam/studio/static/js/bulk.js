@@ -2,6 +2,7 @@
 
 import { several } from "./annotate-words.js";
 import { removePictures, renamePicture } from "./picture-files.js";
+import { saySide } from "./sides.js";
 import { button, dialog, h, iconButton, labelsOf, menu } from "./ui.js";
 
 const KEY = "liaam-studio:who";
@@ -66,9 +67,12 @@ export function createBulk({ app, chosen, onall, onend, ondone }) {
   const ofFiles = {
     rename: () => renamePicture(app, chosen()[0]), remove: () => removePictures(app, chosen()),
   };
-  const labels = { ...labelsOf(ACTIONS), rename: "Rename…", remove: "Remove from the folder" };
+  const ofSides = { left: "left", right: "right", noSide: "" };
+  const sides = { left: "Left side of the object", right: "Right side", noSide: "Side by name or shape" };
+  const labels = { ...labelsOf(ACTIONS), ...sides, rename: "Rename…", remove: "Remove from the folder" };
   const choice = menu("Action…", labels, async (did) => {
     if (did in ofFiles) return changeFiles(ofFiles[did]);
+    if (did in ofSides) return saySide(app, chosen(), ofSides[did]);
     if (did !== "deleted" || (await mayDelete(chosen()))) await run(did, chosen());
     return undefined;
   }, { "aria-label": "Action on the selected pictures", testid: "bulk-action" });

@@ -4,6 +4,7 @@ import { several } from "./annotate-words.js";
 import { api } from "./api.js";
 import { distance, indicesOf, mean } from "./points.js";
 
+export const AUTO = "auto"; // of two sides of an object, that which is likelier
 const KEPT = 32; // fits, so that an earlier picture shows its fit at once; the server keeps 64
 
 export class FitStore {
@@ -18,14 +19,14 @@ export class FitStore {
     });
   }
 
-  async run(source, method, start = null) {
-    const key = this.#key(source, method); // of the model that is asked, which may be replaced meanwhile
+  async run(source, method, start = null, side = AUTO) {
+    const key = this.#key(source, method, side); // of the model that is asked, which may be replaced meanwhile
     const changes = this.#changes;
     await source.ready;
     const { fit: own } = source; // with the upload
     source.fit = null;
-    const asked = { ...source.reference, method, start };
-    const fit = cleaned(own?.method === method && !start ? own
+    const asked = { ...source.reference, method, start, side };
+    const fit = cleaned(own?.method === method && !start && side === AUTO ? own
       : await this.state.send((folder) => api.post(api.url("fits"), { ...asked, folder })));
     if (changes !== this.#changes) return fit;
     this.#kept.delete(key);
@@ -42,15 +43,15 @@ export class FitStore {
     return { fits: fits.map(cleaned), faults };
   }
 
-  /** The newest fit of a source with a method and the current model, or null. */
-  recall(source, method) { return this.#kept.get(this.#key(source, method)) ?? null; }
+  /** The newest fit of a source with a method, a side and the current model, or null. */
+  recall(source, method, side = AUTO) { return this.#kept.get(this.#key(source, method, side)) ?? null; }
   forget(fit) { this.#drop((kept) => kept.id === fit.id); }
 
   #drop(isStale) {
     for (const [key, kept] of this.#kept) if (isStale(kept)) this.#kept.delete(key);
   }
 
-  #key(source, method) { return `${source.key}|${method}|${this.state.project.model?.number ?? ""}`; }
+  #key(source, method, side) { return `${source.key}|${method}|${side}|${this.state.project.model?.number ?? ""}`; }
 }
 
 /** A fit whose points are either [x, y] or null: a diverged fit may lack a coordinate. */
@@ -69,12 +70,19 @@ const KINDS = { converged: "good", "light unobservable": "good", doubtful: "warn
 /** Kind of a status of a fit, by the rule of FitStatus.colour in fitting/result.py: "good", "warn" or "bad". */
 export const kindOf = (status) => KINDS[status] ?? "bad";
 
-/** Assessment of a fit: {kind of its badge, title, advice or ""}. A frame of a video also has the status of a track. */
-export function verdictOf(fit) {
-  const { ok, status, fitStatus = status, quality } = fit;
+/** What a status is called where the words of fitting are not shown. */
+const PLAIN = { "max iterations": "not finished", diverged: "lost" };
+const capital = (text) => text[0].toUpperCase() + text.slice(1);
+
+/** Assessment of a fit: {kind of its badge, title, advice or ""}. isExpert: whether the title has the words of fitting.
+ *  A frame of a video also has the status of a track. */
+export function verdictOf(fit, isExpert = true) {
+  const { ok, fitStatus = fit.status, quality } = fit;
+  const status = isExpert ? fit.status : (PLAIN[fit.status] ?? fit.status);
   const kind = kindOf(fitStatus);
   if (!ok) return { kind, title: status, advice: "Draw a box around the object, or drag the mean shape onto it:" };
-  const title = `${status}, quality ${quality == null ? "unknown" : percent(quality)}`;
+  const known = `quality ${quality == null ? "unknown" : percent(quality)}`;
+  const title = isExpert ? `${status}, ${known}` : capital(known);
   if (fit.found?.doubtful) {
     const advice = "The search may not have found the object. If the points are wrong, draw a box around it:";
     return { kind, title: `${title}, search uncertain`, advice };
@@ -101,14 +109,15 @@ export function significant(value, digits = 3) {
 const short = (value) => value < 0.01 ? "< 0.01" : String(Number(value.toFixed(2)));
 const errorText = ({ error: { pixels, percent } }) => `${short(pixels)} px (${short(percent)} %)`;
 
-export function factsOf(fit) {
+/** Facts about a fit, by their titles; isExpert: also what only experts of the fitting need. */
+export function factsOf(fit, isExpert = true) {
   const { search, fit: fitting } = fit.seconds ?? {};
   return [
-    ["Quality", fit.quality == null ? "unknown" : percent(fit.quality)],
+    isExpert && ["Quality", fit.quality == null ? "unknown" : percent(fit.quality)],
     fit.side && ["Side", fit.side],
     fit.error && ["Error", errorText(fit)],
-    fit.theta_deg != null && ["θ", `${fit.theta_deg.toFixed(1)}°`],
-    ["Time", search ? `${duration(search)} search + ${duration(fitting)} fit` : duration(fitting)],
+    isExpert && fit.theta_deg != null && ["θ", `${fit.theta_deg.toFixed(1)}°`],
+    isExpert && ["Time", search ? `${duration(search)} search + ${duration(fitting)} fit` : duration(fitting)],
   ].filter(Boolean);
 }
 

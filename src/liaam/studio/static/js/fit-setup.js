@@ -1,9 +1,11 @@
 // The Fit tab's panels: for a guest model, the picture, the start and the method, and with the result; and its exports.
 
 import { api } from "./api.js";
+import { expert } from "./expert.js";
 import { entries, modelNeeded, offer } from "./fit-draw.js";
-import { factsOf, verdictOf } from "./fit-run.js";
+import { AUTO, factsOf, verdictOf } from "./fit-run.js";
 import { lightQuery } from "./relight.js";
+import { sidesInWords } from "./sides.js";
 import { button, h, iconButton, saveFile, segmented } from "./ui.js";
 
 const STARTS = [
@@ -18,6 +20,8 @@ const STARTS = [
       "comma and full stop resize, brackets rotate, Enter fits.",
   },
 ];
+
+const SIDES = { left: "Left", right: "Right", original: "Not mirrored", mirrored: "Mirrored" };
 
 export class SetupPanel {
   /** @param {import("./fit.js").Tab} tab */
@@ -60,9 +64,11 @@ export class SetupPanel {
     this.runner.append(h("kbd.kbd", "Enter"));
     this._mismatch = h("p.small.error-text", { hidden: true, testid: "fit-mismatch" });
     this._needsModel = h("div.column", modelNeeded(app, "fit-to-annotate"));
+    this._ofSides = h("div.column.tight", { testid: "fit-sides" });
+    this._ofMethod = h("div.column.tight", h("label.field", "Method", method), summary);
     this._withModel = h("div.column",
-      h("div.column.tight", this._starts.element, this._hint),
-      h("div.row.fit-method", h("label.field.grow", "Method", method), this.runner), summary);
+      h("div.column.tight", this._starts.element, this._hint), this._ofSides, this._ofMethod,
+      h("div.row", expert.control(), h("span.grow"), this.runner));
     this.element = h("section.panel", { "aria-label": "Fit" },
       h("div.row.fit-source", this._back, this._label, open), this._place, this._needsModel, this._mismatch, this._withModel);
   }
@@ -71,6 +77,34 @@ export class SetupPanel {
     this._starts.value = value;
     this._hint.textContent = STARTS.find((start) => start.value === value).hint;
     this._hint.hidden = !this._hint.textContent;
+  }
+
+  /** Let a side of the object be chosen, if the model knows two. @param {Model | null} model */
+  offerSides(model) {
+    const sides = model?.sides;
+    this._ofSides.hidden = !sides;
+    this._sides = null;
+    if (!sides) return;
+    const choices = [
+      { value: AUTO, label: "Either side", title: "Try both sides, and take the likelier" },
+      ...[sides.own, sides.other].map((side) => ({ value: side, label: SIDES[side], title: `Fit as ${side}` })),
+    ];
+    this._sides = segmented("Side", choices, AUTO, (value) => this._tab.setSide(value), "side");
+    this._ofSides.replaceChildren(this._sides.element, h("p.small.muted", sidesInWords(sides)));
+  }
+
+  set side(value) { if (this._sides) this._sides.value = value; }
+
+  /** Whether a method has to be chosen, since the model was not trained for this one. */
+  needsMethod(name) {
+    const { model } = this._tab.state.project;
+    return Boolean(model) && !model.methods.includes(name);
+  }
+
+  /** Choose a method as if by hand. */
+  choose(name) {
+    this._method.value = name;
+    this._method.dispatchEvent(new Event("change"));
   }
 
   show() {
@@ -82,6 +116,7 @@ export class SetupPanel {
     this._needsModel.hidden = Boolean(model);
     this._withModel.hidden = !model;
     offer(this._method, model);
+    this._ofMethod.hidden = !expert.on && !this.needsMethod(this._tab.method);
     this._mismatch.textContent = mismatch;
     this._mismatch.hidden = !mismatch;
     this.runner.disabled = !source;
@@ -143,7 +178,7 @@ export class ResultPanel {
 
   /** List specimens that were fitted together: a press selects one. What is not clear about the picture comes last. */
   _list({ fits, faults }, chosen) {
-    const row = (fit) => button(specimenText(fit), {
+    const row = (fit) => button(specimenText(fit, expert.on), {
       small: true, kind: "ghost", pressed: fit === chosen, title: fit.specimen.fault, testid: "fit-specimen",
       onclick: () => this._tab.choose(fit),
     });
@@ -152,10 +187,10 @@ export class ResultPanel {
 
   show(fit, several = false) {
     this.element.hidden = false;
-    const { kind, title, advice } = verdictOf(fit);
+    const { kind, title, advice } = verdictOf(fit, expert.on);
     const lines = [
       h("span.badge", { class: kind, dataset: { status: fit.status } }, title),
-      h("p.small", fit.message),
+      (expert.on || fit.status !== "converged") && h("p.small", fit.message),
       fit.trained_on && h("p.small.muted", "The model was trained on this picture."),
       advice && h("p.small.muted", advice),
     ];
@@ -163,12 +198,12 @@ export class ResultPanel {
     this._remedies.hidden = !advice && !several;
     this._next.hidden = this._all.hidden = !several;
     this._list(this._tab.specimens, fit);
-    this._facts.replaceChildren(...entries(factsOf(fit)));
+    this._facts.replaceChildren(...entries(factsOf(fit, expert.on)));
   }
 }
 
 /** A specimen in words, such as "tray#2: converged, quality 94 %". */
-export const specimenText = (fit) => `${fit.specimen.name}: ${verdictOf(fit).title}`;
+export const specimenText = (fit, isExpert = true) => `${fit.specimen.name}: ${verdictOf(fit, isExpert).title}`;
 
 const EXPORTS = {
   Landmarks: { pts: "Landmarks .pts", ljson: "Landmarks .ljson", csv: "Table .csv", json: "Fit .json" },
@@ -223,6 +258,14 @@ export class ExportMenu {
     return h("a.button.ghost.small", { download: "", dataset: { what, testid: `export-${what}` }, onclick }, label);
   }
 
+  _address(what) {
+    const { fit, view } = this._tab;
+    return api.url("fits", fit.id, "export", { what, ...(what === "relit" && lightQuery(view.light)) });
+  }
+
+  /** Save a file of the fit without the menu. */
+  async save(what) { saveFile(...(await api.file(this._address(what)))); }
+
   async _save(link) {
     link.ariaBusy = "true";
     const file = await api.file(link.getAttribute("href")).finally(() => { link.ariaBusy = null; });
@@ -233,7 +276,7 @@ export class ExportMenu {
   _place() {
     const { right, bottom } = this.button.getBoundingClientRect();
     Object.assign(this.panel.style, { right: `${innerWidth - right}px`, top: `${bottom + 6}px` });
-    const { fit, view } = this._tab;
+    const { fit } = this._tab;
     const { fits } = this._tab.specimens;
     for (const link of fit ? this.panel.querySelectorAll("a") : []) {
       const { what } = link.dataset;
@@ -242,7 +285,7 @@ export class ExportMenu {
         link.hidden = !fits.length;
         continue;
       }
-      link.href = api.url("fits", fit.id, "export", { what, ...(what === "relit" && lightQuery(view.light)) });
+      link.href = this._address(what);
       link.hidden = what in NEEDS && !fit.layers.includes(NEEDS[what]);
     }
   }

@@ -7,6 +7,7 @@ import { TILED_FROM, Tiles } from "./tiles.js";
 const SHOWN_SIZE = 2048; // longest side at first
 const SHARP_SIZE = 8192; // longest side after zooming in
 const KEPT = 4;
+const LARGE_FILE = 1e6; // bytes of a picture from which on it may be too large to be decoded by the browser
 
 async function bitmapOf(address) {
   const blob = await api.blob(address);
@@ -19,6 +20,18 @@ async function bitmapOf(address) {
 function tilesOf(addressOf, bitmap, width, height) {
   if (width * height < TILED_FROM) return null;
   return new Tiles(width, height, bitmap.width, (level, column, row) => bitmapOf(addressOf(`tiles/${level}/${column}/${row}`)));
+}
+
+/** The picture in a file; null if it is large: whole, it would take up to a gigabyte, so that it is fetched as tiles. */
+async function decoded(file) {
+  if (file.size > LARGE_FILE) {
+    const [image, address] = [new Image(), URL.createObjectURL(file)];
+    const isRead = new Promise((resolve, reject) => Object.assign(image, { onload: resolve, onerror: reject }));
+    image.src = address; // its pixels are not decoded before it is drawn
+    await isRead.finally(() => URL.revokeObjectURL(address));
+    if (image.naturalWidth * image.naturalHeight >= TILED_FROM) return null;
+  }
+  return createImageBitmap(file);
 }
 
 /** The last few pictures, which are fetched at a higher resolution for zooming in. */
@@ -177,8 +190,8 @@ export class Sources extends EventTarget {
     this._chosen = false;
     this._say("taken", { source });
     source.ready = this._send(source, file);
-    const seen = createImageBitmap(file).then((image) => {
-      if (this._wanted !== source) return;
+    const seen = decoded(file).then((image) => {
+      if (this._wanted !== source || !image) return;
       source.image = image;
       if (!source.id) Object.assign(source, { width: image.width, height: image.height }); // until the server answers
       this._show(source);
@@ -187,7 +200,7 @@ export class Sources extends EventTarget {
       await source.ready;
       await seen;
       if (this._wanted !== source || source.image) return;
-      source.image = await bitmapOf(source.address("image", { size: SHOWN_SIZE }));
+      await this._fetch(source);
       if (this._wanted === source) this._show(source);
     } catch (error) {
       if (this._wanted !== source) return;
@@ -195,6 +208,14 @@ export class Sources extends EventTarget {
       if (this.current === source) this._show(before); // the browser can show what the server refuses
       this._say("failed", { error });
     }
+  }
+
+  /** Fetch what is shown of an uploaded picture: a copy, and tiles if it is large. */
+  async _fetch(source) {
+    const { width, height } = source;
+    const isTiled = width * height >= TILED_FROM;
+    source.image = await bitmapOf(source.address("image", { size: isTiled ? SHOWN_SIZE : SHARP_SIZE }));
+    source.tiles = tilesOf((what) => source.address(what), source.image, width, height);
   }
 
   async _send(source, file) {
@@ -206,6 +227,7 @@ export class Sources extends EventTarget {
   }
 
   _show(source) {
+    if (source !== this.current && this.current?.file) this.current.tiles?.close();
     this.current = source;
     this._say("change");
   }

@@ -2,6 +2,7 @@
 
 import { api } from "./api.js";
 import { Divider } from "./divider.js";
+import { expert } from "./expert.js";
 import { drawFit, drawOver, drawSpecimens, Overlays } from "./fit-draw.js";
 import { significant } from "./fit-run.js";
 import { InvariantView } from "./fit-theta.js";
@@ -16,8 +17,9 @@ const VIEWS = [
     hint: "The object under the training light, without the shading of this picture." },
   { name: "shading", label: "Shading", after: "Shading",
     hint: "The effect of the light: the picture divided by its flat appearance." },
-  { name: "residual", label: "Residual", after: "Residual", hint: "The difference between the picture and the model." },
-  { name: "invariant", label: "Invariant", after: "Invariant" },
+  { name: "residual", label: "Residual", after: "Residual", hint: "The difference between the picture and the model.",
+    expert: true },
+  { name: "invariant", label: "Invariant", after: "Invariant", expert: true },
   { name: "relit", label: "Relight", after: "Relit", hint: "The object under other lamps: drag them over it." },
 ];
 
@@ -67,6 +69,7 @@ export class FitView {
     this.bar = h("div.fit-bar", this._hint, this._legend, this.invariant.controls);
     this.viewer.addLayer((ctx, viewer) => this._draw(ctx, viewer));
     this.show("picture");
+    expert.follow(() => this._offer());
   }
 
   setSource(source) {
@@ -103,8 +106,17 @@ export class FitView {
     this._changed();
   }
 
+  /** Names of the views that may be chosen. */
+  get _offered() { return VIEWS.filter((view) => expert.on || !view.expert).map(({ name }) => name); }
+
+  _offer() {
+    const offered = this._offered;
+    for (const each of this._choice.element.children) each.hidden = !offered.includes(each.value);
+    if (!offered.includes(this.name)) this.show("picture");
+  }
+
   cycle(by) {
-    const can = VIEWS.map((view) => view.name).filter((name) => !this._why(name));
+    const can = this._offered.filter((name) => !this._why(name));
     this.show(can[(can.indexOf(this.name) + by + can.length) % can.length] ?? "picture");
   }
 
@@ -112,7 +124,7 @@ export class FitView {
     if (!this.source) return;
     // The picture has no counterpart: switch to the most useful view.
     const isSplit = this._split.has(this.name);
-    if (this.name === "picture") this.show(["flat", "invariant"].find((name) => !this._why(name)) ?? "picture");
+    if (this.name === "picture") this.show(this._offered.find((name) => ["flat", "invariant"].includes(name) && !this._why(name)) ?? "picture");
     if (isSplit) this._split.delete(this.name);
     else if (this.name !== "picture") this._split.add(this.name);
     this._changed();

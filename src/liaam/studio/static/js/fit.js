@@ -1,7 +1,9 @@
 // The Fit tab: fit the model to a picture and inspect the result.
 
 import { mismatch } from "./assist.js";
+import { expert } from "./expert.js";
 import { Iterations } from "./fit-iterations.js";
+import { AUTO } from "./fit-run.js";
 import { ExportMenu, guestPanel, ResultPanel, SetupPanel } from "./fit-setup.js";
 import { SourceTab } from "./fit-source.js";
 import { BoxTool, MeanTool } from "./fit-start.js";
@@ -15,11 +17,13 @@ export class Tab extends SourceTab {
     { keys: "S", what: "Before and after" },
     { keys: "C L M E", what: "Show contours, points, mesh, ellipses" },
     { keys: "O", what: "Make the view more transparent" },
-    { keys: ", .", what: "Previous, next iteration (or resize the start)" },
-    { keys: "P", what: "Play the iterations" },
-    { keys: "Arrows", what: "Change θ (Shift: 0.1°), the light, or the start" },
+    { keys: ", .", what: "Resize the start" },
+    { keys: "Arrows", what: "Move the lamp, or the start" },
+    { keys: ", . P", what: "Previous, next iteration; play the iterations", expert: true },
+    { keys: "Arrows", what: "Change θ of the invariant image (Shift: 0.1°)", expert: true },
   ];
   start = "auto";
+  side = AUTO; // of the object in the picture, if the model knows two
   fit = null;
   lastDropMs = null; // from the newest drop to the first frame painted with its fit
   _objects = []; // boxes of several in the picture, that of the fit first
@@ -50,6 +54,7 @@ export class Tab extends SourceTab {
       if (detail.state === "done") this.state.refresh().catch(() => {});
     });
     this.follow();
+    expert.addEventListener("change", () => this._expert());
     this._expose();
   }
 
@@ -68,9 +73,10 @@ export class Tab extends SourceTab {
   key(event) {
     return isPlain(event) && (this.startTool?.key(event) || runKey(event, {
       enter: () => this.run(), f: () => this.run(), v: () => this.view.cycle(event.shiftKey ? -1 : 1),
-      s: () => this.view.toggleSplit(), o: () => this.view.fade(), p: () => this.iterations.toggle(),
-      ",": () => this.iterations.step(-1), ".": () => this.iterations.step(1),
-    }) || this.view.key(event));
+      s: () => this.view.toggleSplit(), o: () => this.view.fade(),
+    }) || (expert.on && runKey(event, {
+      p: () => this.iterations.toggle(), ",": () => this.iterations.step(-1), ".": () => this.iterations.step(1),
+    })) || this.view.key(event));
   }
 
   /** Fit the shown picture from a start, or the chosen one. Resolves once the fit is painted. */
@@ -86,7 +92,7 @@ export class Tab extends SourceTab {
     const run = (this._run += 1);
     this._busy(true);
     try {
-      const fit = await this.app.fits.run(source, this.method, start);
+      const fit = await this.app.fits.run(source, this.method, start, this.side);
       if (run !== this._run || this.sources.current !== source) return null;
       this._take(fit);
       await afterPaint();
@@ -151,12 +157,13 @@ export class Tab extends SourceTab {
     this.box.clear();
     this.mean.clear();
     this._take(null);
+    this.side = this.setup.side = AUTO;
     if (source && !source.ofFolder) this.setStart("auto");
   }
 
   async _showFit(source) {
     if (this.fit) return;
-    const known = this.app.fits.recall(source, this.method);
+    const known = this.app.fits.recall(source, this.method, this.side);
     if (known) this._take(known);
     else if (!this.state.project.model || this.start !== "auto") this._result();
     else if ((await this.run()) && !source.ofFolder) this.lastDropMs ??= performance.now() - source.started;
@@ -164,6 +171,8 @@ export class Tab extends SourceTab {
 
   _anotherModel(model) {
     this._run += 1;
+    this.side = AUTO;
+    this.setup.offerSides(model);
     this.mean.use(model);
     this._take(null);
     this._source();
@@ -185,13 +194,14 @@ export class Tab extends SourceTab {
     this._empty = h("div.empty.big.fit-empty", icon("image", 56), h("h2", "A picture to fit"), this._words,
       button("Open a picture…", { icon: "upload", kind: "primary", onclick: () => this.file.click() }));
     const stage = h("div.fit-stage", this.view.container, this._empty);
-    this._ofFits = [
-      h("section.panel", { "aria-label": "Layers and their opacity" }, this.view.layers),
-      h("section.panel", { "aria-label": "Iterations" }, this.iterations.element),
-    ];
+    this._layers = h("section.panel", { "aria-label": "Layers and their opacity" }, this.view.layers);
+    this._steps = h("section.panel", { "aria-label": "Iterations" }, this.iterations.element);
+    this.view.light.element.append(button("Save this picture", {
+      icon: "download", kind: "primary", small: true, testid: "light-save", onclick: () => this.exports.save("relit"),
+    }));
     const panels = [this.view.light, this.guest, this.setup, this.result].map(({ element }) => element);
     root.append(h("div.fit-tab", { testid: "fit-drop" },
-      h("div.workspace", toolbar, stage, this.view.bar), h("div.side.fit-side", panels, this._ofFits), this.file));
+      h("div.workspace", toolbar, stage, this.view.bar), h("div.side.fit-side", panels, this._layers, this._steps), this.file));
   }
 
   setMethod(name) {
@@ -199,6 +209,22 @@ export class Tab extends SourceTab {
     this._take(null);
     if (this.startTool) this.run();
     else if (this.sources.current) this._showFit(this.sources.current);
+  }
+
+  setSide(side) {
+    this.side = side;
+    this.run();
+  }
+
+  /** Expert was turned on or off. Without it, no method can be seen or chosen, so it is the usual one. */
+  _expert() {
+    const { default_method: usual } = this.state.project;
+    this._emptiness();
+    this._result();
+    if (expert.on) return;
+    this.iterations.show(this.fit?.iterations ?? []);
+    this.view.setIteration(null);
+    if (this.method !== usual && !this.setup.needsMethod(usual)) this.setup.choose(usual);
   }
 
   focus() { this.view.viewer.canvas.focus({ preventScroll: true }); }
@@ -237,7 +263,8 @@ export class Tab extends SourceTab {
     this.guest.show();
     this.setup.show();
     this.exports.show();
-    for (const panel of this._ofFits) panel.hidden = !model;
+    this._layers.hidden = !model;
+    this._steps.hidden = !model || !expert.on;
     this.view.container.classList.toggle("without", !source);
     this.view.bar.hidden = !source;
     this._empty.hidden = Boolean(source);

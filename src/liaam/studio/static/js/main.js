@@ -2,6 +2,7 @@
 
 import { api, ApiError, busy } from "./api.js";
 import { acceptFiles, createAdding } from "./adding.js";
+import { expert } from "./expert.js";
 import { chosenKeys, chooseKeys, translate } from "./hotkeys.js";
 import { FitStore } from "./fit-run.js";
 import { PictureStore, Sources } from "./fit-source.js";
@@ -9,6 +10,7 @@ import { unsavedWork } from "./unsaved.js";
 import { look } from "./look.js";
 import { nameIn, opened, remember, State, tabIn } from "./state.js";
 import { createSetList } from "./sets.js";
+import { sidesInWords } from "./sides.js";
 import { mountStrip } from "./strip.js";
 import * as ui from "./ui.js";
 import { button, consume, h, iconButton, isPlain, isTyping, press, runKey, toast } from "./ui.js";
@@ -17,12 +19,11 @@ const TABS = [
   { name: "annotate", label: "Annotate", what: "Place landmarks with the help of the model" },
   { name: "measure", label: "Measure", what: "Measures of all pictures, and their shapes" },
   { name: "fit", label: "Fit", what: "Fit the model to a picture and change its light" },
-  { name: "compare", label: "Compare", what: "Compare two methods side by side" },
   { name: "live", label: "Live", what: "Follow the object in the picture of a camera, or in a video" },
+  { name: "compare", label: "Compare", what: "Compare two methods side by side" }, // last, since it may be hidden
 ];
 
 const COMMON_KEYS = [
-  { keys: "1 2 3 4 5", what: "Annotate, Measure, Fit, Compare, Live" },
   { keys: "[ ] PageUp PageDown", what: "Previous, next picture" },
   { keys: "+ - 0", what: "Zoom in, out, whole picture" },
   { keys: "Space drag", what: "Pan (or drag an empty area, use the middle button or two fingers)" },
@@ -76,8 +77,9 @@ async function start() {
   connection();
   actions();
   await mountTabs();
-  followGuest();
-  state.addEventListener("project", followGuest);
+  followTabs();
+  state.addEventListener("project", followTabs);
+  expert.addEventListener("change", followTabs);
   acceptFiles(app.adding.take);
   if (!open) openTab(wanted ?? tabIn(location.search) ?? "annotate");
   opened();
@@ -111,7 +113,7 @@ async function mountTabs() {
     const step = { ArrowRight: 1, ArrowLeft: -1 }[event.key];
     if (!step) return;
     consume(event);
-    const names = TABS.map((tab) => tab.name);
+    const names = shownTabs().map((tab) => tab.name);
     openTab(names[(names.indexOf(open) + step + names.length) % names.length]);
     tabs.get(open).button.focus();
   });
@@ -120,11 +122,16 @@ async function mountTabs() {
 /** Whether no picture can be annotated: a guest only fits, and a folder that can only be read gets no first template. */
 const onlyFits = () => state.guest || (state.readOnly && !state.project.template);
 
-/** Then the tab Annotate is hidden. */
-function followGuest() {
-  const isHidden = onlyFits();
-  tabs.get("annotate").button.hidden = isHidden;
-  if (isHidden && open === "annotate") openTab("fit");
+/** Whether there are two methods to compare, and the person wants to see methods. */
+const compares = () => expert.on && (state.project.model?.methods.length ?? 0) > 1;
+
+const isShown = ({ name }) => (name === "annotate" ? !onlyFits() : name !== "compare" || compares());
+const shownTabs = () => TABS.filter(isShown);
+
+/** Hide the tabs of which there is no use now. */
+function followTabs() {
+  for (const tab of TABS) tabs.get(tab.name).button.hidden = !isShown(tab);
+  if (open && !isShown({ name: open })) openTab("fit");
 }
 
 function openTab(name, options = {}) {
@@ -132,7 +139,7 @@ function openTab(name, options = {}) {
   wanted = name;
   if (!tabs.size) return;
   if (!tabs.has(name)) name = "annotate";
-  if (name === "annotate" && onlyFits()) name = "fit";
+  if (!isShown({ name })) name = "fit";
   if (open === name) return tabs.get(name).tab.show?.(options);
   tabs.get(open)?.tab.hide?.();
   open = name;
@@ -153,7 +160,7 @@ function keys(event) {
 }
 
 function commonKey(event) {
-  const byNumber = TABS.map(({ name }, i) => [i + 1, () => openTab(name)]);
+  const byNumber = shownTabs().map(({ name }, i) => [i + 1, () => openTab(name)]);
   const panels = Object.entries(PANELS).map(([key, names]) => [key, () => window.liaamPanels(names)]);
   const [back, on] = [() => state.step(-1), () => state.step(1)];
   return runKey(event, {
@@ -165,12 +172,15 @@ function commonKey(event) {
 async function showKeys() {
   const table = (title, rows) => h("section", h("h2", title), h("dl", rows.map(({ keys: names, what }) => [
     h("dt", names.split(" ").map((key) => [h("kbd", key), " "])), h("dd", what)])));
-  const sections = TABS.map(({ name, label }) => table(label, tabs.get(name).tab.shortcuts ?? []));
+  const shown = shownTabs();
+  const byNumber = { keys: shown.map((_, i) => i + 1).join(" "), what: shown.map(({ label }) => label).join(", ") };
+  const keysOf = ({ shortcuts = [] }) => shortcuts.filter((row) => expert.on || !row.expert);
+  const sections = shown.map(({ name, label }) => table(label, keysOf(tabs.get(name).tab)));
   const own = Object.entries(chosenKeys()).map(([letter, command]) => `${letter.toUpperCase()} for ${command.toUpperCase()}`);
   const note = own.length > 0 && h("p.small", `Your own keys in Annotate: ${own.join(", ")}.`);
   const change = { label: "Change keys…", value: "change", testid: "change-keys" };
   const actions = [change, { label: "Close", kind: "primary", value: null }];
-  const asked = await ui.dialog("Keys", h("div.column", note, h("div.keys", table("Everywhere", COMMON_KEYS), sections)), actions, { wide: true });
+  const asked = await ui.dialog("Keys", h("div.column", note, h("div.keys", table("Everywhere", [byNumber, ...COMMON_KEYS]), sections)), actions, { wide: true });
   if (asked === "change") await chooseKeys(toast);
 }
 
@@ -236,6 +246,7 @@ function status() {
     const guest = state.guest;
     model.textContent = guest ? `Fit only: ${has.name}` : has?.source === "face" ? "Face model" : has ? `Model: ${has.n_images} pictures` : "No model yet";
     model.className = has ? "badge good" : "badge";
+    model.title = has?.sides ? sidesInWords(has.sides) : "";
   };
   let before = null;
   state.addEventListener("training", (/** @type {any} */ { detail }) => {

@@ -1,6 +1,7 @@
 // The panel beside the picture: its points with their states, actions on the selected ones, and the start of pictures.
 
 import { makeSet } from "./sets.js";
+import { createSideList } from "./sides.js";
 import { button, consume, h, iconButton, segmented } from "./ui.js";
 
 const QUIET = ["placed", "proposed"]; // states that only the dot shows
@@ -45,7 +46,7 @@ export function createPointsPanel(tab) {
     points: h("section.panel.grow.point-panel",
       h("div.row.point-head", h("h2.panel-title", "Points"), tally, confirm, space, hide, absent, remove), list.element),
     foot: h("section.panel.side-foot",
-      h("div.row.begin-with", h("span.small.muted.grow", "Start with"), start.element), h("div.row", edit, more)),
+      h("div.row.begin-with", h("span.small.muted.grow", "Start with"), start.element), createSideList(tab), h("div.row", edit, more)),
     /** Start of pictures without points: "layout" or "click". */
     get start() { return start.value; },
     render(marking) {

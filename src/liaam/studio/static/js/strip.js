@@ -157,8 +157,8 @@ export function mountStrip(root, app) {
   const leftOut = () => state.project.model?.left_out ?? {};
 
   function make(picture, why) {
-    const { name, tag, rank, error, checked, slip, quality } = picture;
-    const what = filters.describe(picture, leftOut()) + (quality == null ? "" : `, ${Math.round(100 * quality)} %`);
+    const { name, tag, rank, error, checked, slip, quality, side } = picture;
+    const what = filters.describe(picture, leftOut()) + (quality == null ? "" : `, ${Math.round(100 * quality)} %`) + (side ? `, ${side}` : "");
     const folder = filters.folderOf(name);
     const face = picture.state === "broken"
       ? h("span.no-picture", icon("warning", 20))
@@ -177,9 +177,9 @@ export function mountStrip(root, app) {
 
   /** The item of a picture, made again if the picture has changed. */
   function itemOf(picture) {
-    const { name, state: progress, placed, doubtful, rank, error, tag, checked, slip, quality, absent } = picture;
+    const { name, state: progress, placed, doubtful, rank, error, tag, checked, slip, quality, absent, side } = picture;
     const why = filters.whyLeftOut(picture, leftOut());
-    const key = [progress, placed, doubtful, rank === 1, error, tag, checked, why, slip, quality, absent].join("|");
+    const key = [progress, placed, doubtful, rank === 1, error, tag, checked, why, slip, quality, absent, side].join("|");
     const known = items.get(name);
     if (known?.key === key) return known.element;
     known?.element.remove();

@@ -83,7 +83,14 @@ export function menu(title, labels, onchoose, attributes = {}) {
     list.value = "";
     onchoose(value);
   };
-  const list = h("select.text", { onchange, ...attributes }, h("option", { value: "" }, title), optionsOf(labels));
+  // In a closed list, an arrow or a letter would choose, and so act, at once.
+  const onkeydown = (event) => {
+    const chooses = event.key.startsWith("Arrow") || event.key.length === 1 || ["Home", "End", "Enter"].includes(event.key);
+    if (!chooses || event.ctrlKey || event.metaKey || event.altKey) return;
+    consume(event);
+    list.showPicker();
+  };
+  const list = h("select.text", { onchange, onkeydown, ...attributes }, h("option", { value: "" }, title), optionsOf(labels));
   return list;
 }
 

@@ -1,0 +1,43 @@
+// Which side of its object a picture shows, such as a left or a right wing, as a person says.
+
+import { several } from "./annotate-words.js";
+import { h, optionsOf } from "./ui.js";
+
+const SIDES = { "": "by name or shape", left: "left", right: "right" };
+
+/** What training has done about the sides of the objects. @param {Sides} sides */
+export function sidesInWords({ own, other, n_own: n, n_other: nOther }) {
+  const isNamed = own !== "original"; // otherwise the sides were not stated
+  if (!nOther) return `All training pictures are ${isNamed ? own : "of one side"}.`;
+  const count = `${nOther} of ${several(n + nOther, "training picture")} ${nOther === 1 ? "was" : "were"} ${other}`;
+  return `${count}, and reflected${isNamed ? ` to be ${own}` : ""}.`;
+}
+
+/** Say the side of pictures, "" to withdraw it. The message offers to undo that. @param {App} app */
+export async function saySide({ api, state, toast }, names, side) {
+  const put = async (sides) => {
+    const answer = await state.send((folder) => api.put(api.url("sides"), { sides, folder }));
+    await state.refresh();
+    return answer;
+  };
+  const { before } = await put(Object.fromEntries(names.map((name) => [name, side])));
+  toast(`Side of ${several(names.length, "picture")}: ${SIDES[side]}.`, "good", { label: "Undo", onclick: () => put(before) });
+}
+
+/** The list that shows and changes the side of the open picture, if objects have sides. @param {import("./annotate.js").Tab} tab */
+export function createSideList({ app, state }) {
+  const list = h("select.text", {
+    "aria-label": "Side of the object", testid: "picture-side", title: "Which side of the object this picture shows. Pictures of one side are trained and measured reflected",
+    onchange: () => saySide(app, [state.current], list.value),
+  }, optionsOf(SIDES));
+  const element = h("div.row.begin-with", h("span.small.muted.grow", "Side"), list);
+  const show = () => {
+    const { model, pictures } = state.project;
+    element.hidden = !model?.sides && !pictures.some(({ side }) => side);
+    list.value = state.picture()?.side ?? "";
+    list.disabled = state.readOnly || !state.picture();
+  };
+  for (const event of ["project", "select"]) state.addEventListener(event, show);
+  show();
+  return element;
+}
