@@ -158,7 +158,7 @@ def test_sides_are_reflected_and_said(run, wings, tmp_path):
     code, out, err = run("measure", wings, "-o", tmp_path / "t.csv")
     assert (code, err) == (0, "")
     # Without --replicates, records are specimens of their own, whose names still tell the side.
-    assert "12 specimens of the side left reflected, to be compared with the side right" in out
+    assert "12 left specimens were reflected, to be compared with the right ones" in out
     table = pd.read_csv(tmp_path / "t.csv")
     assert table["side"].tolist() == ["left", "left", "right", "right"] * 6
     assert table.filter(regex=r"^[XY]\d+$").to_numpy().std(axis=0).max() < 0.1

@@ -35,7 +35,7 @@ def test_sides_are_found_in_names(left, right, individual) -> None:
     found, said = of_one_side(specimens(left, right, right.replace("1", "2"), left.replace("1", "2")))
     assert [each.side for each in found] == ["left", "right", "right", "left"]
     assert [each.individual for each in found] == [individual.replace("1", number) for number in "1122"]
-    assert said == "2 specimens of the side left reflected, to be compared with the side right"
+    assert said == "2 left specimens were reflected, to be compared with the right ones"
     assert [each.points[1, 0] for each in found] == [10, 11, 12, 7]
 
 
@@ -91,7 +91,7 @@ def test_specimens_without_a_side_among_both_are_refused_by_name() -> None:
 def test_the_side_that_others_are_reflected_to_can_be_chosen() -> None:
     found, said = of_one_side(specimens("a_left", "a_right"), "left")
     assert [each.points[1, 0] for each in found] == [-10, -11]
-    assert said.startswith("1 specimen of the side right reflected")
+    assert said.startswith("1 right specimen was reflected")
     found, said = of_one_side(specimens("a_left", "a_right"), "reflected")
     assert [each.points[1, 0] for each in found] == [-10, 11]
     assert said == "" and [each.side for each in found] == ["left", "right"]
@@ -104,7 +104,7 @@ def test_the_side_that_others_are_reflected_to_can_be_chosen() -> None:
 def test_sides_of_a_column_may_have_other_names_but_are_two() -> None:
     given = [replace(specimens(name)[0], name="a", side=side) for name, side in (("l", "1"), ("r", "2"))]
     found, said = of_one_side(given)
-    assert said.startswith("1 specimen of the side 1 reflected")
+    assert said.startswith("1 1 specimen was reflected")
     assert [each.individual for each in found] == ["a", "a"]
     with pytest.raises(LiaamError, match="more than two sides"):
         of_one_side([*given, *specimens("b", side="3")])
@@ -151,13 +151,13 @@ def test_sides_that_are_alike_as_they_are_stay_and_this_is_said() -> None:
     )
     assert [each.side for each in found] == ["left", "right"] and [each.reflected for each in found] == [True, False]
     found, said = of_one_side(given, "right")
-    assert said.startswith("1 specimen of the side left reflected") and found[0].points[1, 0] == -right.points[1, 0]
+    assert said.startswith("1 left specimen was reflected") and found[0].points[1, 0] == -right.points[1, 0]
     gaps = [
         Specimen("a_left", np.full((4, 2), np.nan)),
         replace(right, name="a_right"),
         replace(mirrored, name="b_left"),
     ]
-    assert of_one_side(gaps)[1].startswith("2 specimens of the side left reflected")
+    assert of_one_side(gaps)[1].startswith("2 left specimens were reflected")
 
 
 def test_unreflected_sides_are_warned_of() -> None:
@@ -204,7 +204,7 @@ def test_nameless_sides_of_fits_are_called_as_their_names_say() -> None:
     found, said = of_one_side(fits(("w1_left", "original"), ("w1_right", "mirrored"), ("w2_right", "mirrored")))
     assert [each.side for each in found] == ["left", "right", "right"]
     assert [each.individual for each in found] == ["w1", "w1", "w2"]
-    assert said == "1 specimen of the side left reflected, to be compared with the side right"
+    assert said == "1 left specimen was reflected, to be compared with the right ones"
     found, said = of_one_side(fits(("w1", "original"), ("w2", "mirrored"), ("w3", "original")))
     assert [each.side for each in found] == ["original", "mirrored", "original"]
     assert [each.reflected for each in found] == [False, True, False]

@@ -267,7 +267,7 @@ def test_results_and_tables_say_the_side(model, both, tmp_path):
         assert [row["side"] for row in csv.DictReader(file)] == ["mirrored", "original", "original"] * 2
     specimens, said = of_one_side(read_specimens(tmp_path / "t.csv"))
     assert [each.reflected for each in specimens] == [True, False, False] * 2
-    assert said == "2 specimens of the side mirrored reflected, to be compared with the side original"
+    assert said == "2 mirrored specimens were reflected, to be compared with the original ones"
     truths = [truth for _, truth in both[N_TRAINED:]]
     unreflected = read_specimens(tmp_path / "t.csv")
     labels = [replace(each, points=truth, status="") for each, truth in zip(unreflected, truths, strict=True)]

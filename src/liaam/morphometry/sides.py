@@ -95,7 +95,8 @@ def of_one_side(
         )
         return _as_reflected(sided, sides[0]), "; ".join(filter(None, (said, against)))
     n = sum(specimen.side == reflected_side for specimen in sided)
-    done = f"{count_of(n, 'specimen')} of the side {reflected_side} reflected, to be compared with the side {other}"
+    were = "was" if n == 1 else "were"
+    done = f"{count_of(n, f'{reflected_side} specimen')} {were} reflected, to be compared with the {other} ones"
     said = "; ".join(filter(None, (done, against)))
     return tuple(reflected(each) if each.side == reflected_side else each for each in sided), said
 
