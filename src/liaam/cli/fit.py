@@ -423,28 +423,32 @@ class Outputs:
 def fit_file(
     fitter: "Fitter", image: Path, stem: str, *, init: str | None, every: bool, outputs: Outputs
 ) -> "tuple[FittedSpecimens, list[str]]":
-    """Fit an image file from `init`, from the start that the search finds, or from `every` start it finds.
+    """Fit an image file, and write its fits: from `init` or, without, of the first object found, or of `every` one.
 
-    Also return the names of the files: ``stem``, or ``stem_1``, ``stem_2``, ... in reading order if `every` object is
-    fitted.
+    Return the fits and the names of their files: ``stem``, or ``stem_1``, ``stem_2``, ... in reading order if `every`
+    object is fitted.
     """
     from liaam.fitting.specimens import fit_photograph
 
-    if not every:
+    if not every:  # of every object, the names are not known yet
         refuse_to_overwrite([outputs.path_of(stem, suffix) for suffix in outputs.suffixes])
     photograph = fit_photograph(fitter, image, init, every=every, stem=stem, name_by=outputs.name_by)
     pixels = photograph.pixels
     fitted = photograph.specimens
     length = photograph.length
-    stems = [f"{stem}_{i}" for i in range(1, len(fitted.results) + 1)] if every else [stem]
-    for name in stems if every else []:
-        refuse_to_overwrite([outputs.path_of(name, suffix) for suffix in outputs.suffixes])
+    stems = [stem]
+    if every:
+        stems = [f"{stem}_{i}" for i in range(1, len(fitted.results) + 1)]
+        for name in stems:
+            refuse_to_overwrite([outputs.path_of(name, suffix) for suffix in outputs.suffixes])
     if outputs.crops:
         refuse_images([outputs.path_of(name, CROP) for name in stems])
     for i, (name, result, specimen) in enumerate(zip(stems, fitted.results, fitted.named, strict=True)):
         facts = result.to_dict(outputs.absent) | {"image": image.name, "specimen": specimen.name}
-        facts |= {"object": i + 1} if every else {}
-        facts |= {"code": specimen.code} if specimen.code else {}
+        if every:
+            facts["object"] = i + 1
+        if specimen.code:
+            facts["code"] = specimen.code
         facts["message"] = fitted.message(i)
         write_object(fitter.model, pixels, result, name, facts, length, outputs)
         outputs.add_fit(result, pixels, image, facts, length)
@@ -473,7 +477,8 @@ def write_object(
     facts = facts | facts_of(length)
     height, width = pixels.shape[:2]
     box = crop_box(result.place, (width, height)) if outputs.crops else None
-    facts |= {"crop": box} if box is not None else {}
+    if box is not None:
+        facts["crop"] = box
     if outputs.scheme is None:
         lines = Contour.all_of(model.contours)
         landmarks = Landmarks(
@@ -495,7 +500,9 @@ def write_object(
         if box is not None:
             left, top, right, bottom = box
             crop = pixels[top:bottom, left:right]
-            write_image(outputs.path_of(name, CROP), crop if crop.dtype.kind == "u" else as_picture(crop))
+            if crop.dtype.kind != "u":  # floats, which not every format can hold
+                crop = as_picture(crop)
+            write_image(outputs.path_of(name, CROP), crop)
 
 
 @contextmanager
