@@ -15,7 +15,10 @@ import numpy as np
 from liaam.model import AAM
 from liaam.model.shape import similarity_modes
 
-ITERATIONS, SHAPE_MODES = 50, 10
+ITERATIONS = 50
+SHAPE_MODES = 10
+"""What OpenCV uses, for the report."""
+
 BORDER = 2.0
 """Pixels around the mean shape in the reference frame."""
 
@@ -44,6 +47,7 @@ def triangle_picture(base: np.ndarray, triangles: np.ndarray) -> tuple[np.ndarra
 
 
 def grey_of(image: np.ndarray) -> np.ndarray:
+    """Return the grey values (h, w) of an image (h, w, 3) in RGB."""
     return cv2.cvtColor(image, cv2.COLOR_RGB2GRAY)
 
 
@@ -69,18 +73,25 @@ def stacked(modes: np.ndarray, n_points: int) -> np.ndarray:
 
 
 def write_model(path: Path, model: AAM, training: list[Picture], n_modes: int) -> int:
-    """Write a model of liaam's shapes and of grey values. Return the number of its pixels."""
-    base, n_points = base_shape(model), model.shape_model.n_points
+    """Write a model of liaam's shapes and of grey values. Return the number of pixels that fits compare.
+
+    Grey values are stored without the border of the mesh, and compared without the border of these, where gradients
+    need pixels outside.
+    """
+    base = base_shape(model)
+    n_points = model.shape_model.n_points
     labels, triangles = triangle_picture(base, model.triangles)
-    inner = cv2.erode((labels > 0).astype(np.uint8), np.ones((3, 3), np.uint8))
-    middle = cv2.erode(inner, np.ones((3, 3), np.uint8))
-    outer_index, inner_index = column_order(inner), column_order(middle)
+    stored = cv2.erode((labels > 0).astype(np.uint8), np.ones((3, 3), np.uint8))
+    compared = cv2.erode(stored, np.ones((3, 3), np.uint8))
+    stored_pixels = column_order(stored)
+    compared_pixels = column_order(compared)
     textures = [carried(grey_of(image), shape, base, labels, triangles) for image, shape in training]
-    values = [texture.T.ravel()[outer_index] for texture in textures]
+    values = [texture.T.ravel()[stored_pixels] for texture in textures]
     mean = np.mean(values, axis=0)
-    modes = np.linalg.svd(np.array(values) - mean, full_matrices=False)[2][:n_modes].T
-    kept = np.isin(outer_index, inner_index)
-    fitted = np.linalg.qr(modes[kept])[0]
+    _, _, rows = np.linalg.svd(np.array(values) - mean, full_matrices=False)
+    modes = rows[:n_modes].T
+    is_compared = np.isin(stored_pixels, compared_pixels)
+    orthonormal, _ = np.linalg.qr(modes[is_compared])
     file = cv2.FileStorage(str(path), cv2.FILE_STORAGE_WRITE)
     write_numbers(file, "AAM_tri", triangles.ravel().tolist())
     write_numbers(file, "scales", [1.0])
@@ -96,14 +107,15 @@ def write_model(path: Path, model: AAM, training: list[Picture], n_modes: int) -
     write_numbers(file, "scale0_base_shape", base.ravel().tolist())
     file.write("scale0_A", np.ascontiguousarray(modes, np.float32))
     file.write("scale0_A0", np.ascontiguousarray(mean[:, None], np.float32))
-    file.write("scale0_AA", np.ascontiguousarray(fitted, np.float32))
+    file.write("scale0_AA", np.ascontiguousarray(orthonormal, np.float32))
     # A vector of one dimension is a column in OpenCV 4, a row in 5.
-    own = mean[kept].astype(np.float32)
-    file.write("scale0_AA0", own[:, None] if int(cv2.__version__.split(".")[0]) < 5 else own[None])
-    write_numbers(file, "scale0_ind1", outer_index.tolist())
-    write_numbers(file, "scale0_ind2", inner_index.tolist())
+    is_column = int(cv2.__version__.split(".")[0]) < 5
+    mean_compared = mean[is_compared].astype(np.float32)
+    file.write("scale0_AA0", mean_compared[:, None] if is_column else mean_compared[None])
+    write_numbers(file, "scale0_ind1", stored_pixels.tolist())
+    write_numbers(file, "scale0_ind2", compared_pixels.tolist())
     file.release()
-    return len(inner_index)
+    return len(compared_pixels)
 
 
 def write_numbers(file, name: str, numbers: Scalars) -> None:
@@ -124,9 +136,13 @@ class BoxFit:
 
     def __call__(self, image: np.ndarray, box: np.ndarray) -> np.ndarray:
         """Return the shape in the image, (n, 2), fitted in a small image around the box at the model's size."""
-        low, high = self.mean.min(axis=0), self.mean.max(axis=0)
-        scale = np.linalg.norm(box[2:] - box[:2]) / np.linalg.norm(high - low)
-        side = 2 * int(np.linalg.norm(high - low))
+        low = self.mean.min(axis=0)
+        high = self.mean.max(axis=0)
+        diagonal = np.linalg.norm(high - low)
+        scale = np.linalg.norm(box[2:] - box[:2]) / diagonal  # from the model's size to the box's
+        side = 2 * int(diagonal)  # of the small image, with room around the object
+        # OpenCV starts from the mean shape with its origin in the middle of the small image. The middle of the shape,
+        # which need not be its origin, shall be that of the box.
         origin = 0.5 * (box[:2] + box[2:]) - scale * (side / 2 + 0.5 * (low + high))
         affine = np.column_stack([scale * np.eye(2), origin])
         small = cv2.warpAffine(image, affine, (side, side), flags=cv2.INTER_AREA | cv2.WARP_INVERSE_MAP)

@@ -23,35 +23,40 @@ _ABOUT = {"format": "liaam-lamps", "schema": 1, "names": ["left", "right"]}
 
 
 def _safetensors(tensors: dict[str, np.ndarray], about: Any) -> bytes:
+    """Return a file of tensors with a header, which is JSON or made JSON."""
     from safetensors.numpy import save
 
     text = about if isinstance(about, str) else json.dumps(about)
     return save(tensors, {"liaam": text[:LONGEST]})  # safetensors limits the length of headers
 
 
+_MEAN = np.array([[-0.4, -0.3], [0.4, -0.3], [0.0, 0.4]])
+_LARGEST = 1e7  # of the numbers in the fields of a file: one of a gigabyte would take the fuzzer's own memory
+
+
 @cache
 def _lamps() -> bytes:
+    """Return a lamp file without a fault."""
     return _safetensors({"mean": _MEAN, "fields": np.zeros((2, 128, 128, 3), np.float16)}, _ABOUT)
-
-
-_MEAN = np.array([[-0.4, -0.3], [0.4, -0.3], [0.0, 0.4]])
 
 
 def make_lamps(rng: Random) -> bytes:
     """Corrupt a lamp file: its bytes, its header, or its tensors."""
     kind = rng.random()
     if kind < 0.3:
-        return spoilt(
-            rng, [_lamps()], (b'"mean"', b'"fields"', b'"F16"', b'"F64"', b'"BF16"', b'"data_offsets"', b"[0,0]")
-        )
-    about = spoilt_json(rng, [_ABOUT]).decode("utf-8", "replace") if kind < 0.5 else json.dumps(_ABOUT)
-    mean = (
-        _MEAN if rng.random() < 0.5 else rng.choice([0.0, 1.0, 1e-300, np.nan, np.inf], size=(int(rng.integers(5)), 2))
-    )
-    shape = (
-        (2, 128, 128, 3) if rng.random() < 0.75 else tuple(rng.choice([0, 1, 2, 3, 128], size=int(rng.integers(1, 5))))
-    )
-    shape = shape[:3] if np.prod(shape) > 1e7 else shape  # a file of a gigabyte takes the fuzzer's own memory
+        words = (b'"mean"', b'"fields"', b'"F16"', b'"F64"', b'"BF16"', b'"data_offsets"', b"[0,0]")
+        return spoilt(rng, [_lamps()], words)
+    about = json.dumps(_ABOUT)
+    if kind < 0.5:
+        about = spoilt_json(rng, [_ABOUT]).decode("utf-8", "replace")
+    mean = _MEAN
+    if rng.random() >= 0.5:
+        mean = rng.choice([0.0, 1.0, 1e-300, np.nan, np.inf], size=(int(rng.integers(5)), 2))
+    shape = (2, 128, 128, 3)
+    if rng.random() >= 0.75:
+        shape = tuple(rng.choice([0, 1, 2, 3, 128], size=int(rng.integers(1, 5))))
+    if np.prod(shape) > _LARGEST:
+        shape = shape[:3]
     values = rng.choice([0.0, 1.0, -1.0, np.nan, np.inf, 6e4], p=[0.8, 0.06, 0.06, 0.02, 0.02, 0.04], size=2)
     fields = np.full(shape, values[0], one_of(rng, (np.float16, np.float16, np.float32, np.uint8)))
     return _safetensors({"mean": mean, "fields": fields}, about)
@@ -73,11 +78,10 @@ def check_lamps(data: bytes) -> None:
 
 
 def _number(rng: Random) -> str:
-    return (
-        one_of(rng, NUMBERS).decode("utf-8", "replace")
-        if rng.random() < 0.3
-        else str(round(float(rng.normal(50, 60)), 1))
-    )
+    """Return a number as text: an odd one, or a place in an image."""
+    if rng.random() < 0.3:
+        return one_of(rng, NUMBERS).decode("utf-8", "replace")
+    return str(round(float(rng.normal(50, 60)), 1))
 
 
 def make_start(rng: Random) -> tuple[str, bytes]:
@@ -86,10 +90,10 @@ def make_start(rng: Random) -> tuple[str, bytes]:
     kind = rng.random()
     if kind < 0.4:
         return numbers, b""
+    if kind < 0.6:
+        return "start.box", spoilt(rng, [b"1,2,30,40\n", b"5 6 70\n"], (b",", b" ", b"\n"))
     if kind < 0.7:
-        return "start.box", spoilt(
-            rng, [b"1,2,30,40\n", b"5 6 70\n"], (b",", b" ", b"\n")
-        ) if kind < 0.6 else numbers.encode()
+        return "start.box", numbers.encode()
     suffix = one_of(rng, (".pts", ".csv", ".ljson", ".xml", ".json"))
     if kind < 0.9:
         return f"start{suffix}", landmarks.make(suffix, rng)
@@ -112,11 +116,13 @@ def check_start(given: tuple[str, bytes]) -> None:
 # Journals and summaries of batches and experiments --------------------------------------------------------------
 
 _FACTS = {"liaam": "0.1.0", "model": "ab", "method": "soft-li", "init": None, "camera": {"theta_deg": 122.0}}
+# fmt: off
 _COLUMNS = (
-    *("path", "object", "status", "message", "quality", "score", "n_found", "theta_deg", "cost", "iterations"),
-    *("specimen", "code", "expansion", "landmarks", "covariance", "present", "side"),
-    *("scale", "scale_unit", "scale_from", "seconds"),
+    "path", "object", "status", "message", "quality", "score", "n_found", "theta_deg", "cost", "iterations",
+    "specimen", "code", "expansion", "landmarks", "covariance", "present", "side",
+    "scale", "scale_unit", "scale_from", "seconds",
 )
+# fmt: on
 _ROW = {
     **dict.fromkeys(_COLUMNS),
     "path": "01.png",
@@ -134,6 +140,7 @@ _ROW = {
 
 @cache
 def _journal() -> bytes:
+    """Return a journal without a fault, of five images of which two are finished."""
     from liaam.batch.journal import Journal
 
     with tempfile.TemporaryDirectory() as folder:
@@ -153,18 +160,16 @@ def make_journal(rng: Random) -> bytes:
         path = Path(folder) / "x.sqlite"
         path.write_bytes(_journal())
         with closing(sqlite3.connect(path)) as base:
-            table, column = one_of(
-                rng, [("facts", "text"), *(("pictures", name) for name in ("place", "path", "state", "row", "status"))]
-            )
+            of_pictures = [("pictures", name) for name in ("place", "path", "state", "row", "status")]
+            table, column = one_of(rng, [("facts", "text"), *of_pictures])
             values = (None, 7, 1.5, b"\xff\xfe", "", "{", "[]", "null", "x" * 10_000, json.dumps(_FACTS), b"", "a\0b")
             which = "WHERE rowid = 1" if rng.random() < 0.7 else ""
-            text = (
-                one_of(rng, values)
-                if rng.random() < 0.6
-                else spoilt_json(rng, [_FACTS, _ROW]).decode("utf-8", "replace")
-            )
+            if rng.random() < 0.6:
+                value = one_of(rng, values)
+            else:
+                value = spoilt_json(rng, [_FACTS, _ROW]).decode("utf-8", "replace")
             try:
-                base.execute(f"UPDATE OR REPLACE {table} SET {column} = ? {which}", (text,))
+                base.execute(f"UPDATE OR REPLACE {table} SET {column} = ? {which}", (value,))
                 base.execute("PRAGMA journal_mode = DELETE")
                 base.commit()
             except (sqlite3.Error, UnicodeEncodeError):
@@ -290,7 +295,11 @@ def check_list(data: bytes) -> None:
         _ = list(find_pictures(path.lstrip("/").replace("..", "_") or "x"))
 
 
+_LISTS = (b"01.png\nfolder/02.png\n./03.png\n", b"\xef\xbb\xbf1.png\r\n\r\n2.png")
+
+
 def _prepare_list() -> None:
+    """Make the files that the lists name, and read one of them."""
     for name in ("01.png", "1.png", "2.png", "folder/02.png"):
         Path(name).parent.mkdir(exist_ok=True)
         Path(name).touch()
@@ -298,14 +307,13 @@ def _prepare_list() -> None:
 
 
 def _bytes(corpus: tuple[bytes, ...], words: tuple[bytes, ...], rng: Random) -> bytes:
+    """Corrupt one of some files, with some words of its format; the generator is last, for :func:`partial`."""
     return spoilt(rng, corpus, words)
 
 
 def _make_sensitivities(rng: Random) -> bytes:
     return spoilt(rng, _sensitivities(), (*_CELLS, b"wavelength_nm", b"R", b"400", b"-1"))
 
-
-_LISTS = (b"01.png\nfolder/02.png\n./03.png\n", b"\xef\xbb\xbf1.png\r\n\r\n2.png")
 
 TARGETS = (
     Target("lamps", make_lamps, check_lamps, lambda: check_lamps(_lamps()), ".lamps", share=0.2),

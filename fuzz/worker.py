@@ -13,7 +13,7 @@ import warnings
 from dataclasses import dataclass
 from multiprocessing.connection import Connection
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 from fuzz.target import MODULES, Target, targets_of
 from liaam.errors import LiaamError
@@ -22,7 +22,8 @@ TRACE = "trace.txt"
 """File in the child's folder with the traceback of a crash or stop."""
 
 
-SECONDS, GIGABYTES = 2, 1
+SECONDS = 2
+GIGABYTES = 1
 """What a case may take, processor time and memory, as SECURITY.md and README.md state."""
 
 
@@ -72,12 +73,12 @@ class Progress(ctypes.Structure):
 
     _fields_ = (
         ("case", ctypes.c_int64),  # current case, or -1
-        ("wall", ctypes.c_double),  # start time, seconds
-        ("processor", ctypes.c_double),
-        ("returned", ctypes.c_int64),
-        ("refused", ctypes.c_int64),
-        ("slowest", ctypes.c_double),
-        ("growth", ctypes.c_int64),
+        ("wall", ctypes.c_double),  # when it started, seconds of time.monotonic
+        ("processor", ctypes.c_double),  # the same of time.process_time
+        ("returned", ctypes.c_int64),  # number of cases that returned
+        ("refused", ctypes.c_int64),  # number of cases that raised an error of liaam
+        ("slowest", ctypes.c_double),  # largest processor time of a case, seconds
+        ("growth", ctypes.c_int64),  # largest memory of a case, bytes
     )
 
 
@@ -103,7 +104,9 @@ def work(pipe: Connection, progress: Any, limits: Limits, folder: str) -> None:
 
 
 def _keep(job: Job) -> int:
-    target, folder = job.target, Path(str(job.keep_in))
+    """Write the inputs of a job's cases to its folder. Return the first case that was not written."""
+    target = job.target
+    folder = Path(str(job.keep_in))
     for case in range(job.first, job.stop):
         data = target.input_of(job.seed, case)
         path = folder / f"{job.name}-{job.seed}-{case}{target.suffix}"
@@ -112,21 +115,24 @@ def _keep(job: Job) -> int:
 
 
 def _run(job: Job, pipe: Connection, progress: Any, limits: Limits) -> int:
-    target, folder = job.target, Path(job.name)
+    """Run a job's cases, and send their failures. Return the first case that was not run."""
+    target = job.target
+    folder = Path(job.name)
     folder.mkdir(exist_ok=True)
     with contextlib.chdir(folder):  # separate the files of targets
         return _run_there(job, target, pipe, progress, limits)
 
 
 def _run_there(job: Job, target: Target, pipe: Connection, progress: Any, limits: Limits) -> int:
+    """Run the cases as :func:`_run` does, in the current folder, with little more memory than the limit."""
     import resource  # of Unix
 
     target.prepare()
     _forget_peak()
-    base, size = _memory("VmRSS"), _memory("VmSize")
+    memory_before = _memory("VmRSS")
     _, hardest = resource.getrlimit(resource.RLIMIT_AS)
     # Twice the limit, because reserved addresses are not memory, but the machine must keep working.
-    resource.setrlimit(resource.RLIMIT_AS, (size + 2 * limits.n_bytes, hardest))
+    resource.setrlimit(resource.RLIMIT_AS, (_memory("VmSize") + 2 * limits.n_bytes, hardest))
     try:
         for case in range(job.first, job.stop):
             try:
@@ -136,15 +142,20 @@ def _run_there(job: Job, target: Target, pipe: Connection, progress: Any, limits
                 continue
             n_bytes = len(data) if isinstance(data, bytes) else 0
             _forget_peak()  # of making the input
-            progress.wall, progress.processor = time.monotonic(), time.process_time()
+            progress.wall = time.monotonic()
+            progress.processor = time.process_time()
             progress.case = case  # from here on the parent enforces the time limit
             outcome = outcome_of(target, data)
-            progress.returned += outcome == "returned"
-            progress.refused += outcome == "refused"
-            fault = None if isinstance(outcome, str) else outcome
+            fault: tuple[str, str] | None = None
+            if outcome == "returned":
+                progress.returned += 1
+            elif outcome == "refused":
+                progress.refused += 1
+            else:
+                fault = outcome
             progress.slowest = max(progress.slowest, time.process_time() - progress.processor)
             progress.case = -1
-            growth = _memory("VmHWM") - base - n_bytes
+            growth = _memory("VmHWM") - memory_before - n_bytes
             progress.growth = max(progress.growth, growth)
             if growth > limits.n_bytes and fault is None:
                 fault = "memory", f"{growth / 1e6:.0f} MB more than before"
@@ -157,8 +168,8 @@ def _run_there(job: Job, target: Target, pipe: Connection, progress: Any, limits
     return job.stop
 
 
-def outcome_of(target: Target, data: Any) -> tuple[str, str] | str:
-    """Run a case. Return "returned" or "refused", or the kind and description of a fault."""
+def outcome_of(target: Target, data: Any) -> tuple[str, str] | Literal["returned", "refused"]:
+    """Run a case. Return "returned" or "refused", or the kind and the description of a fault (:class:`Failure`)."""
     try:
         target.check(data)
     except LiaamError as error:
@@ -173,9 +184,9 @@ def outcome_of(target: Target, data: Any) -> tuple[str, str] | str:
 
 
 def _lacked_memory(error: BaseException | None) -> bool:
-    """Return whether an error means out of memory; -4 is OpenCV's code for it.
+    """Return whether an error, or one that caused it, means out of memory; -4 is OpenCV's code for it.
 
-    FFmpeg also reports blocks that it refuses, from 2 GB on, as a lack of memory.
+    FFmpeg's does not: it also reports blocks that it refuses, from 2 GB on, as a lack of memory.
     """
     while error is not None:
         of_ffmpeg = type(error).__module__.startswith("av.")
@@ -200,4 +211,5 @@ def _memory(what: str) -> int:
 
 
 def _forget_peak() -> None:
+    """Let VmHWM begin anew, from the memory that is used now."""
     Path("/proc/self/clear_refs").write_text("5")

@@ -20,6 +20,7 @@ def typescript() -> str:
 
 
 def _interface(kind: Any) -> str:
+    """Return a typed dictionary as an interface."""
     lines = [f"/** {(kind.__doc__ or '').strip()} */", f"interface {kind.__name__} {{"]
     for name, hint in get_type_hints(kind, include_extras=True).items():
         comment, inner, is_optional = _opened(hint)
@@ -30,8 +31,9 @@ def _interface(kind: Any) -> str:
 
 
 def _opened(hint: Any) -> tuple[str, Any, bool]:
-    """Return the comment of a field, its type, and whether it may lack."""
-    comment, is_optional = "", False
+    """Return the comment of a field, its type, and whether it may be missing."""
+    comment = ""
+    is_optional = False
     while get_origin(hint) in (Annotated, NotRequired):
         if get_origin(hint) is Annotated:
             comment = hint.__metadata__[0]
@@ -43,7 +45,8 @@ def _opened(hint: Any) -> tuple[str, Any, bool]:
 
 def name_of(hint: Any) -> str:
     """Return a type as TypeScript."""
-    origin, inner = get_origin(hint), get_args(hint)
+    origin = get_origin(hint)
+    inner = get_args(hint)
     if origin is Annotated:
         return name_of(inner[0])
     if is_typeddict(hint):

@@ -27,27 +27,38 @@ from making.head.light import Lamp, Light, Room
 from making.head.photographs import face_in
 
 N_HEADS = 6
+"""Number of rendered heads, whose fields are averaged."""
+
 SIZE = 160
+"""Side of the rendered pictures, pixels."""
 
 LOOKS = {"skin": (0.45, 0.30, 0.23), "beard": 0.0}
-"""Of the heads: those of the persons of ``flashes``, who have fair skin and are shaved. Darker skin is exposed for
-longer, so that its gloss counts for more, and a beard hides the shading."""
+"""Reflectance of the heads' skin in red, green and blue, and density of their beards, as of the real persons.
+
+These have fair skin and are shaved. Darker skin is exposed for longer, so that its gloss counts for more, and a beard
+hides the shading."""
 
 AZIMUTHS = (-75, -60, -45, -30, -15, 0, 15, 30, 45, 60, 75)
 ELEVATIONS = (-15, 0, 15, 25, 35, 40)
 """Directions of flashes that are tried, degrees."""
 
 DISTANCE = 170.0
-"""Of the flashes, cm."""
+"""Distance of the flashes from the face, cm."""
 
 FILL = Room(0.4, (0.0, 0.7, 0.0))
-"""Light of the room when a flash of strength 1 goes off."""
+"""Light of the room, most of it from above, when a flash of strength 1 goes off."""
 
 ROOMS = ((0.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.7, -0.7), (0.0, 1.0, -0.4), (0.0, 1.0, 0.2), (0.0, 0.7, 0.7))
 """Directions from which light may come without a flash."""
 
 WITHOUT_FLASH = np.log(0.08)
-"""Logarithm of how bright a face is without a flash, relative to one with it."""
+"""Logarithm of how bright a face is without a flash, relative to one with it. Correlations hardly depend on it."""
+
+SEED = 3
+"""Seed of the heads."""
+
+WHITE = 3.0
+"""Standard deviations above the mean of a field that become white, and below it that become black."""
 
 
 @dataclass(frozen=True)
@@ -103,11 +114,11 @@ def main() -> None:
     choices = candidates()
     fields = rendered_fields(load_heads(given.heads), choices, real.mean)
     matches = [best_match(lamp, persons, choices, fields, inside) for lamp, persons in by_lamp.items()]
-    rows = [
-        (m.lamp, m.candidate, f"{m.correlation:.3f}", f"{m.left_out:.3f}", f"{m.correlation / m.left_out:.3f}")
-        for m in matches
-    ]
     header = ("lamp", "resembles most", "correlation", "of a person left out", "ratio")
+    rows = []
+    for match in matches:
+        numbers = (match.correlation, match.left_out, match.correlation / match.left_out)
+        rows.append((match.lamp, match.candidate, *(f"{number:.3f}" for number in numbers)))
     given.output.mkdir(parents=True, exist_ok=True)
     with (given.output / "fields.csv").open("w", newline="") as file:
         csv.writer(file).writerows([header, *rows])
@@ -146,7 +157,7 @@ def photographs(heads: ScannedHeads, choices: Sequence[Candidate]) -> Iterator[S
     """Yield each head under the flash from the front and under the candidates."""
     front = Light((flash(0.0, 0.0),), FILL)
     for i in range(N_HEADS):
-        rng = np.random.default_rng([3, i])
+        rng = np.random.default_rng([SEED, i])
         person = sitter(heads, rng, SIZE, LOOKS)
         landmarks = Landmarks(person.points)
         yield Sample(f"{i}-front", person.photographed(front, 0.0, rng), landmarks)
@@ -186,15 +197,16 @@ def side_by_side(matches: Sequence[Match], by_lamp: dict[str, np.ndarray], insid
     columns = []
     for match in matches:
         persons = by_lamp[match.lamp]
-        columns.append(np.concatenate([grey(each, inside) for each in (persons.mean(axis=0), match.field, persons[0])]))
+        column = (persons.mean(axis=0), match.field, persons[0])
+        columns.append(np.concatenate([grey(field, inside) for field in column]))
     picture = cv2.resize(np.concatenate(columns, axis=1), None, fx=2, fy=2, interpolation=cv2.INTER_CUBIC)
     return picture[..., None].repeat(3, axis=2)
 
 
 def grey(field: np.ndarray, inside: np.ndarray) -> np.ndarray:
-    """Return a field (side, side) as uint8: the mean within the mesh is grey, three deviations above it are white."""
+    """Return a field (side, side) as uint8, whose mean within the mesh is grey."""
     deviations = (field - field[inside].mean()) / field[inside].std()
-    return np.rint(255.0 * np.clip(deviations / 6.0 + 0.5, 0.0, 1.0)).astype(np.uint8)
+    return np.rint(255.0 * np.clip(deviations / (2 * WHITE) + 0.5, 0.0, 1.0)).astype(np.uint8)
 
 
 if __name__ == "__main__":

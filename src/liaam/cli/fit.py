@@ -426,14 +426,14 @@ class Outputs:
 def fit_file(
     fitter: "Fitter", image: Path, stem: str, *, init: str | None, every: bool, outputs: Outputs
 ) -> "tuple[FittedSpecimens, list[str]]":
-    """Fit an image file from `init`, from the start that the search finds, or from `every` start it finds.
+    """Fit an image file, and write its fits: from `init` or, without, of the first object found, or of `every` one.
 
-    Also return the names of the files: ``stem``, or ``stem_1``, ``stem_2``, ... in reading order if `every` object is
-    fitted.
+    Return the fits and the names of their files: ``stem``, or ``stem_1``, ``stem_2``, ... in reading order if `every`
+    object is fitted.
     """
     from liaam.fitting.specimens import fit_photograph
 
-    if not every:  # the names are known before the fit
+    if not every:  # of every object, the names are not known yet
         refuse_to_overwrite([outputs.path_of(stem, suffix) for suffix in outputs.suffixes])
     photograph = fit_photograph(fitter, image, init, every=every, stem=stem, name_by=outputs.name_by)
     pixels = photograph.pixels
@@ -505,7 +505,9 @@ def write_object(
         if box is not None:
             left, top, right, bottom = box
             crop = pixels[top:bottom, left:right]
-            write_image(outputs.path_of(name, CROP), crop if crop.dtype.kind == "u" else as_picture(crop))
+            if crop.dtype.kind != "u":  # floats, which not every format can hold
+                crop = as_picture(crop)
+            write_image(outputs.path_of(name, CROP), crop)
 
 
 @contextmanager

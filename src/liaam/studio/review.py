@@ -126,6 +126,19 @@ class ReviewLog:
         return entry["who"] or "someone"  # who did not enter a name
 
 
+@dataclass(frozen=True, eq=False)
+class _Count:
+    """How many points of a picture are unconfirmed, of its landmarks and what is stored of their origins."""
+
+    marks: Marks
+    origins: Mapping[str, Any] | None
+    number: int
+
+    def holds(self, marks: Marks, origins: Mapping[str, Any] | None) -> bool:
+        """Whether landmarks and origins are still those that were counted: both are replaced when they change."""
+        return self.marks is marks and self.origins is origins
+
+
 @dataclass(eq=False)
 class PictureStates:
     """Describes pictures for the page from their listing, landmarks, proposals and reviews, and acts on several."""
@@ -144,8 +157,8 @@ class PictureStates:
     slips: dict[str, tuple[str, str, list[int]]] = field(default_factory=dict)
     """:meth:`version_of` the landmarks in which a slip was found, its description, and its points, by picture."""
 
-    _unconfirmed: dict[str, tuple[Any, int]] = field(default_factory=dict)
-    """The last count of :meth:`unconfirmed`, and what it was counted for, by picture."""
+    _unconfirmed: dict[str, "_Count"] = field(default_factory=dict)
+    """The last count of :meth:`unconfirmed` by picture."""
 
     def ranks(self) -> dict[str, int]:
         """Rank the pictures that have only a proposal; 1 is the most useful to annotate (:func:`teaching_order`)."""
@@ -285,12 +298,13 @@ class PictureStates:
         """Count the points of a picture that no person has placed, moved or confirmed one by one."""
         if file.name not in self.origins and not self._were_accepted(file):
             return 0
-        counted_for = (marks, self.origins.entry(file.name))
-        known, count = self._unconfirmed.get(file.name, (None, 0))
-        if known is None or any(now is not then for now, then in zip(counted_for, known, strict=True)):
-            count = sum(origin not in (None, *OWN) for origin in self.origins_of(file, marks))
-            self._unconfirmed[file.name] = (counted_for, count)
-        return count
+        entry = self.origins.entry(file.name)
+        count = self._unconfirmed.get(file.name)
+        if count is None or not count.holds(marks, entry):
+            number = sum(origin not in (None, *OWN) for origin in self.origins_of(file, marks))
+            count = _Count(marks, entry, number)
+            self._unconfirmed[file.name] = count
+        return count.number
 
     def proposal_of(self, file: File) -> dict[str, Any] | None:
         """Return the proposal for a picture, unless it does not fit the template or was discarded."""
