@@ -12,7 +12,7 @@ from liaam.studio.background import slips_in
 from liaam.studio.project import Annotated, Project
 from liaam.studio.refusal import Refusal
 from liaam.studio.shapes import shapes
-from liaam.studio.sides import completed, parse_sides
+from liaam.studio.sides import completed, for_measuring, parse_sides
 
 BODY = np.array([[0, 0], [26, -6], [52, 4], [60, 22], [34, 30], [8, 24], [24, 12], [40, 14]], float)
 
@@ -97,13 +97,21 @@ def test_the_side_of_a_table_stays_when_points_are_moved(sided):
     assert {each["name"]: each["side"] for each in Project(sided).overview().pictures} == sides
 
 
-def test_shapes_are_measured_reflected_once_a_side_is_said(sided):
+def test_shapes_are_measured_reflected_whether_or_not_a_side_is_stated(sided):
     project = Project(sided)
-    unlike = shapes(project, {})
+    by_shape = shapes(project, {})
+    assert by_shape["sides"].startswith("4 specimens of the side mirrored reflected")
+    assert max(by_shape["space"]["distances"]) < 0.1  # mirrored ones would be far from the others
     project.save_sides({"sides": {"wing-0.png": "left"}})
-    alike = shapes(project, {})
-    assert "4" in alike["sides"] and "left" in alike["sides"]
-    assert np.mean(alike["space"]["distances"]) < 0.3 * np.mean(unlike["space"]["distances"])
+    stated = shapes(project, {})
+    assert stated["sides"].startswith("4 specimens of the side left reflected")
+    assert max(stated["space"]["distances"]) == pytest.approx(max(by_shape["space"]["distances"]))
+
+
+def test_two_mirrored_shapes_of_many_may_be_mistakes_and_are_measured_as_they_are(rng):
+    which = np.arange(20) < 2
+    names = [f"{i}" for i in range(20)]
+    assert for_measuring([""] * 20, names, shapes_of(rng, which)) == [""] * 20
 
 
 def test_mirrored_objects_are_no_slips_where_there_are_several_or_their_side_is_said(rng):

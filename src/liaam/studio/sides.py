@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from liaam.datasets.sides import sides_of_shapes
+from liaam.datasets.sides import sides_for_check, sides_of_shapes
 from liaam.io.sides import LEFT, OTHER_SIDE, RIGHT, sides_by_place_or_name
 from liaam.studio.refusal import Refusal
 
@@ -51,6 +51,18 @@ def completed(stated: Sequence[str], names: Sequence[str], shapes: np.ndarray) -
         side or (OTHER_SIDE[own] if is_other else own)
         for side, is_other in zip(sides, found.is_other.tolist(), strict=True)
     ]
+
+
+def for_measuring(stated: Sequence[str], names: Sequence[str], shapes: np.ndarray) -> list[str]:
+    """Return the side of each picture as :func:`completed` does, and ``original`` or ``mirrored`` if none is known.
+
+    One or two that are mirrored may be mistakes, and are left as they are.
+    """
+    sides = completed(stated, names, shapes)
+    found = sides_for_check(shapes, sides, names) if not any(sides) else None
+    if found is None or found.sides is None:
+        return sides
+    return [found.sides.of(is_other) for is_other in found.is_other.tolist()]
 
 
 def parse_sides(data: Any) -> dict[str, str]:

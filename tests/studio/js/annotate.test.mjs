@@ -946,6 +946,7 @@ test("the reason is the uncertainty, in words", () => {
   assert.match(assist.reason(picture, others, {}), /least certain.*3\.1\s% of the object's size.*median 1\.0\s%/);
   assert.match(assist.reason({ ...picture, doubtful: true }, others, {}), /low confidence/);
   assert.match(assist.reason(picture, others, null), /Next in the folder/);
+  assert.equal(assist.reason({ ...picture, slip: "a point lies outside" }, others, {}), "Possible slip: a point lies outside.");
 });
 
 test("a fit that has blown up is not told in numbers, and none is called least sure that is not", () => {

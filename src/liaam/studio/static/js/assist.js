@@ -33,12 +33,15 @@ export function shouldTrain(project, { auto, failedAt = null }) {
 export const situation = ({ model, pictures }) =>
   JSON.stringify([forTraining(pictures).map(({ name }) => name), model?.stale ?? null]);
 
-/** What is not done yet, as a sentence; "" if all shown pictures are done and the model was trained on all of them. */
+/** What is not done yet, as a sentence; "" if all shown pictures are done without a possible slip, and the model was trained
+ *  on all of them. */
 export function unfinished({ pictures, model }) {
   const open = pictures.length - countOf(pictures, "done");
   const left = pictures.map(({ name }) => name).filter((name) => name in (model?.left_out ?? {}));
+  const slips = slipped(pictures).length;
   const parts = [
     open && `${several(open, "picture")} ${open === 1 ? "is" : "are"} not done`,
+    slips && `${several(slips, "picture")} ${slips === 1 ? "has" : "have"} a possible slip`,
     left.length && `the model leaves out ${left.length === 1 ? left[0] : several(left.length, "picture")}`,
   ].filter(Boolean);
   const text = parts.join(", and ");
@@ -71,6 +74,7 @@ const uncertain = (fraction) => (fraction <= 1 ? percent(fraction) : "over 100\u
 export function reason(picture, pictures, model) {
   if (!picture) return "";
   if (!model) return "Next in the folder. Once there is a model, the picture that helps it most comes first.";
+  if (picture.slip) return `Possible slip: ${picture.slip}.`;
   if (picture.state === "partial") return "Some of its points are missing.";
   if (picture.state === "unchecked") return "Its points are still the mean shape, so no model is trained on it.";
   if (picture.uncertainty == null) return "The model has not been fitted to it yet.";

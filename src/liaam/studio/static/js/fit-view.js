@@ -20,7 +20,7 @@ const VIEWS = [
   { name: "residual", label: "Residual", after: "Residual", hint: "The difference between the picture and the model.",
     expert: true },
   { name: "invariant", label: "Invariant", after: "Invariant", expert: true },
-  { name: "relit", label: "Relight", after: "Relit", hint: "The object under other lamps: drag them over it." },
+  { name: "relit", label: "Relight", after: "Relit", hint: "Drag the lamp over the picture, and the line between before and after." },
 ];
 
 const LIKE_PICTURES = ["flat", "relit"]; // brightness and contrast change them, too; in the others, colours are values

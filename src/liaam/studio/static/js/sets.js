@@ -112,7 +112,8 @@ export async function showAgreement({ api, state }) {
     await api.get(api.url("agreement"));
   const ignored = unconfirmed.length > 0 && h("p.small.warn-text", { testid: "agreement-unconfirmed" },
     `${several(unconfirmed.length, "picture")} ${unconfirmed.length === 1 ? "does" : "do"} not count, since points were ` +
-    `accepted as they were proposed: ${unconfirmed.slice(0, SHOWN).join(", ")}. Move or confirm (Y) each of them.`);
+    `accepted as they were proposed: ${unconfirmed.slice(0, SHOWN).join(", ")}${unconfirmed.length > SHOWN ? " and others" : ""}. ` +
+    "Move or confirm (Y) each of them.");
   const pixels = (value) => `${value.toFixed(2)} px`;
   const table = (title, head, rows) => h("section.agreement-table", h("h3", title), h("table",
     h("thead", h("tr", head.map((what) => h("th", { scope: "col" }, what)))), h("tbody", rows.slice(0, SHOWN))));

@@ -26,7 +26,7 @@ export async function saySide({ api, state, toast }, names, side) {
 
 /** The list that shows and changes the side of the open picture, if objects have sides. @param {import("./annotate.js").Tab} tab */
 export function createSideList({ app, state }) {
-  const list = h("select.text", {
+  const list = h("select.text.side-list", {
     "aria-label": "Side of the object", testid: "picture-side", title: "Which side of the object this picture shows. Pictures of one side are trained and measured reflected",
     onchange: () => saySide(app, [state.current], list.value),
   }, optionsOf(SIDES));

@@ -20,7 +20,7 @@ export const FILTERS = {
   broken: { label: "Cannot be read", has: ({ state }) => state === "broken" },
 };
 
-export const ORDERS = { name: "Name", quality: "Worst first", uncertainty: "Uncertainty" };
+export const ORDERS = { name: "Name", quality: "Quality", uncertainty: "Uncertainty" };
 export const folderOf = (name) => name.slice(0, Math.max(name.lastIndexOf("/"), 0));
 export const isIn = (name, folder) => !folder || name.startsWith(`${folder}/`);
 export const baseOf = (name) => name.slice(name.lastIndexOf("/") + 1);

@@ -158,7 +158,7 @@ export function mountStrip(root, app) {
 
   function make(picture, why) {
     const { name, tag, rank, error, checked, slip, quality, side } = picture;
-    const what = filters.describe(picture, leftOut()) + (quality == null ? "" : `, ${Math.round(100 * quality)} %`) + (side ? `, ${side}` : "");
+    const what = [filters.describe(picture, leftOut()), side, quality != null && `${Math.round(100 * quality)} %`].filter(Boolean).join(", ");
     const folder = filters.folderOf(name);
     const face = picture.state === "broken"
       ? h("span.no-picture", icon("warning", 20))
