@@ -132,6 +132,7 @@ def fit_elsewhere(
         # A fit from a start that was given is not compared with a place that was searched for.
         start = (fit if init is None else first).target.start
         result = start_if_failed_far(result, shape_without_fit(init, start, fitter.model.in_box), fitter.shapes)
+    result = fitter.refined(fit.target, result)
     if fit.detection is None or not fit.detection.doubtful:  # the start is near the object
         result = _with_prior_near(fitter, result)
     return replace(result, found=fit.detection, part=fit.part)
