@@ -20,7 +20,7 @@ THRESHOLDS: dict[str, float] = {
     "EARLY_OWN_STEPS": 10,
     "EARLY_SCORED": 0.4,
     "COARSE": 10.0,
-    "COARSE_RELATIVE": 5.0,
+    "COARSE_RELATIVE": 1.5,
     "LEAST_GROWTH": 1.0 / 3.0,
     "MOST_GROWTH": 3.0,
     "LEAST_CURVATURE": 0.5,
