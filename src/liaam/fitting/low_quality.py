@@ -124,7 +124,8 @@ def fit_elsewhere(
     if restarts and is_hopeful and fitter.judge.falls_short(with_prior(result, prior)):
         result = fit_again(fitter, fit.target, result)
     if result.absent.any():
-        result = without_absent(fitter, fit.target, result, partial(elsewhere.starts_of, fit))
+        other_places = partial(elsewhere.starts_of, fit) if is_hopeful else list  # else they were fitted already
+        result = without_absent(fitter, fit.target, result, other_places)
     result = with_prior(result, prior)
     # The pose that a fit started from has another box than the one that was given.
     may_be_far = fitter.model.poses is None or not is_in_box(result.landmarks, init)
