@@ -40,7 +40,7 @@ struct Options {
     int max_iterations = 50;
     double tolerance = 0.01;           // root mean square movement of the landmarks, model pixels
     double early_tolerance = -1.0;     // fraction of the blur; negative: the default of the kind of steps
-    double relative_tolerance = 0.03;  // length of a step in its own standard deviations
+    double relative_tolerance = 0.1;   // length of a step in its own standard deviations
     double damping = 1e-3;             // initial; 0 accepts every step, as the paper does
     double shape_prior = 1.0;
     double observable = 25.0;

@@ -24,7 +24,7 @@ constexpr double kEarlyOwn = 0.1;          // the same with the image's own grad
 constexpr int kEarlyOwnSteps = 10;
 constexpr double kEarlyScored = 0.4;       // the same at the finest level if steps with the expected gradient follow
 constexpr double kCoarse = 10.0;           // factor on the tolerance at all levels but the finest: they only start it
-constexpr double kCoarseRelative = 5.0;    // factor on the relative tolerance there; 10 loses distant starts
+constexpr double kCoarseRelative = 1.5;    // factor on the relative tolerance there; 3 loses distant starts
 
 constexpr double kLeastGrowth = 1.0 / 3.0;  // change of size beyond which a fit has diverged
 constexpr double kMostGrowth = 3.0;

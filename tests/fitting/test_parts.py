@@ -4,6 +4,7 @@ from collections import Counter
 from types import SimpleNamespace
 from weakref import ref
 
+import cv2
 import numpy as np
 import pytest
 
@@ -12,6 +13,7 @@ from liaam.datasets import load_face
 from liaam.fitting import Detection, FitStatus, Fitter
 from liaam.fitting.detection import are_apart
 from liaam.fitting.loop.options import SolverOptions
+from liaam.fitting.low_quality import Elsewhere
 from liaam.fitting.one_shape_fitter import Blurred, OneShapeFitter
 from liaam.fitting.search import finder as search
 from liaam.fitting.search.finder import AT_FIRST, LARGE, OTHERS_OF_PARTS
@@ -194,3 +196,18 @@ def test_without_calibration_all_parts_are_fitted(pretended):
 
 def test_detections_of_most_models_are_of_their_only_part():
     assert Detection(np.zeros((3, 2)), 1.0, 0.0, 1.0).part == 0
+
+
+def test_a_hopeless_fit_is_not_tried_at_other_places_again(fitter, monkeypatch):
+    """Most of it is absent, for which other places would be fitted without what is absent there."""
+
+    def refuse(*_):
+        raise AssertionError("these places were fitted already")
+
+    noise = np.random.default_rng(0).integers(0, 256, (160, 140, 3)).astype(np.uint8)
+    image = np.asarray(cv2.normalize(cv2.GaussianBlur(noise, (0, 0), 2.0), None, 20, 230, cv2.NORM_MINMAX))
+    monkeypatch.setattr(Elsewhere, "starts_of", refuse)
+    result = fitter.fit(image)
+    assert result.status is FitStatus.DOUBTFUL
+    assert result.quality < HOPEFUL
+    assert result.n_starts > 1

@@ -178,7 +178,7 @@ def test_steps_that_nobody_can_tell_are_not_made(fine_model, lit_scene):
         [fitter.fit(lit_scene.image, start) for start in starts]
         for fitter in (
             Fitter(fine_model, "soft-li", SolverOptions(relative_tolerance=relative_tolerance, early_tolerance=0.0))
-            for relative_tolerance in (0.0, 0.1)
+            for relative_tolerance in (0.0, 0.3)
         )
     )
     assert sum(result.n_iterations for result in sparing) < sum(result.n_iterations for result in patient)

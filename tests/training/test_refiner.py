@@ -13,7 +13,7 @@ from liaam.datasets import Sample
 from liaam.errors import ModelFileError
 from liaam.io import Landmarks
 from liaam.model.mirror import mirrored_model
-from liaam.model.regressor import OrientationHistograms, _mirrored_features
+from liaam.model.regressor import LandmarkRegressor, OrientationHistograms, _mirrored_features
 from liaam.model.shape import rotation
 from liaam.training.refiner import learn_refiner
 
@@ -67,6 +67,21 @@ def refiner_of(model):
 def results_of(model, shields):
     fitter = Fitter(model)
     return [fitter.fit(image, np.r_[truth.min(0), truth.max(0)]) for image, truth in shields]
+
+
+def test_of_several_fits_only_the_result_is_refined(shields, refined, monkeypatch):
+    refine = LandmarkRegressor.refined
+    starts = []
+
+    def counted(refiner, image, response, shape):
+        starts.append(shape)
+        return refine(refiner, image, response, shape)
+
+    monkeypatch.setattr(LandmarkRegressor, "refined", counted)
+    image, truth = shields[35]
+    result = Fitter(refined, rotations="all").fit(image, np.r_[truth.min(0), truth.max(0)])
+    assert len(starts) == 1
+    np.testing.assert_allclose(starts[0], result.registered, atol=1e-9)
 
 
 def test_refined_fits_are_nearer(shields, plain, refined):

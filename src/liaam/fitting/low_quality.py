@@ -124,7 +124,8 @@ def fit_elsewhere(
     if restarts and is_hopeful and fitter.judge.falls_short(with_prior(result, prior)):
         result = fit_again(fitter, fit.target, result)
     if result.absent.any():
-        result = without_absent(fitter, fit.target, result, partial(elsewhere.starts_of, fit))
+        other_places = partial(elsewhere.starts_of, fit) if is_hopeful else list  # else they were fitted already
+        result = without_absent(fitter, fit.target, result, other_places)
     result = with_prior(result, prior)
     # The pose that a fit started from has another box than the one that was given.
     may_be_far = fitter.model.poses is None or not is_in_box(result.landmarks, init)
@@ -132,6 +133,7 @@ def fit_elsewhere(
         # A fit from a start that was given is not compared with a place that was searched for.
         start = (fit if init is None else first).target.start
         result = start_if_failed_far(result, shape_without_fit(init, start, fitter.model.in_box), fitter.shapes)
+    result = fitter.refined(fit.target, result)
     if fit.detection is None or not fit.detection.doubtful:  # the start is near the object
         result = _with_prior_near(fitter, result)
     return replace(result, found=fit.detection, part=fit.part)

@@ -283,13 +283,16 @@ class OneShapeFitter:
         return self.result_of(target, [*stages, *last])
 
     def result_of(self, target: Target, stages: Sequence[FittedLevel], doubt: float = 0.0) -> FitResult:
-        """Make the result of a fit from its levels; see :meth:`liaam.fitting.quality.Judge.result_of`.
+        """Make the result of a fit from its levels; see :meth:`liaam.fitting.quality.Judge.result_of`."""
+        return self.judge.result_of(target, stages, doubt)
 
-        If the model has a refiner, the landmarks are refined.
+    def refined(self, target: Target, result: FitResult) -> FitResult:
+        """Return the result of a fit with the landmarks that the model's refiner leads to; itself if there is none.
+
+        The fit itself, and so its quality, stays. Of several fits only the one that is returned needs it.
         """
-        result = self.judge.result_of(target, stages, doubt)
         refiner = self.model.refiner
-        if refiner is None or result.status.lost:
+        if refiner is None or result.at_start or result.status.lost:
             return result
         refined = refiner.refined(target.image, target.linear.response, result.registered)
         if not is_sane(refined, result.registered):

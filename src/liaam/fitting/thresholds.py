@@ -25,9 +25,9 @@ THRESHOLDS: dict[str, float] = {
     "EARLY_OWN_STEPS": 10,
     "EARLY_SCORED": 0.4,
     # Factors on the tolerance and on the relative tolerance at all levels but the finest, which only start that one.
-    # With a second factor of 10, distant starts are lost.
+    # With a second factor of 3, distant starts are lost.
     "COARSE": 10.0,
-    "COARSE_RELATIVE": 5.0,
+    "COARSE_RELATIVE": 1.5,
     "LEAST_GROWTH": 1.0 / 3.0,  # change of size below which a fit has diverged
     "MOST_GROWTH": 3.0,  # change of size above which it has
     # Least curvature of steps with the expected gradient, as a fraction of the expected curvature: far from the
