@@ -52,7 +52,7 @@ from liaam.training.regressor import LEAST_OBJECTS, Regression, RegressorData
 from liaam.training.rotations import rotations_of
 from liaam.training.search_filter import FilterLearner
 from liaam.training.shapes import shape_groups
-from liaam.training.sides import on_one_side
+from liaam.training.sides import counted, of_all, on_one_side
 from liaam.training.symmetry import describe_offset, sideways_offset
 from liaam.training.textures import FITTED, Sampled, Steps, Wanted, learning_cost, level_appearances, sample_all
 from liaam.training.triangulation import MeshOfLandmarks, mesh_of
@@ -150,7 +150,8 @@ def train(
         part = samples if len(groups) == 1 else _part_of(samples, group, progress)
         points_of_part = points if len(groups) == 1 else points_of(points, group)
         models.append(_train_one(part, points_of_part, task))
-    models = [replace(model, sides=samples.sides) for model in models]
+    sides = of_all([model.sides for model in models])
+    models = [replace(model, sides=sides) for model in models]
     scale = shared_length([entry.pixel for entry in samples.entries])
     if any(model.rotations == ALL_ROTATIONS for model in models):  # all shapes are searched for in one way
         models = [replace(model, rotations=ALL_ROTATIONS) for model in models]
@@ -257,6 +258,7 @@ def _train_one(data: TrainingData, points: Points | None, task: _Task) -> AAM:
             forced=options.regressor is True,
         )
     names = _names_to_learn(options, has_features=encoder is not None)
+    sides = counted(data.sides, entries)
     blurs = options.blurs_by_view
     with reported("training", task.progress) as report:
         steps = _steps(model, options, shapes.folds, report)
@@ -278,6 +280,7 @@ def _train_one(data: TrainingData, points: Points | None, task: _Task) -> AAM:
                 folds=shapes.folds,
                 steps=steps,
                 regression=regression,
+                has_sides=sides is not None,
             )
         elif regression is not None and regression.forced:
             model = replace(model, regressor=regression.data().learn(shape_model_of(model.views)))
@@ -288,6 +291,7 @@ def _train_one(data: TrainingData, points: Points | None, task: _Task) -> AAM:
             "least: give more of them",
             stacklevel=4,
         )
+    model = replace(model, sides=sides)
     if options.keeps_all:  # a model of exactly the training images is not rounded
         return model
     return keep_only(model, chosen(options.methods))
