@@ -5,7 +5,7 @@ the windows of landmarks beside it, and a plain patch in it has nothing to compa
 
 Here each pixel has a likelihood ratio. Where the object is present, the gradients that the fit leaves are errors of the
 model, whose variances training has estimated on left-out images. Where it is absent, the gradients of the image are
-those of something blank or of something else. Pixels near each other are mostly of one kind. These are the unary and the
+those of something blank or of something else. Pixels near each other are mostly of one kind. These are the unary and
 pairwise terms of a fully connected conditional random field with a Gaussian kernel, of which the mean field is a few
 convolutions (Krähenbühl and Koltun, NIPS 2011).
 """
