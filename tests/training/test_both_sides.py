@@ -13,6 +13,7 @@ from liaam.batch import Settings, run_batch
 from liaam.error_measures import point_error
 from liaam.errors import LiaamError, MethodError, ModelFileError, StartError, TrainingError
 from liaam.evaluation import compare_specimens
+from liaam.fitting import METHODS
 from liaam.fitting.sides import as_fitted, reflected_result, reflected_start, reflections_of_start
 from liaam.fitting.solution import residual_at
 from liaam.io import write_image
@@ -22,6 +23,7 @@ from liaam.model.sides import Sides, reflected_image, reflected_points
 from liaam.morphometry import of_one_side, read_specimens
 from liaam.plotting.overlays import caption_of
 from liaam.relighting import Relighter
+from liaam.training.reliability import LeftOutImage, fit_left_out
 from setups import BODY, TexturedObject
 
 SIZE = (110, 90)
@@ -77,6 +79,28 @@ def test_a_model_of_both_sides_is_that_of_one(right, both, model):
     stated = liaam.train([replace(each, side={"l": "left", "r": "right"}[each.side]) for each in samples], **QUICK)
     assert stated.sides == Sides("right", 10, 5)
     np.testing.assert_array_equal(stated.shape_model.mean, model.shape_model.mean)
+
+
+def test_images_that_are_left_out_do_not_count_among_the_sides(both):
+    samples = [Sample(f"{i}", *each, side="right" if i % 3 else "left") for i, each in enumerate(both[:N_TRAINED])]
+    image, points = both[3]
+    folded = points.copy()
+    folded[[0, 1]] = points[[1, 0]]
+    samples[3] = Sample("3", image, folded, side="left")
+    with pytest.warns(UserWarning, match="fold the mesh"):
+        model = liaam.train(samples, **QUICK)
+    assert model.sides == Sides("right", 10, 4) and model.n_images == 14
+
+
+def test_fits_of_the_wrong_side_are_among_the_wrong_fits_of_training(model, both):
+    of_one = replace(model, sides=None)
+    methods = [METHODS["soft-li"]]
+    pictures = [LeftOutImage(of_one, *both[i]) for i in (16, 17, 19)]
+    plain = fit_left_out(of_one, pictures, methods)["soft-li"]
+    sided = fit_left_out(of_one, [replace(each, has_sides=True) for each in pictures], methods)["soft-li"]
+    assert sided.n_near == plain.n_near and sided.near_error == plain.near_error
+    added = [fit for fit in sided.fits if not any(np.array_equal(fit.p, other.p) for other in plain.fits)]
+    assert len(added) == 3 and all(fit.wrong and not fit.near for fit in added)
 
 
 def test_sides_are_those_of_columns_folders_and_names(both, tmp_path):

@@ -59,6 +59,8 @@ def calibrated(
     folds: list[np.ndarray],
     steps: Steps,
     regression: Regression | None = None,
+    *,
+    has_sides: bool = False,
 ) -> AAM:
     """Calibrate the quality of methods' fits on left-out images, original and relit by left-out lamps.
 
@@ -88,6 +90,8 @@ def calibrated(
         Reports each image.
     regression : Regression, optional
         Whether a regressor is needed, and what it is learnt from; None if there is to be none.
+    has_sides : bool
+        Whether fits will try both sides of objects, so that fits of the wrong side are among the wrong ones.
 
     Returns
     -------
@@ -112,7 +116,7 @@ def calibrated(
             for j in fitted_of(fold, folds):
                 steps.next(f"fitting {entries[j].name}", FITTED)
                 image = as_colour(entries[j].read_image(), entries[j].name)
-                yield LeftOutImage(part, image, shapes[j], entries[j].known)
+                yield LeftOutImage(part, image, shapes[j], entries[j].known, has_sides=has_sides)
                 for relit in copied.relit(j, image, shapes[j], model.response, lamps):
                     yield LeftOutImage(part, relit, shapes[j], entries[j].known, relit=True)
 

@@ -21,7 +21,8 @@ from liaam.fitting.search.finder import Finder
 from liaam.fitting.search.templates import is_searchable
 from liaam.model import AAM, Reliability
 from liaam.model.contours import outline_errors
-from liaam.model.shape import align, corners_of, diagonal_of, rotation, shifted_into
+from liaam.model.shape import align, corners_of, diagonal_of, in_box, rotation, shifted_into
+from liaam.model.sides import reflected_image, reflected_points
 from liaam.photometry import is_grey
 from liaam.training.covariances import Alike, learn_covariances, variance_factor, widened
 from liaam.training.left_out_fits import RIGHT, LeftOutFit, LeftOutFits
@@ -47,7 +48,8 @@ class LeftOutImage:
     """An image, its landmarks, and a model trained without it, on the reference frame of the full model.
 
     ``known`` (n,) says which landmarks are known, with which alone fits are compared; None if all are. ``relit`` marks
-    images whose light was changed; their background is then not valid.
+    images whose light was changed; their background is then not valid. ``has_sides`` says that fits of the model to be
+    will try both sides of objects.
     """
 
     model: AAM
@@ -55,10 +57,20 @@ class LeftOutImage:
     points: np.ndarray
     known: np.ndarray | None = None
     relit: bool = False
+    has_sides: bool = False
+
+    @property
+    def reflection(self) -> "LeftOutImage":
+        """The image and its landmarks reversed left to right: an object of the other side."""
+        points = reflected_points(self.points, self.image.shape[1])
+        return replace(self, image=reflected_image(self.image), points=points)
 
 
 def fit_left_out(model: AAM, pictures: Iterable[LeftOutImage], methods: Sequence[Method]) -> dict[str, LeftOutFits]:
     """Fit left-out images from near and distant starts, and at the best wrong places that a search finds.
+
+    Of objects of two sides, the wrong one is fitted too: reversed left to right, the image has an object of the other
+    side.
 
     Each method fits with several weights of the prior on the shape at the finest level, of which the best is kept.
 
@@ -91,15 +103,37 @@ def fit_left_out(model: AAM, pictures: Iterable[LeftOutImage], methods: Sequence
             places = finder.others_in(LinearImage(picture.image, model.response), PLACES)
             if model.poses is not None:  # other places are fitted from the mean shape alone
                 places = [place.landmarks for place in places]
+        elsewhere: list[tuple[LeftOutImage, Sequence[np.ndarray | Detection]]] = [(picture, places)]
+        if picture.has_sides:
+            reflection = picture.reflection
+            elsewhere.append((reflection, _starts_of_other_side(reflection, finder)))
         for fitter, of_fitter in zip(fitters, chain.from_iterable(fits.values()), strict=True):
             if not (fitter.objectives[0].method.needs_colour and is_grey(picture.image)):
                 tried = [_fit(picture, fitter, start, k == 0) for k, start in enumerate(starts)]
-                wrong = [fit for place in places if (fit := _fit(picture, fitter, place)) and fit.wrong]
-                # Of the wrong places, that which explains most.
-                worst = sorted(wrong, key=lambda fit: -fit.evidence[0])[:1]
-                of_fitter.fits.extend([*filter(None, tried), *worst])
+                wrong = [_most_explaining_wrong(each, fitter, starts_of_wrong) for each, starts_of_wrong in elsewhere]
+                of_fitter.fits.extend(filter(None, [*tried, *wrong]))
                 of_fitter.n_near += 1
     return {name: least_shrunk(of_method) for name, of_method in fits.items()}
+
+
+def _starts_of_other_side(reflection: LeftOutImage, finder: Finder) -> list[np.ndarray | Detection]:
+    """Return where fits of the wrong side start: from the mean shape in the object's box, and where a search leads."""
+    low, high = corners_of(reflection.points)
+    mean = in_box(reflection.model.shape_model.mean, 0.5 * (low + high), diagonal_of(reflection.points))
+    if reflection.model.poses is not None:
+        return [np.concatenate([low, high])]
+    if not is_searchable(reflection.model):
+        return [mean]
+    return [mean, finder.first_in(LinearImage(reflection.image, reflection.model.response))]
+
+
+def _most_explaining_wrong(
+    picture: LeftOutImage, fitter: Fitter, starts: Sequence[np.ndarray | Detection]
+) -> LeftOutFit | None:
+    """Return of the wrong fits from some starts the one that explains most; None if there is no wrong one."""
+    fits = [_fit(picture, fitter, start) for start in starts]
+    wrong = [fit for fit in fits if fit is not None and fit.wrong]
+    return max(wrong, key=lambda fit: fit.evidence[0], default=None)
 
 
 def calibrate(model: AAM, fits: Mapping[str, LeftOutFits], methods: Sequence[Method]) -> dict[str, Reliability]:

@@ -52,7 +52,7 @@ from liaam.training.regressor import LEAST_OBJECTS, Regression, RegressorData
 from liaam.training.rotations import rotations_of
 from liaam.training.search_filter import FilterLearner
 from liaam.training.shapes import shape_groups
-from liaam.training.sides import on_one_side
+from liaam.training.sides import counted, of_all, on_one_side
 from liaam.training.symmetry import describe_offset, sideways_offset
 from liaam.training.textures import FITTED, Sampled, Steps, Wanted, learning_cost, level_appearances, sample_all
 from liaam.training.triangulation import MeshOfLandmarks, mesh_of
@@ -151,7 +151,8 @@ def train(
             models.append(_train_one(samples, points, task))
         else:
             models.append(_train_one(_part_of(samples, group, progress), points_of(points, group), task))
-    models = [replace(model, sides=samples.sides) for model in models]
+    sides = of_all([model.sides for model in models])
+    models = [replace(model, sides=sides) for model in models]
     scale = shared_length([entry.pixel for entry in samples.entries])
     if any(model.rotations == ALL_ROTATIONS for model in models):  # all shapes are searched for in one way
         models = [replace(model, rotations=ALL_ROTATIONS) for model in models]
@@ -259,6 +260,7 @@ def _train_one(data: TrainingData, points: Points | None, task: _Task) -> AAM:
             forced=options.regressor is True,
         )
     appearance_names = _appearances_to_learn(options, has_features=encoder is not None)
+    sides = counted(data.sides, entries)
     blurs = options.blurs_by_view
     with reported("training", task.progress) as report:
         steps = _steps(model, options, shapes.folds, report)
@@ -280,6 +282,7 @@ def _train_one(data: TrainingData, points: Points | None, task: _Task) -> AAM:
                 folds=shapes.folds,
                 steps=steps,
                 regression=regression,
+                has_sides=sides is not None,
             )
         elif regression is not None and regression.forced:
             model = replace(model, regressor=regression.data().learn(shape_model_of(model.views)))
@@ -290,6 +293,7 @@ def _train_one(data: TrainingData, points: Points | None, task: _Task) -> AAM:
             "least: give more of them",
             stacklevel=4,  # the caller of train, which is decorated
         )
+    model = replace(model, sides=sides)
     if options.keeps_all:  # a model of exactly the training images is not rounded
         return model
     return keep_only(model, chosen(options.methods))

@@ -201,4 +201,4 @@ class Judge:
         presence = self.calibration.presence
         if presence is None or stage.objective.blur != self.sharpest.blur:
             return None
-        return presence.probabilities(self.surroundings.compared_in(stage.solution).landmarks)
+        return self.surroundings.probabilities(presence, stage.solution)

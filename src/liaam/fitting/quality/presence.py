@@ -7,7 +7,8 @@ The concordance of the gradients s of the image and those m of the fitted appear
 is Lin's coefficient (Biometrics 45, 1989) of gradients, whose mean is 0: the share of the contrast of both that the
 residual leaves. It is near 1 where the image is what the model expects, and near 0 where it is something else, or
 blank. ``w`` is a Gaussian window. :class:`liaam.model.presence.Presence` makes probabilities of it, and of the contrast
-of s by that of m, which is low where the image is blank.
+of s by that of m, which is low where the image is blank. They say whether a part of the object is absent; which part it
+is says :mod:`liaam.fitting.quality.segmentation`.
 """
 
 from dataclasses import dataclass
@@ -18,6 +19,8 @@ import numpy as np
 
 from liaam.fitting.loop.objective import Objective
 from liaam.fitting.methods import GRADIENT_ROWS
+from liaam.fitting.quality.segmentation import Segmentation, segmented
+from liaam.io.landmarks.base import PRESENT
 from liaam.model.presence import Agreement, Presence
 from liaam.model.shape import diagonal_of
 from liaam.model.warp import THINNING, PiecewiseAffineWarp
@@ -59,20 +62,27 @@ class Surroundings:
         usable : (n_pixels,)
             Which of these are in the image and usable. The others agree with nothing.
         """
-        k = self.objective.method.n_rows
-        samples = np.reshape(samples, (-1, k))[:, :GRADIENT_ROWS]
-        expected = samples - np.reshape(residual, (-1, k))[:, :GRADIENT_ROWS]
-        seen = np.where(np.asarray(usable)[:, None] > 0, samples, 0.0)
+        seen, expected = self._gradients(samples, residual, usable)
         pairs = ((seen, expected), (seen, seen), (expected, expected))
         products = [np.einsum("nk,nk->n", first, second) for first, second in pairs]
         finite = np.nan_to_num(np.stack(products), posinf=0.0, neginf=0.0)
-        shared, of_image, of_fit = self._summed(self._weights * finite)
+        shared, of_image, of_fit = self._summed(self.weights * finite)
         of_image = np.maximum(of_image, 0.0) + self._floor
         of_fit = np.maximum(of_fit, 0.0) + self._floor
         concordances = 2.0 * shared / (of_image + of_fit)
         contrasts = np.log(of_image / of_fit)
-        of_landmarks = Agreement(concordances[self._landmarks], contrasts[self._landmarks])
-        return Agreements(of_landmarks, Agreement(concordances[self._pixels], contrasts[self._pixels]))
+        landmarks, pixels = self.cells_of_landmarks, self.cells_of_pixels
+        of_landmarks = Agreement(concordances[landmarks], contrasts[landmarks])
+        return Agreements(of_landmarks, Agreement(concordances[pixels], contrasts[pixels]))
+
+    def _gradients(
+        self, samples: np.ndarray, residual: np.ndarray, usable: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Return the gradients of the image, 0 where it is not usable, and those of the fit, (n_pixels, 2) each."""
+        k = self.objective.method.n_rows
+        samples = np.reshape(samples, (-1, k))[:, :GRADIENT_ROWS]
+        expected = samples - np.reshape(residual, (-1, k))[:, :GRADIENT_ROWS]
+        return np.where(np.asarray(usable)[:, None] > 0, samples, 0.0), expected
 
     def compared_in(self, solution: Any) -> Agreements:
         """Compare image and fit in a solution that keeps its samples."""
@@ -80,18 +90,25 @@ class Surroundings:
 
     def _summed(self, values: np.ndarray) -> np.ndarray:
         """Sum values (c, n_pixels) of the sampled pixels over the window around each cell, (c, n_cells) float32."""
+        picture = self.on_grid(values.T)
+        return self.blurred(picture, WIDTH).reshape(-1, len(values)).T
+
+    def on_grid(self, values: np.ndarray) -> np.ndarray:
+        """Return values (n_pixels, ...) of the sampled pixels in the cells of the grid, (h, w, ...) float32."""
+        height, width = self._size
+        grid = np.zeros((height * width, *values.shape[1:]), np.float32)
+        grid[self.cells_of_pixels] = values
+        return grid.reshape(height, width, *values.shape[1:])
+
+    def blurred(self, picture: np.ndarray, width: float) -> np.ndarray:
+        """Blur values on the grid (h, w, ...); the deviation is a fraction of the diagonal of the mean shape."""
         import cv2  # heavy: imported when first needed
 
-        height, width = self._size
-        grid = np.zeros((height * width, len(values)), np.float32)
-        grid[self._pixels] = values.T
-        deviation = WIDTH * self._diagonal / self._step
-        picture = grid.reshape(height, width, -1)
-        blurred = cv2.GaussianBlur(picture, (0, 0), deviation, borderType=cv2.BORDER_CONSTANT)
-        return blurred.reshape(height * width, -1).T
+        deviation = width * self._diagonal / self._step
+        return cv2.GaussianBlur(picture, (0, 0), deviation, borderType=cv2.BORDER_CONSTANT)
 
     @cached_property
-    def _weights(self) -> np.ndarray:
+    def weights(self) -> np.ndarray:
         """Weights of the sampled pixels, (n_pixels,) float32."""
         beside = np.where(_mesh_warp(self.objective).within_mesh, 1.0, BESIDE)
         return (beside * self.objective.appearance.usable).astype(np.float32)
@@ -99,12 +116,45 @@ class Surroundings:
     @cached_property
     def _floor(self) -> np.ndarray:
         """Contrast that counts everywhere, half of it of the image and half of the fit, (n_cells,) float32."""
-        of_pixels = 0.5 * FLOOR * self._weights
+        of_pixels = 0.5 * FLOOR * self.weights
         return np.maximum(self._summed(of_pixels[None])[0], LEAST_CONTRAST)
 
+    def probabilities(self, presence: Presence, solution: Any) -> np.ndarray:
+        """Return the probability that each landmark is present in a solution that keeps its samples, (n,) float64.
+
+        If a part is absent by the windows, the object is segmented. A fit of which most is absent is elsewhere.
+        """
+        by_windows = presence.probabilities(self.compared_in(solution).landmarks)
+        n_absent = int((by_windows < PRESENT).sum())
+        if not n_absent or 2 * n_absent > len(by_windows) or not self.can_segment:
+            return by_windows
+        return self.segmented_in(solution).landmarks
+
     def present_pixels(self, presence: Presence, solution: Any) -> np.ndarray:
-        """Return around which sampled pixels a solution's image is what the model expects, (n_pixels,) bool."""
+        """Return at which sampled pixels a solution's image is what the model expects, (n_pixels,) bool."""
+        if self.can_segment:
+            return self.segmented_in(solution).pixels >= PRESENT
         return presence.agree(self.compared_in(solution).pixels, self._landmarks_around)
+
+    def segmented_in(self, solution: Any) -> Segmentation:
+        """Segment the object in a solution that keeps its samples."""
+        seen, expected = self._gradients(solution.samples, solution.residual, solution.usable)
+        return segmented(self, np.nan_to_num(seen), np.nan_to_num(expected))
+
+    @property
+    def can_segment(self) -> bool:
+        """Whether training has estimated the model's errors."""
+        return bool(self.error_variances.any())
+
+    @cached_property
+    def error_variances(self) -> np.ndarray:
+        """Variance of the model's errors in a gradient of each sampled pixel, (n_pixels,) float64; 0 if unknown."""
+        objective = self.objective
+        unexplained = objective.appearance.unexplained
+        if unexplained is None:
+            return np.zeros(len(objective.appearance.mean))
+        metric = objective.method.model_metric(objective.theta_model)[:GRADIENT_ROWS]
+        return np.einsum("kc,ncd,kd->n", metric, unexplained, metric, optimize=True) / GRADIENT_ROWS
 
     def nearest_of(self, objective: Objective) -> np.ndarray:
         """Return the nearest sampled pixel to each pixel of another level on the same frame, (m,) int."""
@@ -133,12 +183,12 @@ class Surroundings:
         return (height - 1) // self._step + 1, (width - 1) // self._step + 1
 
     @cached_property
-    def _pixels(self) -> np.ndarray:
+    def cells_of_pixels(self) -> np.ndarray:
         """Cell of each sampled pixel, (n_pixels,) int."""
         return self._cells(_places(self.objective))
 
     @cached_property
-    def _landmarks(self) -> np.ndarray:
+    def cells_of_landmarks(self) -> np.ndarray:
         """Cell of each landmark of the mean shape, (n,) int."""
         warp = _mesh_warp(self.objective)
         return self._cells(warp.rest - warp.frame.origin)
