@@ -10,6 +10,7 @@ from liaam.fitting.loop.encoded_image import MARGIN, EncodedImage
 from liaam.fitting.loop.objective import Objective, State
 from liaam.fitting.result import FitResult
 from liaam.fitting.sides import as_fitted
+from liaam.fitting.thresholds import THRESHOLDS
 from liaam.photometry.picture import load_picture
 
 
@@ -24,8 +25,13 @@ def solution_at(fitter: Fitter, image, result: FitResult) -> dict[str, Any]:
     method = objective.method
     if method.free_angles == "image" and not np.isfinite(result.theta):
         state = state._replace(angles=np.array([state.angles[0], best_image_angle(objective, encoded, state)]))
-    weigh = 0 if not method.reweighs else 1 if method.loss == "squares" else 3
-    return objective.evaluate(encoded, state, weigh=weigh, solves=True)
+    if not method.reweighs:
+        n_updates = 0
+    elif method.loss == "squares":
+        n_updates = 1
+    else:  # the weights of a robust loss and lambda depend on each other
+        n_updates = int(THRESHOLDS["ROUNDS"])
+    return objective.evaluate(encoded, state, weigh=n_updates, solves=True)
 
 
 def residual_at(fitter: Fitter, image, result: FitResult) -> tuple[np.ndarray, np.ndarray]:

@@ -115,7 +115,10 @@ class Surroundings:
 
     @cached_property
     def _floor(self) -> np.ndarray:
-        """Contrast that counts everywhere, half of it of the image and half of the fit, (n_cells,) float32."""
+        """Contrast that is added to that of the image and to that of the fit around each cell, (n_cells,) float32.
+
+        Both together have the contrast :data:`FLOOR`, under the weights of the window.
+        """
         of_pixels = 0.5 * FLOOR * self.weights
         return np.maximum(self._summed(of_pixels[None])[0], LEAST_CONTRAST)
 
