@@ -205,7 +205,8 @@ def test_a_hopeless_fit_is_not_tried_at_other_places_again(fitter, monkeypatch):
         raise AssertionError("these places were fitted already")
 
     noise = np.random.default_rng(0).integers(0, 256, (160, 140, 3)).astype(np.uint8)
-    image = np.asarray(cv2.normalize(cv2.GaussianBlur(noise, (0, 0), 2.0), None, 20, 230, cv2.NORM_MINMAX))
+    blurred = cv2.GaussianBlur(noise, (0, 0), 2.0).astype(np.float32)
+    image = np.rint(20.0 + 210.0 * (blurred - blurred.min()) / np.ptp(blurred)).astype(np.uint8)
     monkeypatch.setattr(Elsewhere, "starts_of", refuse)
     result = fitter.fit(image)
     assert result.status is FitStatus.DOUBTFUL
