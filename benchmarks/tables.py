@@ -97,11 +97,11 @@ PLACES = (
     row(README, "dlib and MediaPipe, ready-made face models", 3, ["dlib_68", STILL]),
     Place(
         README,
-        ("face model takes ", " ms for a frontal photograph if a box is given and "),
+        ("face model takes ", " ms if you give a box, and "),
         ("liaam_face", "liaam_face_found"),
     ),
     Place(README, ("in the wild, the face model takes ", " ms, and MediaPipe "), ("liaam_face_wild", WILD)),
-    Place(README, ("`soft-li` takes ", " ms from a box and "), ("liaam_photo", "liaam_photo_found")),
+    Place(README, ("who was not in training takes ", " ms from a box, and "), ("liaam_photo", "liaam_photo_found")),
     row(TABLE, "liaam `soft-li`", 0, ["liaam_soft_li"]),
     row(TABLE, "liaam `soft-li`", 2, ["liaam_soft_li_iteration"]),
     row(TABLE, "liaam `li`", 0, ["liaam_li"]),

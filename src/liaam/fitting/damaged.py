@@ -33,7 +33,7 @@ def without_absent(
     """Repeat a fit of which a landmark is absent, without the pixels of absent parts.
 
     If most landmarks remain absent, the fits from other places (shapes (n, 2), image pixels, most likely first) are
-    tried too, and if they do everywhere, the fit is doubtful.
+    tried too, and if they do everywhere, the fit is doubtful, with at most the quality that it had.
 
     Returns
     -------
@@ -53,9 +53,11 @@ def without_absent(
     best = replace(best, n_starts=result.n_starts)
     if not result.status.ok:
         best = with_prior(best, SELECTED)
-    if best.status.ok and not _is_mostly_present(best):
-        return replace(best, status=FitStatus.DOUBTFUL)
-    return best
+    if _is_mostly_present(best):
+        return best
+    # A fit to the few pixels that agree with it, many of them by chance, is believed no more than one to all pixels.
+    status = FitStatus.DOUBTFUL if best.status.ok else best.status
+    return replace(best, status=status, quality=min(best.quality, result.quality))
 
 
 def _fitted_without_absent(fitter: OneShapeFitter, target: Target, result: FitResult) -> FitResult:
