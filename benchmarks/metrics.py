@@ -26,7 +26,7 @@ _recorders: list[Metrics] = []
 
 
 class BaselineError(LiaamError):
-    """A baseline cannot be read."""
+    """A baseline cannot be read, or has no value for a metric."""
 
 
 def report(name: str, value: float | bool, note: str = "", *, form: str = ".3f", width: int = 0) -> None:

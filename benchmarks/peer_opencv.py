@@ -16,8 +16,7 @@ from liaam.model import AAM
 from liaam.model.shape import similarity_modes
 
 ITERATIONS = 50
-SHAPE_MODES = 10
-"""What OpenCV uses, for the report."""
+"""What OpenCV takes, for the report."""
 
 BORDER = 2.0
 """Pixels around the mean shape in the reference frame."""

@@ -11,7 +11,7 @@ from itertools import chain
 from pathlib import Path
 from typing import NamedTuple
 
-from benchmarks.metrics import BASELINE, Value, read_baseline
+from benchmarks.metrics import BASELINE, BaselineError, Value, read_baseline
 
 ROOT = Path(__file__).resolve().parents[1]
 STILL = "mediapipe_still"
@@ -53,10 +53,17 @@ class Place(NamedTuple):
 
 
 def value_of(metric: str, saved: Mapping[str, Value]) -> float:
-    """Return a time of a saved run in ms, or the quotient of two."""
+    """Return a time of a saved run in ms, or the quotient of two. Raise a BaselineError if one was not measured."""
     numerator, _, denominator = metric.partition(" / ")
-    value = float(saved[f"peers_{numerator}_ms"] or 0.0)
-    return value / float(saved[f"peers_{denominator}_ms"] or 0.0) if denominator else value
+    value = _time_of(numerator, saved)
+    return value / _time_of(denominator, saved) if denominator else value
+
+
+def _time_of(name: str, saved: Mapping[str, Value]) -> float:
+    time = saved.get(f"peers_{name}_ms")
+    if not time:
+        raise BaselineError(f"the saved run has no peers_{name}_ms: save a run of peers with all of them installed")
+    return float(time)
 
 
 def as_precise_as(shown: str, value: float) -> str:
@@ -141,9 +148,9 @@ def with_times(file: str, text: str, saved: Mapping[str, Value]) -> str:
 def main() -> None:
     """Write the times of the saved run into the README files."""
     saved = read_baseline(BASELINE)["peers"]["metrics"]
-    for file in (README, TABLE):
-        path = ROOT / file
-        path.write_text(with_times(file, path.read_text(), saved))
+    texts = {file: with_times(file, (ROOT / file).read_text(), saved) for file in (README, TABLE)}
+    for file, text in texts.items():  # once all times are known
+        (ROOT / file).write_text(text)
 
 
 if __name__ == "__main__":

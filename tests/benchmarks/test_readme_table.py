@@ -2,7 +2,7 @@
 
 import pytest
 
-from benchmarks.metrics import BASELINE, read_baseline
+from benchmarks.metrics import BASELINE, BaselineError, read_baseline
 from benchmarks.tables import PLACES, README, ROOT, TABLE, as_precise_as, row, with_times
 
 FASTER = {"peers_a_ms": 2.345, "peers_b_ms": 12.6}
@@ -41,3 +41,11 @@ def test_a_row_that_is_gone_is_named():
 
 def test_numbers_keep_their_decimals():
     assert [as_precise_as(shown, 2.345) for shown in ("1", "1.0", "0.00")] == ["2", "2.3", "2.35"]
+
+
+@pytest.mark.parametrize("metric", ["a", "a / c", "c / a"])
+def test_a_time_that_was_not_measured_is_named(metric):
+    saved = {"peers_a_ms": None, "peers_c_ms": 1.0}
+    for times in (saved, {"peers_c_ms": 1.0}):
+        with pytest.raises(BaselineError, match="no peers_a_ms"):
+            row("any", "row", 0, [metric]).with_times("| row | 7 |", times)

@@ -47,7 +47,7 @@ def test_fits_are_right_refused_silent_or_lost(mixed):
     np.testing.assert_allclose(mixed.errors, [0.02, 0.03, 0.032, 0.1, np.inf])
     report = mixed.report()
     assert "median 3.20, 90th percentile inf, largest inf" in report
-    assert "wrong (error above 3.0%): 3 of 5, 1 of them silent (the status is converged)" in report
+    assert "wrong (error above 3.0%): 3 of 5, 1 of them silent (the status says that they may be used)" in report
     assert "refused (error within this limit, but the status is doubtful or failed): 1" in report
     assert mixed.worst(2).tolist() == [4, 3]
     assert mixed.coverage == 1.0  # of im0 and im2

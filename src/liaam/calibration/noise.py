@@ -53,7 +53,7 @@ MOVING = 2.5
 MOVED = 0.25  # Fraction of such blocks from which a pair is rejected
 PLACES = 40  # Number of groups of the jackknife over positions
 BRIGHTNESSES = 12  # That over brightnesses, for a single image
-TINY = 1e-300  # Added or compared to a divisor that may be 0, so that the quotient is large instead
+TINY = 1e-300  # Least divisor, in place of 0, so that the quotient is large instead
 
 
 @dataclass(frozen=True)

@@ -345,7 +345,7 @@ def _wrong_said(outcomes: list[str]) -> str:
     """Say how many fits are wrong, and how many of these are silent."""
     silent = outcomes.count("silent")
     wrong = outcomes.count("lost") + silent
-    return f"{wrong} of {len(outcomes)}, {silent} of them silent (the status is converged)"
+    return f"{wrong} of {len(outcomes)}, {silent} of them silent (the status says that they may be used)"
 
 
 def _percentile(values: np.ndarray, percent: float) -> float:

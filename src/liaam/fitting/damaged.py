@@ -1,8 +1,8 @@
 """Fits to incomplete objects: without the image where it is not what the model expects.
 
-A wing whose tip is torn off, or a face behind a hand, pulls the whole fit. It is repeated without the pixels around
-which image and fit do not agree, until these no longer change: iteratively reweighted least squares whose weights are
-those of regions, 0 or 1, because the residual of one pixel does not tell a missing part from a varied one.
+A wing whose tip is torn off, or a face behind a hand, pulls the whole fit. It is repeated without the pixels of absent
+parts, until these no longer change: iteratively reweighted least squares whose weights are those of regions, 0 or 1,
+because the residual of one pixel does not tell a missing part from a varied one.
 """
 
 from collections.abc import Callable, Iterable, Iterator
@@ -104,7 +104,7 @@ def _is_mostly_present(result: FitResult) -> bool:
 
 
 def _present_pixels(fitter: OneShapeFitter, stage: FittedLevel) -> np.ndarray:
-    """Return around which pixels of the sharpest level the image is what the model expects, (n_pixels,) bool."""
+    """Return at which pixels of the sharpest level the image is what the model expects, (n_pixels,) bool."""
     assert fitter.presence is not None
     return fitter.surroundings.present_pixels(fitter.presence, stage.solution)
 

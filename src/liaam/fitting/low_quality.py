@@ -103,6 +103,8 @@ def fit_elsewhere(
 ) -> FitResult:
     """Look elsewhere and start again if a first fit has low quality, and say how far the result is believed.
 
+    If the model has a refiner, the landmarks of the result are refined.
+
     Parameters
     ----------
     fitters : sequence of OneShapeFitter

@@ -153,7 +153,7 @@ class Objective:
             "sqrt_weights": root_weights,
             "gram": self._gram(modes, root_weights, len(ridge)),
             "ridge": ridge,
-            "errors": self._errors(),
+            "errors": self.error_variances(),
             "prior": self.weighted_prior,
             "correlated": float(self.correlated),
             "dof": float(self.dof),
@@ -290,12 +290,12 @@ class Objective:
         slopes = self.warp.slopes(columns).reshape(-1, 2, n_parts, n_modes, k)
         return np.ascontiguousarray(slopes.transpose(2, 3, 0, 1, 4), np.float32).reshape(n_parts, n_modes, -1)
 
-    def _errors(self) -> np.ndarray:
-        """Return the variance of the model's errors, mean over the rows of P, (n,) float64; 0 if unknown."""
+    def error_variances(self, n_rows: int | None = None) -> np.ndarray:
+        """Return the variance of the model's errors, mean over all or the first rows of P, (n,); 0 if unknown."""
         unexplained = self.appearance.unexplained
         if unexplained is None:
             return np.zeros(len(self.appearance.mean))
-        metric = self.method.model_metric(self.theta_model)
+        metric = self.method.model_metric(self.theta_model)[:n_rows]
         return np.einsum("kc,ncd,kd->n", metric, unexplained, metric, optimize=True) / len(metric)
 
     def start(self, p: np.ndarray) -> State:

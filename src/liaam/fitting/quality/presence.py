@@ -152,12 +152,7 @@ class Surroundings:
     @cached_property
     def error_variances(self) -> np.ndarray:
         """Variance of the model's errors in a gradient of each sampled pixel, (n_pixels,) float64; 0 if unknown."""
-        objective = self.objective
-        unexplained = objective.appearance.unexplained
-        if unexplained is None:
-            return np.zeros(len(objective.appearance.mean))
-        metric = objective.method.model_metric(objective.theta_model)[:GRADIENT_ROWS]
-        return np.einsum("kc,ncd,kd->n", metric, unexplained, metric, optimize=True) / GRADIENT_ROWS
+        return self.objective.error_variances(GRADIENT_ROWS)
 
     def nearest_of(self, objective: Objective) -> np.ndarray:
         """Return the nearest sampled pixel to each pixel of another level on the same frame, (m,) int."""

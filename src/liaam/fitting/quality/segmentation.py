@@ -29,10 +29,10 @@ BLANK = 0.01
 OTHER = 0.12
 MISPLACED = 0.02
 OUTLIERS = 0.3  # Density of gradients of present parts that the model does not expect, such as dust and shadows
-# Share of the pixels around a place, weighted by the kernel, that is absent if the place is as likely absent. It is
-# less than a half, since where neither image nor fit has any contrast, pixels count as present.
+# Share of the pixels around a place, weighted by the kernel, that is absent if the place is as likely absent, and log
+# odds of a place by that share: logistic regression on discs over wings and cephalograms.
 HALF_ABSENT = 0.17
-STEEPNESS = 20.0  # Log odds of a place by that share: logistic regression on discs over wings and cephalograms
+STEEPNESS = 20.0
 MOST_LOG_ODDS = 7.0
 
 
