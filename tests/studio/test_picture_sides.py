@@ -100,11 +100,11 @@ def test_the_side_of_a_table_stays_when_points_are_moved(sided):
 def test_shapes_are_measured_reflected_whether_or_not_a_side_is_stated(sided):
     project = Project(sided)
     by_shape = shapes(project, {})
-    assert by_shape["sides"].startswith("4 specimens of the side mirrored reflected")
+    assert by_shape["sides"].startswith("4 mirrored specimens were reflected")
     assert max(by_shape["space"]["distances"]) < 0.1  # mirrored ones would be far from the others
     project.save_sides({"sides": {"wing-0.png": "left"}})
     stated = shapes(project, {})
-    assert stated["sides"].startswith("4 specimens of the side left reflected")
+    assert stated["sides"].startswith("4 left specimens were reflected")
     assert max(stated["space"]["distances"]) == pytest.approx(max(by_shape["space"]["distances"]))
 
 

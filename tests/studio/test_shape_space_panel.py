@@ -70,7 +70,7 @@ def test_shapes_of_the_left_are_reflected_to_the_right(tmp_path, rng):
         points = BASE + rng.normal(0, 0.5, BASE.shape)
         put(project, name, (points * [-1, 1] + [39, 0] if name.startswith("left") else points).tolist())
     found = shapes(project, {})
-    assert found["sides"].startswith("2 specimens of the side left reflected")
+    assert found["sides"].startswith("2 left specimens were reflected")
     assert max(found["space"]["distances"]) < 0.1
 
 
