@@ -399,9 +399,9 @@ class Studio:
     def _fit(self, request: Request, body: Any) -> dict[str, Any]:
         body, of, source, method = self._to_fit(body)
         truth = None if of[0] == "upload" else truth_of(self.project.landmarks(of[1]))
-        return self.fits.fit(
-            source, of, method, parse_start(body.get("start")), truth, parse_side(body.get("side", AUTO))
-        ).as_json()
+        start = parse_start(body.get("start"))
+        side = parse_side(body.get("side", AUTO))
+        return self.fits.fit(source, of, method, start, truth, side).as_json()
 
     def _fit_all(self, request: Request, body: Any) -> dict[str, Any]:
         body, of, source, method = self._to_fit(body)
