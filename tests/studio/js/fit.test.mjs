@@ -513,6 +513,10 @@ test("the picture that is selected is shown, although another one was opening", 
   assert.deepEqual([sources.current.name, sources.current.width, sources.current.ofFolder], ["new.png", 6, false]);
   state.dispatchEvent(new Event("project"));
   assert.equal(sources.current.name, "new.png");
+  let isClosed = false;
+  sources.current.tiles = { close: () => { isClosed = true; } }; // of a large file
+  sources.backToFolder();
+  assert.ok(isClosed);
 });
 
 test("a file that the server refuses does not stay, although the browser can show it", async () => {
