@@ -56,7 +56,8 @@ def completed(stated: Sequence[str], names: Sequence[str], shapes: np.ndarray) -
 def for_measuring(stated: Sequence[str], names: Sequence[str], shapes: np.ndarray) -> list[str]:
     """Return the side of each picture as :func:`completed` does, and ``original`` or ``mirrored`` if none is known.
 
-    One or two that are mirrored may be mistakes, and are left as they are.
+    If none is known, a few that are mirrored may be mistakes, and are left as they are
+    (:func:`liaam.datasets.sides.sides_for_check`).
     """
     sides = completed(stated, names, shapes)
     found = sides_for_check(shapes, sides, names) if not any(sides) else None
