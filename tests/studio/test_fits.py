@@ -15,7 +15,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from liaam.errors import MethodError
+from liaam.errors import MethodError, StartError
 from liaam.fitting import FitStatus, Fitter
 from liaam.fitting.methods import DEFAULT_METHOD
 from liaam.fitting.solution import residual_at
@@ -636,6 +636,18 @@ class TestRequests:
         fits = [page.fit(picture="face.png", **asked).json() for asked in ({}, {"side": "mirrored"}, {"side": "auto"})]
         assert [made["side"] for made in fits] == [None, "mirrored", None]
         assert fits[0]["shape"] == fits[2]["shape"]
+
+    def test_all_specimens_of_a_side_that_is_chosen(self, page, monkeypatch):
+        sides = []
+
+        def no_specimens(fitter, *_, **options):
+            sides.append(fitter.side)
+            raise StartError("no object was found; give a start")
+
+        monkeypatch.setattr("liaam.studio.fits.fit_specimens", no_specimens)
+        for asked in ({}, {"side": "mirrored"}):
+            assert page.ask("POST", "/api/fits/all", json={"picture": "face.png", **asked}).status_code == 422
+        assert sides == ["auto", "mirrored"]
 
     def test_a_dropped_picture(self, page, folder):
         data = (folder / "face.png").read_bytes()

@@ -97,6 +97,20 @@ def test_the_side_of_a_table_stays_when_points_are_moved(sided):
     assert {each["name"]: each["side"] for each in Project(sided).overview().pictures} == sides
 
 
+def test_a_table_that_is_exported_has_the_sides_that_a_stated_one_tells(sided):
+    """Training refuses a table in which some pictures have a side and others have none."""
+    project = Project(sided)
+    project.save_sides({"sides": {"wing-0.png": "left"}})
+    rows = csv.DictReader(io.StringIO(project.export("csv")[1].decode()))
+    sides = {row["image"]: row["side"] for row in rows}
+    assert sides == {f"wing-{i}.png": "left" if i < 4 else "right" for i in range(10)}
+
+
+def test_other_words_in_a_column_of_sides_are_left_as_they_are(rng):
+    stated = ["dorsal", "", "left"]
+    assert completed(stated, ["a", "b", "c"], shapes_of(rng, [True, False, False])) == stated
+
+
 def test_shapes_are_measured_reflected_whether_or_not_a_side_is_stated(sided):
     project = Project(sided)
     by_shape = shapes(project, {})

@@ -42,7 +42,17 @@ from liaam.studio.model_store import ModelStore, load_dropped_model, load_studio
 from liaam.studio.pictures import Pictures, PictureSource, Uploads, jpeg_bytes
 from liaam.studio.project import Project
 from liaam.studio.refusal import Refusal
-from liaam.studio.routes import Events, attachment, checked_size, light_of, maybe_json, parse_start, read_json, route
+from liaam.studio.routes import (
+    Events,
+    attachment,
+    checked_size,
+    light_of,
+    maybe_json,
+    parse_side,
+    parse_start,
+    read_json,
+    route,
+)
 from liaam.studio.safety import FILES, FITS, GUEST, HEADERS, UPLOADS, Guard
 from liaam.studio.sets import agreement, make_set, observers, others
 from liaam.studio.settings import StudioSettings
@@ -389,14 +399,13 @@ class Studio:
     def _fit(self, request: Request, body: Any) -> dict[str, Any]:
         body, of, source, method = self._to_fit(body)
         truth = None if of[0] == "upload" else truth_of(self.project.landmarks(of[1]))
-        side = body.get("side", AUTO)
-        if not isinstance(side, str):
-            raise Refusal(422, "the side is not a string: send auto, or one of the model's sides")
-        return self.fits.fit(source, of, method, parse_start(body.get("start")), truth, side).as_json()
+        start = parse_start(body.get("start"))
+        side = parse_side(body.get("side", AUTO))
+        return self.fits.fit(source, of, method, start, truth, side).as_json()
 
     def _fit_all(self, request: Request, body: Any) -> dict[str, Any]:
-        _, of, source, method = self._to_fit(body)
-        fits, faults = self.fits.fit_all(source, of, method)
+        body, of, source, method = self._to_fit(body)
+        fits, faults = self.fits.fit_all(source, of, method, parse_side(body.get("side", AUTO)))
         return {"fits": [fit.as_json() for fit in fits], "faults": faults}
 
     def _to_fit(self, body: Any) -> tuple[dict[str, Any], tuple[str, str], PictureSource, str]:

@@ -281,11 +281,16 @@ class Fits:
         self._fits.put(fit.id, fit)
         return fit
 
-    def fit_all(self, source: PictureSource, of: tuple[str, str], method: str) -> tuple[list[Fit], list[str]]:
-        """Fit all specimens of a picture, and cache the results, in reading order. Also return what is not clear."""
+    def fit_all(
+        self, source: PictureSource, of: tuple[str, str], method: str, side: str = AUTO
+    ) -> tuple[list[Fit], list[str]]:
+        """Fit all specimens of a picture, and cache the results, in reading order. Also return what is not clear.
+
+        ``side`` is as for :meth:`fit`.
+        """
         if (current := self.models.current) is None:
             raise Refusal(409, "there is no model yet: train one first, or drop a model file on the page")
-        fitter = self._fitter(current, method, source.raw)
+        fitter = self._fitter(current, method, source.raw, side)
         stem = plain_name(source.name).rpartition(".")[0] or plain_name(source.name)
         began = time.perf_counter()
         with self.pictures.at_work(source) as image:

@@ -33,7 +33,7 @@ from liaam.studio.pictures import PictureSource, source_of
 from liaam.studio.refusal import Refusal
 from liaam.studio.review import PictureStates, ReviewLog, parse_who
 from liaam.studio.settings import StudioSettings
-from liaam.studio.sides import parse_sides
+from liaam.studio.sides import completed, parse_sides
 from liaam.studio.store import Store, StoredTable
 from liaam.studio.template import (
     Template,
@@ -389,8 +389,10 @@ class Project:
         text = collection_text(name, collection, sizes)
         if kind == "csv":
             text = _with_column(text, "origin", [origin or "" for picture in pictures for origin in picture.origins])
-            sides = [picture.landmarks.side for picture in pictures for _ in picture.origins]
-            text = _with_column(text, "side", sides) if any(sides) else text
+            sides = _sides_of(pictures)
+            if any(sides):
+                of_points = [side for picture, side in zip(pictures, sides, strict=True) for _ in picture.origins]
+                text = _with_column(text, "side", of_points)
         return name, text.encode()
 
     def placed(self, to: str = "export") -> list[Placed]:
@@ -674,6 +676,16 @@ class Project:
                 file = self._listing.files.get(name)
                 tagged[name] = {"tag": None if file is None else file.tag, **proposal}
             self._proposals.save(tagged)
+
+
+def _sides_of(pictures: Sequence[Placed]) -> list[str]:
+    """Return the side of each picture for a table: those that are stated, and those that they tell of the others."""
+    stated = [picture.landmarks.side for picture in pictures]
+    if not any(stated):
+        return stated
+    shapes = np.array([picture.landmarks.points for picture in pictures])
+    sides = completed(stated, [picture.file.stem for picture in pictures], shapes)
+    return sides if any(sides) else stated
 
 
 def _with_column(text: str, title: str, values: Sequence[str]) -> str:

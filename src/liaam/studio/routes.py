@@ -106,6 +106,13 @@ def parse_start(data: Any) -> Any:
     raise Refusal(422, "the start is unclear: send null, {box: [left, top, right, bottom]} or {shape: [[x, y], ...]}")
 
 
+def parse_side(data: Any) -> str:
+    """Check that the side of the objects is a string; whether the model has such a side is checked with the model."""
+    if not isinstance(data, str):
+        raise Refusal(422, "the side is not a string: send auto, or one of the model's sides")
+    return data
+
+
 def _are_numbers(values: Any, n: int) -> bool:
     """Whether values are a list of n numbers, none of them too large."""
     is_list = isinstance(values, list) and len(values) == n

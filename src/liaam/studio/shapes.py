@@ -31,7 +31,7 @@ from liaam.studio import contract
 from liaam.studio.folder import plain_name
 from liaam.studio.project import Placed, Project
 from liaam.studio.refusal import Refusal
-from liaam.studio.sides import SIDES, for_measuring
+from liaam.studio.sides import for_measuring
 from liaam.tables import Columns
 
 GROUPS = "groups"
@@ -162,8 +162,6 @@ def _specimen(picture: Placed) -> Specimen:
 def _with_sides(specimens: Sequence[Specimen]) -> list[Specimen]:
     """Complete the sides that are known of some specimens only, or of none."""
     stated = [specimen.side for specimen in specimens]
-    if all(stated) or not {*stated} <= {"", *SIDES}:
-        return [*specimens]
     shapes = np.array([specimen.points for specimen in specimens])
     sides = for_measuring(stated, [specimen.name for specimen in specimens], shapes)
     return [replace(specimen, side=side or said) for specimen, side, said in zip(specimens, sides, stated, strict=True)]

@@ -22,7 +22,7 @@ def completed(stated: Sequence[str], names: Sequence[str], shapes: np.ndarray) -
     Parameters
     ----------
     stated : sequence of str
-        ``left``, ``right``, or empty where it is not stated.
+        ``left``, ``right``, or empty where it is not stated. If a table has other words, all are returned as they are.
     names : sequence of str
         Names of the pictures in the folder, without their suffixes.
     shapes : (m, n, 2) float
@@ -33,6 +33,8 @@ def completed(stated: Sequence[str], names: Sequence[str], shapes: np.ndarray) -
     list of str
         Empty for all pictures if no side is known, or if some are and the shapes do not show those of the others.
     """
+    if not {*stated} <= {"", *SIDES}:
+        return [*stated]
     by_name = sides_by_place_or_name(names)
     sides = [said or named for said, named in zip(stated, by_name, strict=True)]
     if all(sides) or not any(sides):
@@ -56,7 +58,8 @@ def completed(stated: Sequence[str], names: Sequence[str], shapes: np.ndarray) -
 def for_measuring(stated: Sequence[str], names: Sequence[str], shapes: np.ndarray) -> list[str]:
     """Return the side of each picture as :func:`completed` does, and ``original`` or ``mirrored`` if none is known.
 
-    One or two that are mirrored may be mistakes, and are left as they are.
+    If none is known, a few that are mirrored may be mistakes, and are left as they are
+    (:func:`liaam.datasets.sides.sides_for_check`).
     """
     sides = completed(stated, names, shapes)
     found = sides_for_check(shapes, sides, names) if not any(sides) else None

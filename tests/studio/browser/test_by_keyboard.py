@@ -78,7 +78,7 @@ def test_a_key_opens_a_closed_menu_and_does_nothing_by_itself(serve, page, marke
     opened(page, "portrait-01.png")
     asked = []
     page.on("request", lambda request: asked.append(request.url) if "/export/" in request.url else None)
-    for key in ("ArrowDown", "t"):  # in a plain list, these choose an action at once
+    for key in ("ArrowDown", "PageDown", "t"):  # in a plain list, these choose an action at once
         page.locator("[data-testid=export-all]").focus()
         press(page, key)
         page.wait_for_timeout(200)

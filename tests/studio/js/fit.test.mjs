@@ -12,7 +12,7 @@ import {
 import { relativeCosts } from "./modules/fit-iterations.js";
 import { FrameMeter } from "./modules/ui.js";
 import { specimenText, useAsAnnotation } from "./modules/fit-setup.js";
-import { sidesInWords } from "./modules/sides.js";
+import { createSideList, sidesInWords } from "./modules/sides.js";
 import { Sources } from "./modules/fit-source.js";
 import { boxAfterKey, boxBetween, boxMoved, BoxTool, isDrawn, MeanTool } from "./modules/fit-start.js";
 import * as inv from "./modules/fit-theta.js";
@@ -513,6 +513,10 @@ test("the picture that is selected is shown, although another one was opening", 
   assert.deepEqual([sources.current.name, sources.current.width, sources.current.ofFolder], ["new.png", 6, false]);
   state.dispatchEvent(new Event("project"));
   assert.equal(sources.current.name, "new.png");
+  let isClosed = false;
+  sources.current.tiles = { close: () => { isClosed = true; } }; // of a large file
+  sources.backToFolder();
+  assert.ok(isClosed);
 });
 
 test("a file that the server refuses does not stay, although the browser can show it", async () => {
@@ -611,4 +615,29 @@ test("what training did about sides is told", () => {
   assert.equal(told("right", "left", 2), "2 of 9 training pictures were left, and reflected to be right.");
   assert.equal(told("original", "mirrored", 1), "1 of 8 training pictures was mirrored, and reflected.");
   assert.equal(told("right", "left", 0), "All training pictures are right.");
+});
+
+test("a side that could not be saved is not shown as said", async () => {
+  const made = [];
+  globalThis.document = /** @type {any} */ ({
+    createElement(tag) {
+      const element = Object.assign(new EventTarget(), { tag, dataset: {}, append() {}, setAttribute() {} });
+      made.push(element);
+      return element;
+    },
+  });
+  const picture = { name: "a.png", side: "left" };
+  const state = Object.assign(new EventTarget(), {
+    project: { model: null, pictures: [picture] }, current: picture.name, readOnly: false, picture: () => picture,
+    send: () => Promise.reject(new Error("no connection")),
+  });
+  const told = [];
+  createSideList({ app: { api: null, state, toast: (error) => told.push(error.message) }, state });
+  const list = made.find(({ tag }) => tag === "select");
+  list.value = "right";
+  list.dispatchEvent(new Event("change"));
+  await new Promise((resolve) => setTimeout(resolve));
+  delete globalThis.document;
+  assert.equal(list.value, "left");
+  assert.deepEqual(told, ["no connection"]);
 });

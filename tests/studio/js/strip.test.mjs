@@ -10,6 +10,7 @@ import { faultIn, meant } from "./modules/hotkeys.js";
 import { bins, joined, kindFor, measureOf, measureText, numberText, parsed, summary as summaryOf, valueOf } from "./modules/measures.js";
 import { accuracyText, sentence } from "./modules/review.js";
 import { between, describe, FILTERS, foldersOf, matching, openIn } from "./modules/strip-filters.js";
+import { isChoosing } from "./modules/ui.js";
 import { acceptable } from "./modules/wall.js";
 
 const PICTURES = [
@@ -155,4 +156,12 @@ test("done pictures say what they lack, and the filter finds those with points t
   assert.equal(describe({ name: "a", state: "done", absent: 2 }, {}), "done, 2 absent");
   const all = [{ name: "a", state: "done", unconfirmed: 3 }, { name: "b", state: "done", unconfirmed: 0 }];
   assert.deepEqual(all.filter(FILTERS.unconfirmed.has).map(({ name }) => name), ["a"]);
+});
+
+test("keys that choose in a closed list open a menu of actions, and others do what they do", () => {
+  for (const key of ["ArrowDown", "ArrowLeft", "PageUp", "PageDown", "Home", "End", "Enter", " ", "t"])
+    assert.ok(isChoosing({ key }), key);
+  for (const key of ["Tab", "Escape", "Shift", "F2", "Delete"]) assert.ok(!isChoosing({ key }), key);
+  assert.ok(!isChoosing({ key: "a", ctrlKey: true }));
+  assert.ok(!isChoosing({ key: "ArrowDown", altKey: true })); // opens the list by itself
 });

@@ -36,9 +36,9 @@ export class FitStore {
   }
 
   /** Fit all specimens of a picture: {fits, in reading order; faults, what is not clear}. They are not kept here. */
-  async runAll(source, method) {
+  async runAll(source, method, side = AUTO) {
     await source.ready;
-    const asked = { ...source.reference, method };
+    const asked = { ...source.reference, method, side };
     const { fits, faults } = await this.state.send((folder) => api.post(api.url("fits", "all"), { ...asked, folder }));
     return { fits: fits.map(cleaned), faults };
   }

@@ -147,6 +147,7 @@ export class Sources extends EventTarget {
   leave(tab) { this._watchers.delete(tab); }
 
   backToFolder() {
+    this._leaveFile();
     this.current = this._wanted = null;
     this._follow();
   }
@@ -227,10 +228,13 @@ export class Sources extends EventTarget {
   }
 
   _show(source) {
-    if (source !== this.current && this.current?.file) this.current.tiles?.close();
+    if (source !== this.current) this._leaveFile();
     this.current = source;
     this._say("change");
   }
+
+  /** Free the tiles of a file that is shown; those of the folder's pictures are kept with these. */
+  _leaveFile() { if (this.current?.file) this.current.tiles?.close(); }
 
   _say(type, detail = {}) { this.dispatchEvent(new CustomEvent(type, { detail })); }
 }

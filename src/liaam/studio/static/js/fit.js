@@ -111,7 +111,7 @@ export class Tab extends SourceTab {
     const run = (this._run += 1);
     this._busy(true);
     try {
-      const all = await this.app.fits.runAll(source, this.method);
+      const all = await this.app.fits.runAll(source, this.method, this.side);
       if (run !== this._run || this.sources.current !== source) return;
       this.specimens = all;
       this.choose(all.fits[0]);

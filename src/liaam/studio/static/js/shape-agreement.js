@@ -5,8 +5,8 @@ import { dialog, h } from "./ui.js";
 const number = (value) => (value === null ? "–" : value.toFixed(2));
 const range = (/** @type {(number | null)[]} */ [low, high]) => (low === null ? "" : ` (${low.toFixed(2)} to ${high.toFixed(2)})`);
 const NOTE = "Slope: by how much a difference in the labels appears in these shapes; 1 is right, less means that they are " +
-  "drawn to their mean. Variance ratio: their variance as a multiple of that of the labels. Reliability: squared " +
-  "correlation with the labels. Intervals hold with 95 % probability.";
+  "drawn to their mean. Variance ratio: their variance as a multiple of that of the labels. Squared correlation: " +
+  "with the labels. Intervals hold with 95 % probability.";
 
 /** The measures of agreement as a list; called: names of the sets for people; sentences: for a paper, which speak of
  *  automatic landmarks. @param {ShapeAgreement} found */
@@ -19,7 +19,7 @@ export function shapeFacts(found, called, sentences = false) {
       fact("Slope", `${number(found.slope)}${range(found.slope_interval)}`, "shape-slope"),
       fact("Variance ratio", number(found.variance_ratio), "shape-ratio"),
       fact("Intraclass correlation", number(found.repeatability), "shape-icc"),
-      fact("Reliability", number(found.reliability)),
+      fact("Squared correlation", number(found.reliability)),
       found.attenuation !== null && fact("Differences between groups, ×", `${number(found.attenuation)}${range(found.attenuation_interval)}`, "shape-attenuation"),
       fact("Mean shapes apart", `${found.mean_distance.toFixed(1)} SE, P = ${found.p.toFixed(3)}`),
       fact("Correlation of sizes", number(found.size_correlation))),

@@ -26,9 +26,13 @@ export async function saySide({ api, state, toast }, names, side) {
 
 /** The list that shows and changes the side of the open picture, if objects have sides. @param {import("./annotate.js").Tab} tab */
 export function createSideList({ app, state }) {
+  const onchange = () => saySide(app, [state.current], list.value).catch((error) => {
+    show(); // what is still said
+    app.toast(error, "bad");
+  });
   const list = h("select.text.side-list", {
-    "aria-label": "Side of the object", testid: "picture-side", title: "Which side of the object this picture shows. Pictures of one side are trained and measured reflected",
-    onchange: () => saySide(app, [state.current], list.value),
+    "aria-label": "Side of the object", testid: "picture-side", onchange,
+    title: "Which side of the object this picture shows. Pictures of one side are trained and measured reflected",
   }, optionsOf(SIDES));
   const element = h("div.row.begin-with", h("span.small.muted.grow", "Side"), list);
   const show = () => {

@@ -76,6 +76,12 @@ export function relist(list, labels, value) {
   list.value = value;
 }
 
+/** Whether a key chooses in a closed list without opening it. */
+export const isChoosing = ({ key, ctrlKey, metaKey, altKey }) => {
+  if (ctrlKey || metaKey || altKey) return false;
+  return key.length === 1 || /^(Arrow|Page)/.test(key) || ["Home", "End", "Enter"].includes(key);
+};
+
 /** A list of actions under a title; onchoose(value). */
 export function menu(title, labels, onchoose, attributes = {}) {
   const onchange = () => {
@@ -83,10 +89,9 @@ export function menu(title, labels, onchoose, attributes = {}) {
     list.value = "";
     onchoose(value);
   };
-  // In a closed list, an arrow or a letter would choose, and so act, at once.
+  // What a key chooses would be done at once, so that it opens the list instead, where the browser lets it.
   const onkeydown = (event) => {
-    const chooses = event.key.startsWith("Arrow") || event.key.length === 1 || ["Home", "End", "Enter"].includes(event.key);
-    if (!chooses || event.ctrlKey || event.metaKey || event.altKey) return;
+    if (!list.showPicker || !isChoosing(event)) return;
     consume(event);
     list.showPicker();
   };
