@@ -104,7 +104,7 @@ def test_the_side_that_others_are_reflected_to_can_be_chosen() -> None:
 def test_sides_of_a_column_may_have_other_names_but_are_two() -> None:
     given = [replace(specimens(name)[0], name="a", side=side) for name, side in (("l", "1"), ("r", "2"))]
     found, said = of_one_side(given)
-    assert said.startswith("1 1 specimen was reflected")
+    assert said == "1 specimen of the side '1' was reflected, to be compared with '2'"
     assert [each.individual for each in found] == ["a", "a"]
     with pytest.raises(LiaamError, match="more than two sides"):
         of_one_side([*given, *specimens("b", side="3")])

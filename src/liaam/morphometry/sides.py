@@ -20,6 +20,7 @@ AUTO = "auto"
 REFLECTED = "reflected"
 IGNORED = "ignore"
 
+_ADJECTIVES = (LEFT, RIGHT, ORIGINAL, MIRRORED)
 SIDES = (AUTO, "left", "right", REFLECTED, IGNORED)
 """Choices of :func:`of_one_side` for sides that are left and right."""
 
@@ -96,7 +97,11 @@ def of_one_side(
         return _as_reflected(sided, sides[0]), "; ".join(filter(None, (said, against)))
     n = sum(specimen.side == reflected_side for specimen in sided)
     were = "was" if n == 1 else "were"
-    done = f"{count_of(n, f'{reflected_side} specimen')} {were} reflected, to be compared with the {other} ones"
+    if reflected_side in _ADJECTIVES:
+        done = f"{count_of(n, f'{reflected_side} specimen')} {were} reflected, to be compared with the {other} ones"
+    else:  # what a column calls a side, such as 1
+        count = f"{count_of(n, 'specimen')} of the side {reflected_side!r}"
+        done = f"{count} {were} reflected, to be compared with {other!r}"
     said = "; ".join(filter(None, (done, against)))
     return tuple(reflected(each) if each.side == reflected_side else each for each in sided), said
 

@@ -35,9 +35,6 @@ LEVELS = 1
 ITERATIONS = 20
 SLOWING = 0.7  # Factor of the velocity per frame in which the object is lost
 FIRST_SPEED = 0.01  # Prior standard deviation of the speed, as a fraction of the object's diagonal per frame
-# Step size, in standard deviations, at which a fit from a prediction has converged. Measured on a talking face: 20 %
-# fewer iterations than 0.03, landmarks within 0.04 pixels (1/40 of their standard deviation), and the same jitter.
-RELATIVE_TOLERANCE = 0.1
 # A fit from the mean shape replaces the tracked fit if its 1 - quality is less than this fraction of the other's.
 # Measured on a talking face: 0.6 to 0.8 where the jaw had drifted, at least 0.88 where the track is right.
 BETTER = 0.8
@@ -164,7 +161,7 @@ class Tracker:
     def __post_init__(self) -> None:
         self.fitter = Fitter(self.model, self.method, camera=self.camera, restarts=False)  # it searches instead
         # early_tolerance=0: stopping early would leave the landmarks between the previous frame's and this one's.
-        options = SolverOptions(max_iterations=ITERATIONS, relative_tolerance=RELATIVE_TOLERANCE, early_tolerance=0.0)
+        options = SolverOptions(max_iterations=ITERATIONS, early_tolerance=0.0)
         self._near_fitters = []  # of each part: from a prediction, at the finest levels only
         for part in self.fitter.parts:
             finest = sharpest(part.model, LEVELS)
