@@ -3,12 +3,10 @@
 import hashlib
 import os
 import random
-import sqlite3
 import sys
 import zlib
 from collections import defaultdict
 from collections.abc import Callable, Iterator
-from contextlib import closing, contextmanager
 from dataclasses import fields
 from functools import partial
 from pathlib import Path
@@ -42,7 +40,7 @@ from scenes import (
     render,
 )
 from scenes.chart import CONTOURS
-from setups import MOVING_FRAMES, between, moving_scene, train_on
+from setups import MOVING_FRAMES, between, moving_scene, one_at_a_time, train_on
 
 ROOT = Path(__file__).resolve().parents[1]
 SHARED_DATA = Path(os.environ.get("LIAAM_SHARED_DATA", ROOT.parent / "shared" / "data"))
@@ -119,18 +117,6 @@ def shared_folder(tmp_path_factory) -> Path:
     """Give a folder that all workers share."""
     folder = tmp_path_factory.getbasetemp()
     return folder.parent if "PYTEST_XDIST_WORKER" in os.environ else folder
-
-
-@contextmanager
-def one_at_a_time(path: Path) -> Iterator[None]:
-    """Let one process at a time work on a file, on every system.
-
-    A database holds the lock, because the system lets go of it when its process is killed, which a lock made of a file
-    would not survive. Nothing is written to it.
-    """
-    with closing(sqlite3.connect(path.with_name(f"{path.name}.lock"), timeout=3600, isolation_level=None)) as lock:
-        lock.execute("BEGIN EXCLUSIVE")
-        yield
 
 
 def save_scene(path: Path, scene: Scene) -> None:

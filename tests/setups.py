@@ -1,9 +1,10 @@
-"""Helpers shared by tests: training, scenes, disturbed starts, fit problems, persons, open files, growth of times."""
+"""Helpers shared by tests: training, scenes, disturbed starts, fit problems, persons, files, growth of times, locks."""
 
 import shutil
+import sqlite3
 import time
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager, suppress
+from contextlib import closing, contextmanager, suppress
 from dataclasses import fields
 from pathlib import Path
 
@@ -34,6 +35,18 @@ from scenes import (
 )
 
 MOVING_FRAMES = 24
+
+
+@contextmanager
+def one_at_a_time(path: Path) -> Iterator[None]:
+    """Let one process at a time work on a file, on every system.
+
+    A database holds the lock, because the system lets go of it when its process is killed, which a lock made of a file
+    would not survive. Nothing is written to it.
+    """
+    with closing(sqlite3.connect(path.with_name(f"{path.name}.lock"), timeout=3600, isolation_level=None)) as lock:
+        lock.execute("BEGIN EXCLUSIVE")
+        yield
 
 
 def moving_scene(time: float, lights=DIFFUSE) -> Scene:

@@ -1,12 +1,13 @@
 """Fixtures that the protocols on folders of persons share: folders, and one finished run of each experiment."""
 
 import csv
+import json
 
 import pytest
 
 from experiments import basin, generic, occlusion, peer, unchanged
 from experiments.runner import run_experiment
-from setups import copy_files, write_person
+from setups import copy_files, one_at_a_time, write_person
 
 METHODS = ("rgb", "li")
 
@@ -55,16 +56,17 @@ def make(folder, small):
 
 
 @pytest.fixture(scope="session")
-def done(make, tmp_path_factory):
-    """Run an experiment when it is first asked for; gives its summary, rows and folder."""
-    found = {}
+def done(make, shared_folder):
+    """Run an experiment once for all workers, when it is first asked for; gives its summary, rows and folder."""
 
     def get(name):
-        if name not in found:
-            out = tmp_path_factory.mktemp(name)
-            summary = run_experiment(make(name), out)
-            found[name] = summary, rows_in(out), out
-        return found[name]
+        out = shared_folder / f"experiment-{name}"
+        finished = out.with_suffix(".finished")
+        with one_at_a_time(out):
+            if not finished.exists():
+                run_experiment(make(name), out)
+                finished.touch()
+        return json.loads((out / "summary.json").read_text()), rows_in(out), out
 
     return get
 
