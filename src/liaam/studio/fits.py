@@ -70,6 +70,8 @@ FILES = {
 """Kinds of files of a fit, and their media types."""
 
 WARM_UP = (480, 640)  # height and width of the image that a new model is fitted to, so that the first real fit is fast
+# What the page gets of a fit under the names of FitResult.to_dict; positions have other decimals there, for drawing
+_FACTS = ("method", "status", "quality", "side", "theta_deg", "cost", "n_found")
 EXAMPLE_DIAGONAL = 0.6  # diagonal of the object on that image, as a fraction of its height
 
 
@@ -99,24 +101,19 @@ class Fit:
         """Return the fit as JSON for the page."""
         result = self.result
         model = self.model
+        facts = result.to_dict("estimate")
         return {
             "id": self.id,
-            "method": result.method.name,
-            "status": str(result.status),
+            **{name: facts[name] for name in _FACTS},
             "ok": result.status.ok,
             # The page has no such setting.
-            "message": result.message.replace(" or allow more iterations", ""),
-            "quality": finite_or_none(result.quality),
-            "side": result.side or None,
+            "message": facts["message"].replace(" or allow more iterations", ""),
             "seconds": {"search": round(self.search_seconds, 4), "fit": round(self.fit_seconds, 4)},
             "shape": numbers(result.landmarks, 3),
             "absent": np.flatnonzero(result.absent).tolist(),
             "covariances": numbers(result.landmark_covariances, 4),
             "deviations": numbers(result.sd, 3),
-            "theta_deg": result.theta_degrees,
-            "cost": finite_or_none(result.cost),
             "found": self._detection_json(),
-            "n_found": result.n_found,
             "objects": self._boxes(),
             "iterations": [
                 {
