@@ -36,10 +36,13 @@ def port_of(server) -> str:
 def go_to_another(page, address: str) -> None:
     """Go to the address of another folder on the same port.
 
-    With the cookie of the new address, the page may see the other folder and reload itself, which ends the first try.
+    With the cookie of the new address, the page may see the other folder and reload itself, which ends a try. Where the
+    machine is busy, this happens more than once.
     """
-    with suppress(Exception):
-        page.goto(address)
+    for _ in range(5):
+        with suppress(Exception):
+            page.goto(address)
+            return
     page.goto(address)
 
 
