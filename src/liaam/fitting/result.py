@@ -425,6 +425,19 @@ class FitResult:
         positions, covariances = self.reported(absent)
         decimals = _rounded if rounded else _all_decimals
         return {
+            **self.facts(rounded=rounded),
+            "present": None if self.present is None else np.round(self.present, 4).tolist(),
+            "sd": finite_list(decimals(deviations(covariances), 3)),
+            "covariance": finite_list(decimals(covariances[:, (0, 0, 1), (0, 1, 1)], 6)),
+            "liaam": __version__,
+            "landmark_names": list(self.landmark_names),
+            "landmarks": finite_list(positions),
+        }
+
+    def facts(self, *, rounded: bool = True) -> dict[str, Any]:
+        """Return what :meth:`to_dict` says of the fit as a whole, without the lists of the landmarks."""
+        decimals = _rounded if rounded else _all_decimals
+        return {
             "image": self.image.name if isinstance(self.image, Path) else None,
             "start": "given" if self.found is None else "searched",
             "starts_tried": self.n_starts,
@@ -442,12 +455,6 @@ class FitResult:
             "at_start": self.at_start,
             "quality": decimals(self.quality, 4) if self.calibrated else None,
             "calibrated": self.calibrated,
-            "present": None if self.present is None else np.round(self.present, 4).tolist(),
-            "sd": finite_list(decimals(deviations(covariances), 3)),
-            "covariance": finite_list(decimals(covariances[:, (0, 0, 1), (0, 1, 1)], 6)),
-            "liaam": __version__,
-            "landmark_names": list(self.landmark_names),
-            "landmarks": finite_list(positions),
         }
 
     def to_columns(self, name: str | None = None, absent: str = "empty") -> Columns:

@@ -73,7 +73,7 @@ class Presence:
         Under another light, all landmarks agree less, and some much less. Mean and variance of those that are present
         are therefore those of the image, if they are lower and larger, and if most landmarks are present.
         """
-        strict = _probability(self._log_odds(agreement))
+        strict = probability_of(self._log_odds(agreement))
         kept = strict >= PRESENT
         if kept.all() or 2 * kept.sum() < len(kept):  # with those of the image, none of these would be absent
             return strict
@@ -84,7 +84,7 @@ class Presence:
             usual=np.maximum(self.usual - loss, self.other),
             variances=np.maximum(self.variances, away.var()),
         )
-        probabilities = _probability(of_image._log_odds(agreement))
+        probabilities = probability_of(of_image._log_odds(agreement))
         if (probabilities < PRESENT).mean() <= BY_CHANCE * (1.0 + loss / LOSS_OF_LIGHT):
             return np.maximum(probabilities, PRESENT)
         return probabilities
@@ -119,6 +119,6 @@ def _log_odds_of(
     return np.clip(away, -MOST_LOG_ODDS, MOST_LOG_ODDS) + np.log(PRIOR_ODDS)
 
 
-def _probability(log_odds: np.ndarray) -> np.ndarray:
+def probability_of(log_odds: np.ndarray) -> np.ndarray:
     """Return the probability of log odds."""
     return 1.0 / (1.0 + np.exp(-log_odds))

@@ -70,7 +70,7 @@ FILES = {
 """Kinds of files of a fit, and their media types."""
 
 WARM_UP = (480, 640)  # height and width of the image that a new model is fitted to, so that the first real fit is fast
-# What the page gets of a fit under the names of FitResult.to_dict; positions have other decimals there, for drawing
+# What the page gets of a fit under the names of FitResult.facts; positions have other decimals there, for drawing
 _FACTS = ("method", "status", "quality", "side", "theta_deg", "cost", "n_found")
 EXAMPLE_DIAGONAL = 0.6  # diagonal of the object on that image, as a fraction of its height
 
@@ -101,7 +101,7 @@ class Fit:
         """Return the fit as JSON for the page."""
         result = self.result
         model = self.model
-        facts = result.to_dict("estimate")
+        facts = result.facts()
         return {
             "id": self.id,
             **{name: facts[name] for name in _FACTS},

@@ -14,6 +14,8 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
+from liaam.model.presence import MOST_LOG_ODDS, probability_of
+
 if TYPE_CHECKING:
     from liaam.fitting.quality.presence import Surroundings
 
@@ -33,7 +35,6 @@ OUTLIERS = 0.3  # Density of gradients of present parts that the model does not 
 # odds of a place by that share: logistic regression on discs over wings and cephalograms.
 HALF_ABSENT = 0.17
 STEEPNESS = 20.0
-MOST_LOG_ODDS = 7.0
 
 
 class Segmentation(NamedTuple):
@@ -60,7 +61,7 @@ def segmented(surroundings: "Surroundings", seen: np.ndarray, expected: np.ndarr
         labels = np.tanh(0.5 * (own + STRENGTH * around(labels)))
     shares = 0.5 + 0.5 * around(labels).ravel()
     log_odds = np.clip(STEEPNESS * (HALF_ABSENT - shares), -MOST_LOG_ODDS, MOST_LOG_ODDS)
-    present = 1.0 / (1.0 + np.exp(-log_odds.astype(np.float64)))
+    present = probability_of(log_odds.astype(np.float64))
     return Segmentation(present[surroundings.cells_of_landmarks], present[surroundings.cells_of_pixels])
 
 
