@@ -41,8 +41,7 @@ def main() -> None:
         portraits(folder)
         picture = material(lit)[1]
         with served(folder) as address:
-            page.goto(address)
-            page.locator("[data-testid=train]").click()
+            page.goto(address)  # which trains, as there are enough pictures with landmarks
             page.wait_for_function(DONE, timeout=300_000)
             page.locator("[data-testid=strip] [data-name='portrait-07.png']").click()
             page.wait_for_function("() => window.liaamStudio.annotate.source() === 'proposal'")
