@@ -44,7 +44,7 @@ from setups import MOVING_FRAMES, between, moving_scene, one_at_a_time, train_on
 
 ROOT = Path(__file__).resolve().parents[1]
 SHARED_DATA = Path(os.environ.get("LIAAM_SHARED_DATA", ROOT.parent / "shared" / "data"))
-TRAINED = os.environ.get("LIAAM_TRAINED")  # a folder that keeps trained models for another run of the tests
+TRAINED = os.environ.get("LIAAM_TRAINED")  # a folder that keeps trained models and scenes for another run of the tests
 SCENE_SIZE = (240, 180)
 
 # The same examples in every run, and no limit on the time of one: the first loads what it needs, and the machine may be
@@ -139,9 +139,10 @@ def load_scene(path: Path) -> Scene:
 @pytest.fixture(autouse=True, scope="session")
 def rendered_once(shared_folder) -> Iterator[None]:
     """Render each picture of a set, a clip or a person once for all tests and workers: many are of the same head."""
+    folder = Path(TRAINED) if TRAINED else shared_folder
 
     def once(*arguments, **options) -> Scene:
-        path = shared_folder / f"{hashlib.sha256(repr((arguments, options)).encode()).hexdigest()}.npy"
+        path = folder / f"{hashlib.sha256(repr((arguments, options)).encode()).hexdigest()}.npy"
         if not path.exists():
             with one_at_a_time(path):
                 if not path.exists():

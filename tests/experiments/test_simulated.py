@@ -113,7 +113,7 @@ def test_a_value_given_twice_is_refused():
 def test_light_invariance_holds_on_a_real_person(shared_data, tmp_path):
     methods = ("grey", "rgb", *LIGHT_INVARIANT)
     experiment = displacement_experiment(shared_data / "one-person", methods, trials=3, gammas=(16,))
-    summary = run_experiment(experiment, tmp_path, jobs=2)
+    summary = run_experiment(experiment, tmp_path, jobs=1)
     assert max(medians(summary, method)[16] for method in LIGHT_INVARIANT) < 0.3
     assert min(medians(summary, method)[16] for method in ("grey", "rgb")) > 2.5
 
