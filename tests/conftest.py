@@ -24,7 +24,7 @@ from hypothesis import settings
 import setups
 from experiments import cli as experiments_cli
 from liaam.cli.main import main as liaam_main
-from liaam.datasets import Sample
+from liaam.datasets import Sample, load_folder
 from liaam.io import Landmarks, video_writer
 from liaam.model import AAM, SURROUNDINGS, load_model
 from liaam.training import LearntLamps, learn_lamps, train
@@ -234,6 +234,15 @@ def model(trained_once, request) -> AAM:
 def fine_model(trained_once, scenes) -> AAM:
     """Give a model (diagonal 150) of the scenes that keeps all modes."""
     return trained_once("fine", lambda: train_on(scenes, diagonal=150.0, variance=1.0))
+
+
+@pytest.fixture(scope="session")
+def shells(shared_data, trained_once) -> tuple[AAM, list[Sample]]:
+    """Give a model of 40 real shells of many species, and the shells that it was not trained on."""
+    samples = list(load_folder(shared_data / "shells"))
+    order = np.random.default_rng(0).permutation(len(samples))
+    model = trained_once("shells", lambda: train([samples[i] for i in order[:40]]))
+    return model, [samples[i] for i in order[40:]]
 
 
 @pytest.fixture(scope="session")
