@@ -1,5 +1,6 @@
 """Fixtures shared by all tests: seeds from test names, a simulated world with known truth, and real data."""
 
+import gc
 import hashlib
 import os
 import random
@@ -101,6 +102,17 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
     for tests in shuffled:
         order.shuffle(tests)
     items[:] = [item for tests in shuffled for item in tests]
+
+
+def pytest_collection() -> None:
+    """Collect no garbage while tests are collected: nothing of it is, and each pass looks through all of them."""
+    gc.disable()
+
+
+def pytest_collection_finish() -> None:
+    """Collect garbage from now on, and leave out what collection has made."""
+    gc.freeze()
+    gc.enable()
 
 
 @pytest.hookimpl(optionalhook=True)

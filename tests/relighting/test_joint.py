@@ -18,7 +18,7 @@ NOISE = 1e-6
 
 @pytest.fixture(scope="module")
 def faces():
-    return train_on_flat_light(Head(5), 6, (240, 180), leave_out=True, regressor=False, diagonal=110.0)
+    return train_on_flat_light(Head(5), 6, (240, 180), leave_out=False, diagonal=110.0)
 
 
 def first_guess(faces) -> ShadowFree:

@@ -23,7 +23,7 @@ from liaam.model.sides import Sides, reflected_image, reflected_points
 from liaam.morphometry import of_one_side, read_specimens
 from liaam.plotting.overlays import caption_of
 from liaam.relighting import Relighter
-from liaam.training.reliability import LeftOutImage, fit_left_out
+from liaam.training.reliability import LeftOutImage, fits_near, with_distant_and_wrong_fits
 from setups import BODY, TexturedObject
 
 SIZE = (110, 90)
@@ -96,9 +96,10 @@ def test_fits_of_the_wrong_side_are_among_the_wrong_fits_of_training(model, both
     of_one = replace(model, sides=None)
     methods = [METHODS["soft-li"]]
     pictures = [LeftOutImage(of_one, *both[i]) for i in (16, 17, 19)]
-    plain = fit_left_out(of_one, pictures, methods)["soft-li"]
-    sided = fit_left_out(of_one, [replace(each, has_sides=True) for each in pictures], methods)["soft-li"]
-    assert sided.n_near == plain.n_near and sided.near_error == plain.near_error
+    near = fits_near(of_one, pictures, methods)
+    plain = with_distant_and_wrong_fits(of_one, pictures, methods, near)["soft-li"]
+    with_sides = [replace(each, has_sides=True) for each in pictures]
+    sided = with_distant_and_wrong_fits(of_one, with_sides, methods, near)["soft-li"]
     added = [fit for fit in sided.fits if not any(np.array_equal(fit.p, other.p) for other in plain.fits)]
     assert len(added) == 3 and all(fit.wrong and not fit.near for fit in added)
 

@@ -26,7 +26,7 @@ from liaam.training.search_filter import FilterLearner
 from liaam.training.shapes import shape_groups
 from setups import disturb
 
-FIT_LEFT_OUT = "liaam.training.left_out.fit_left_out"
+FITS_NEAR = "liaam.training.left_out.fits_near"
 
 LINEAR = CameraModel(response="linear")
 QUICK = {"diagonal": 60.0, "camera": LINEAR, "lamps": None}
@@ -116,9 +116,7 @@ def test_what_lies_where_landmarks_are_missing_is_not_learnt(pairs):
 
 def test_left_out_fits_are_compared_with_known_landmarks_only(pairs, monkeypatch):
     seen = []
-    monkeypatch.setattr(
-        "liaam.training.left_out.fit_left_out", lambda _m, pictures, _methods: seen.extend(pictures) or {}
-    )
+    monkeypatch.setattr(FITS_NEAR, lambda _model, pictures, _methods: seen.extend(pictures) or {})
     true = pairs[1][1].copy()
     pairs[1][1][MOUTH] = np.nan
     train(pairs, copies=0)

@@ -18,12 +18,12 @@ from liaam.photometry.encoding import as_colour
 from liaam.training.entries import Entry, image_of
 from liaam.training.lamps import Copies
 from liaam.training.poses import poses_of
-from liaam.training.regressor import Regression, RegressorData
-from liaam.training.reliability import LeftOutFits, LeftOutImage, calibrate, fit_left_out
+from liaam.training.regressor import Regression
+from liaam.training.reliability import LeftOutFits, LeftOutImage, calibrate, fits_near, with_distant_and_wrong_fits
 from liaam.training.textures import FITTED, SOURCES, Sampled, Steps, learning_cost
 
 LEFT_OUT_FOLDS = 5  # Largest number of folds: a model is trained without each, which takes as long as a level
-LEFT_OUT_PICTURES = 20  # Largest number of left-out images to fit: each takes as long as sampling FITTED images
+LEFT_OUT_PICTURES = 20  # Largest number of left-out images to fit: each takes as long as sampling 2 FITTED images
 
 FILE_SUFFIX = re.compile(r"\.[A-Za-z]{2,4}\d?$")  # such as .png or .jp2
 # The end of an image's name that differs between the images of an object: what follows the last separator, or a number
@@ -100,19 +100,17 @@ def calibrated(
         left-out images need one, and the accuracy of the first method in its card.
     """
     halves = [np.zeros(0, int)] if copied.lamps is None else copied.lamps.halves()
+    lamps_of_folds = [halves[i % len(halves)] for i in range(len(folds))]
+    # Models without a fold are small beside the textures of all copies, so that all are kept.
+    parts = []
+    for i, (fold, lamps) in enumerate(zip(folds, lamps_of_folds, strict=True)):
+        steps.next(f"leaving out part {i + 1} of {len(folds)}", learning_cost(model.n_textures))
+        under_other_lamps = np.flatnonzero(~np.isin(copied.lit_by, lamps))
+        parts.append(_without(model, fold, shapes, missing, sampled, settings, methods, under_other_lamps))
 
-    def images(data: RegressorData | None = None) -> Iterator[LeftOutImage]:
-        """Yield some images of each fold with the model of the other folds, one model at a time.
-
-        With ``data``, these models have regressors.
-        """
-        for i, fold in enumerate(folds):
-            steps.next(f"leaving out part {i + 1} of {len(folds)}", learning_cost(model.n_textures))
-            lamps = halves[i % len(halves)]
-            under_other_lamps = np.flatnonzero(~np.isin(copied.lit_by, lamps))
-            part = _without(model, fold, shapes, missing, sampled, settings, methods, under_other_lamps)
-            if data is not None:
-                part = replace(part, regressor=data.learn(shape_model_of(part.views), without=fold))
+    def images(models: Sequence[AAM]) -> Iterator[LeftOutImage]:
+        """Yield some images of each fold, and their copies under other lamps, with the model of the other folds."""
+        for part, fold, lamps in zip(models, folds, lamps_of_folds, strict=True):
             for j in fitted_of(fold, folds):
                 steps.next(f"fitting {entries[j].name}", FITTED)
                 image = as_colour(entries[j].read_image(), entries[j].name)
@@ -120,15 +118,21 @@ def calibrated(
                 for relit in copied.relit(j, image, shapes[j], model.response, lamps):
                     yield LeftOutImage(part, relit, shapes[j], entries[j].known, relit=True)
 
-    tried = fit_left_out(model, images(), methods)
-    if regression is not None and regression.is_needed(tried):
+    near = fits_near(model, images(parts), methods)
+    if regression is not None and regression.is_needed(near):
+        steps.total += len(folds) * learning_cost(model.n_textures) + cost_of_fits(folds)
         data = regression.data()
-        steps.total += len(folds) * learning_cost(model.n_textures)
-        steps.total += FITTED * sum(len(fitted_of(fold, folds)) for fold in folds)
-        regressed = fit_left_out(model, images(data), methods)
-        if regression.helps(tried, regressed):
-            tried = regressed
+        with_regressors = []
+        for i, (part, fold) in enumerate(zip(parts, folds, strict=True)):
+            steps.next(f"regressor without part {i + 1} of {len(folds)}", learning_cost(model.n_textures))
+            regressor = data.learn(shape_model_of(part.views), without=fold)
+            with_regressors.append(replace(part, regressor=regressor))
+        near_regressed = fits_near(model, images(with_regressors), methods)
+        if regression.helps(near, near_regressed):
+            near = near_regressed
+            parts = with_regressors
             model = replace(model, regressor=data.learn(shape_model_of(model.views)))
+    tried = with_distant_and_wrong_fits(model, images(parts), methods, near)
     reliabilities = calibrate(model, tried, methods)
     for view in VIEWS:
         names = [method.name for method in methods if method.view == view]
@@ -144,6 +148,11 @@ def calibrated(
 def can_be_calibrated(method: Method) -> bool:
     """Return whether a method fits appearances that can be learnt again without some images."""
     return not set(needed_by(method)) & {*SOURCES, "features"}
+
+
+def cost_of_fits(folds: list[np.ndarray]) -> int:
+    """Return the steps of training that fits of left-out images take: those from near the objects, or all others."""
+    return FITTED * sum(len(fitted_of(fold, folds)) for fold in folds)
 
 
 def fitted_of(fold: np.ndarray, folds: list[np.ndarray]) -> np.ndarray:

@@ -168,6 +168,11 @@ class LeftOutFits:
         fits = self.fits if expansion == 1.0 else [fit.expanded(expansion) for fit in self.fits]
         return replace(self, fits=fits, expansion=expansion)
 
+    def with_others(self, fits: list[LeftOutFit]) -> "LeftOutFits":
+        """Return these fits with other ones after them, whose shapes are expanded alike."""
+        others = fits if self.expansion == 1.0 else [fit.expanded(self.expansion) for fit in fits]
+        return replace(self, fits=[*self.fits, *others])
+
     def describe(self) -> str:
         """Describe the accuracy of fits from starts near the object, for a model's card; empty if there are none."""
         if not self.n_near:

@@ -5,7 +5,7 @@ threshold depends on the object and the model. Training therefore fits models to
 starts, and at the best wrong places that a search finds.
 """
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import chain
 
@@ -66,11 +66,8 @@ class LeftOutImage:
         return replace(self, image=reflected_image(self.image), points=points)
 
 
-def fit_left_out(model: AAM, pictures: Iterable[LeftOutImage], methods: Sequence[Method]) -> dict[str, LeftOutFits]:
-    """Fit left-out images from near and distant starts, and at the best wrong places that a search finds.
-
-    Of objects of two sides, the wrong one is fitted too: reversed left to right, the image has an object of the other
-    side.
+def fits_near(model: AAM, pictures: Iterable[LeftOutImage], methods: Sequence[Method]) -> dict[str, LeftOutFits]:
+    """Fit left-out images from starts near the object.
 
     Each method fits with several weights of the prior on the shape at the finest level, of which the best is kept.
 
@@ -79,6 +76,7 @@ def fit_left_out(model: AAM, pictures: Iterable[LeftOutImage], methods: Sequence
     model : AAM
         Model trained on all images.
     pictures : iterable of LeftOutImage
+        Those with the same model follow each other.
     methods : sequence of Method
 
     Returns
@@ -86,34 +84,90 @@ def fit_left_out(model: AAM, pictures: Iterable[LeftOutImage], methods: Sequence
     dict of LeftOutFits
         By the names of the methods.
     """
-    finder = Finder(model)
-    fitters = []
     fits = {method.name: [LeftOutFits(weight) for weight in prior_weights(model)] for method in methods}
-    for i, picture in enumerate(pictures):
+    candidates = list(chain.from_iterable(fits.values()))
+    weighted = [(method, candidate.final_prior) for method in methods for candidate in fits[method.name]]
+    for i, (picture, fitters) in enumerate(_with_fitters(pictures, weighted)):
+        start, _ = starts_of(picture, number=i)
+        for fitter, candidate in zip(fitters, candidates, strict=True):
+            if _can_fit(fitter, picture):
+                candidate.n_near += 1
+                candidate.fits.extend(_sound([_fit(picture, fitter, start, near=True)]))
+    return {name: least_shrunk(of_method) for name, of_method in fits.items()}
+
+
+def with_distant_and_wrong_fits(
+    model: AAM, pictures: Iterable[LeftOutImage], methods: Sequence[Method], near: Mapping[str, LeftOutFits]
+) -> dict[str, LeftOutFits]:
+    """Fit left-out images from distant starts too, and at the best wrong places that a search finds.
+
+    Of objects of two sides, the wrong one is fitted too: reversed left to right, the image has an object of the other
+    side.
+
+    Parameters
+    ----------
+    model, pictures, methods
+        As of :func:`fits_near`.
+    near : mapping of str to LeftOutFits
+        The fits from near the objects, by the names of the methods.
+
+    Returns
+    -------
+    dict of LeftOutFits
+        By the names of the methods: the fits from near the objects, followed by the others with the same weight of the
+        prior and the same factor on the shape.
+    """
+    finder = Finder(model)
+    fits = {name: [] for name in near}
+    weighted = [(method, near[method.name].final_prior) for method in methods if method.name in near]
+    for i, (picture, fitters) in enumerate(_with_fitters(pictures, weighted)):
+        _, distant = starts_of(picture, number=i)
+        elsewhere = _elsewhere(picture, finder)
+        for fitter, of_method in zip(fitters, fits.values(), strict=True):
+            if _can_fit(fitter, picture):
+                wrong = [_most_explaining_wrong(each, fitter, starts) for each, starts in elsewhere]
+                of_method.extend(_sound([_fit(picture, fitter, distant), *wrong]))
+    return {name: of_method.with_others(fits[name]) for name, of_method in near.items()}
+
+
+def _with_fitters(
+    pictures: Iterable[LeftOutImage], methods: Sequence[tuple[Method, float]]
+) -> Iterator[tuple[LeftOutImage, list[Fitter]]]:
+    """Yield each image with a fitter of its model for each method and weight of the prior at the finest level."""
+    fitters = []
+    for picture in pictures:
         if not fitters or fitters[0].model is not picture.model:
             fitters = [
-                Fitter(picture.model, method, replace(OPTIONS, final_prior=of_weight.final_prior), restarts=False)
-                for method in methods
-                for of_weight in fits[method.name]
+                Fitter(picture.model, method, replace(OPTIONS, final_prior=weight), restarts=False)
+                for method, weight in methods
             ]
-        rng = np.random.default_rng([7, i])
-        starts = starts_of(picture, rng)
-        places = []
-        if not picture.relit and is_searchable(model):
-            places = finder.others_in(LinearImage(picture.image, model.response), PLACES)
-            if model.poses is not None:  # other places are fitted from the mean shape alone
-                places = [place.landmarks for place in places]
-        elsewhere: list[tuple[LeftOutImage, Sequence[np.ndarray | Detection]]] = [(picture, places)]
-        if picture.has_sides:
-            reflection = picture.reflection
-            elsewhere.append((reflection, _starts_of_other_side(reflection, finder)))
-        for fitter, of_fitter in zip(fitters, chain.from_iterable(fits.values()), strict=True):
-            if not (fitter.objectives[0].method.needs_colour and is_grey(picture.image)):
-                tried = [_fit(picture, fitter, start, k == 0) for k, start in enumerate(starts)]
-                wrong = [_most_explaining_wrong(each, fitter, starts_of_wrong) for each, starts_of_wrong in elsewhere]
-                of_fitter.fits.extend(filter(None, [*tried, *wrong]))
-                of_fitter.n_near += 1
-    return {name: least_shrunk(of_method) for name, of_method in fits.items()}
+        yield picture, fitters
+
+
+def _can_fit(fitter: Fitter, picture: LeftOutImage) -> bool:
+    """Return whether the image has the colours that the method compares."""
+    return not (fitter.objectives[0].method.needs_colour and is_grey(picture.image))
+
+
+def _sound(fits: Iterable[LeftOutFit | None]) -> list[LeftOutFit]:
+    """Return the fits that there are."""
+    return [fit for fit in fits if fit is not None]
+
+
+def _elsewhere(picture: LeftOutImage, finder: Finder) -> list[tuple[LeftOutImage, Sequence[np.ndarray | Detection]]]:
+    """Return where wrong fits start: elsewhere in the image, and at the object reversed left to right if it has sides.
+
+    Each image is given with its starts.
+    """
+    places = []
+    if not picture.relit and is_searchable(finder.model):
+        places = finder.others_in(LinearImage(picture.image, finder.model.response), PLACES)
+        if finder.model.poses is not None:  # other places are fitted from the mean shape alone
+            places = [place.landmarks for place in places]
+    if not picture.has_sides:
+        return [(picture, places)]
+    reflection = picture.reflection
+    return [(picture, places), (reflection, _starts_of_other_side(reflection, finder))]
 
 
 def _starts_of_other_side(reflection: LeftOutImage, finder: Finder) -> list[np.ndarray | Detection]:
@@ -218,8 +272,12 @@ def _n_known(model: AAM) -> int | np.ndarray:
     return (model.n_images - model.n_missing)[:, None, None]
 
 
-def starts_of(picture: LeftOutImage, rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
-    """Return a start near the object and a distant one in the image: shapes (n, 2), or boxes of a model with poses."""
+def starts_of(picture: LeftOutImage, number: int) -> tuple[np.ndarray, np.ndarray]:
+    """Return a start near the object and a distant one in the image: shapes (n, 2), or boxes of a model with poses.
+
+    They are drawn by the number of the image.
+    """
+    rng = np.random.default_rng([7, number])
     near = _near(picture, rng)
     far = _moved(_near(picture, rng), rng, turn=30.0, shift=0.4)
     far = shifted_into(far, (picture.image.shape[1], picture.image.shape[0]))

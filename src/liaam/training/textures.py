@@ -32,7 +32,8 @@ from liaam.training.search_filter import FilterLearner
 
 # Appearances that are learnt from the textures of another
 SOURCES = {"invariant": "log", "search": "orientation", "illumination": "varied"}
-FITTED = 6  # Time of fitting a left-out image, from near and far starts, in units of the time of sampling an image
+# Time of fitting a left-out image from near the object, or from all other starts, in units of that of sampling an image
+FITTED = 3
 # Share of the variance of relit copies that the modes of illumination explain, if their number is automatic: evidence
 # from left-out images under the training light cannot choose it.
 ILLUMINATION_VARIANCE = 0.98

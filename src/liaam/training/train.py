@@ -44,7 +44,7 @@ from liaam.training.features import encoder_of
 from liaam.training.filling import is_enough
 from liaam.training.images import check_images
 from liaam.training.lamps import Copies, LearntLamps, learn_lamps
-from liaam.training.left_out import ViewSettings, calibrated, can_be_calibrated, fitted_of, folds_of, groups_of
+from liaam.training.left_out import ViewSettings, calibrated, can_be_calibrated, cost_of_fits, folds_of, groups_of
 from liaam.training.options import AUTO, TrainingOptions
 from liaam.training.points import Points, map_of_points, points_of
 from liaam.training.poses import poses_of
@@ -54,7 +54,7 @@ from liaam.training.search_filter import FilterLearner
 from liaam.training.shapes import shape_groups
 from liaam.training.sides import counted, of_all, on_one_side
 from liaam.training.symmetry import describe_offset, sideways_offset
-from liaam.training.textures import FITTED, Sampled, Steps, Wanted, learning_cost, level_appearances, sample_all
+from liaam.training.textures import Sampled, Steps, Wanted, learning_cost, level_appearances, sample_all
 from liaam.training.triangulation import MeshOfLandmarks, mesh_of
 from liaam.workers import one_blas_thread
 
@@ -439,8 +439,8 @@ def _steps(model: AAM, options: TrainingOptions, folds: list[np.ndarray], progre
     left_out = folds if options.leave_out else []
     n_levels = sum(len(blurs) for blurs in options.blurs_by_view.values())
     n_learnt = n_levels + len(left_out)  # a model without a fold takes about as long as a level
-    n_fitted = sum(len(fitted_of(fold, folds)) for fold in left_out)
-    total = model.n_textures + learning_cost(model.n_textures) * n_learnt + FITTED * n_fitted
+    of_fits = 2 * cost_of_fits(left_out)  # from near the objects, and from all other starts
+    total = model.n_textures + learning_cost(model.n_textures) * n_learnt + of_fits
     return Steps(progress, total)
 
 

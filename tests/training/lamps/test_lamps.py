@@ -275,7 +275,7 @@ def test_quality_is_learnt_under_lamps_that_are_left_out_of_training(lamps, monk
         return lamps.relit(day.image, day.landmarks.points, [lamp])[0]
 
     monkeypatch.setattr(left_out, "_without", noted)
-    monkeypatch.setattr(left_out, "fit_left_out", lambda _model, pictures, _methods: fitted.extend(pictures) or {})
+    monkeypatch.setattr(left_out, "fits_near", lambda _model, pictures, _methods: fitted.extend(pictures) or {})
     data = [sample(f"head{i}-day", s.image, s.landmarks) for i, s in enumerate(make_set(3, Head(5), size=SIZE))]
     train(data, lamps=lamps, diagonal=40.0, blurs=(1.0,), copies=4)
     shown = [(lamp_of(each), known_lamps[id(each.model)]) for each in fitted if each.relit]
