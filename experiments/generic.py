@@ -43,6 +43,7 @@ from liaam.datasets import Dataset, Sample, load_folder
 from liaam.error_measures import inter_ocular_distance
 from liaam.errors import LiaamError
 from liaam.fitting import FitStatus
+from liaam.fitting.methods import DEFAULT_METHOD
 from liaam.formatting import finite_or_none
 from liaam.photometry import is_grey
 from liaam.plotting import figure_of_pictures
@@ -248,7 +249,9 @@ def get_trained(request: GenericRequest, fold: int) -> Trained:
         light = AUTO
     elif source is not None:
         light = learn_lamps(load_folder(source), request.training_lamp) if source.is_dir() else load_lamps(source)
-    return Trained.on(request, training, f"fold {fold}", leave_out=True, lamps=light, diagonal=request.diagonal)
+    options = {"lamps": light, "diagonal": request.diagonal}
+    # Of the methods only the default one has a quality to calibrate, which takes most of the time.
+    return Trained.on(request, training, f"fold {fold}", leave_out=DEFAULT_METHOD in request.methods, **options)
 
 
 def image_of(request: Request, shown: Shown) -> np.ndarray:

@@ -25,7 +25,7 @@ from hypothesis import settings
 import setups
 from experiments import cli as experiments_cli
 from liaam.cli.main import main as liaam_main
-from liaam.datasets import Sample
+from liaam.datasets import Sample, load_folder
 from liaam.io import Landmarks, video_writer
 from liaam.model import AAM, SURROUNDINGS, load_model
 from liaam.training import LearntLamps, learn_lamps, train
@@ -45,7 +45,7 @@ from setups import MOVING_FRAMES, between, moving_scene, one_at_a_time, train_on
 
 ROOT = Path(__file__).resolve().parents[1]
 SHARED_DATA = Path(os.environ.get("LIAAM_SHARED_DATA", ROOT.parent / "shared" / "data"))
-TRAINED = os.environ.get("LIAAM_TRAINED")  # a folder that keeps trained models for another run of the tests
+TRAINED = os.environ.get("LIAAM_TRAINED")  # a folder that keeps trained models and scenes for another run of the tests
 SCENE_SIZE = (240, 180)
 
 # The same examples in every run, and no limit on the time of one: the first loads what it needs, and the machine may be
@@ -151,9 +151,10 @@ def load_scene(path: Path) -> Scene:
 @pytest.fixture(autouse=True, scope="session")
 def rendered_once(shared_folder) -> Iterator[None]:
     """Render each picture of a set, a clip or a person once for all tests and workers: many are of the same head."""
+    folder = Path(TRAINED) if TRAINED else shared_folder
 
     def once(*arguments, **options) -> Scene:
-        path = shared_folder / f"{hashlib.sha256(repr((arguments, options)).encode()).hexdigest()}.npy"
+        path = folder / f"{hashlib.sha256(repr((arguments, options)).encode()).hexdigest()}.npy"
         if not path.exists():
             with one_at_a_time(path):
                 if not path.exists():
@@ -245,6 +246,15 @@ def model(trained_once, request) -> AAM:
 def fine_model(trained_once, scenes) -> AAM:
     """Give a model (diagonal 150) of the scenes that keeps all modes."""
     return trained_once("fine", lambda: train_on(scenes, diagonal=150.0, variance=1.0))
+
+
+@pytest.fixture(scope="session")
+def shells(shared_data, trained_once) -> tuple[AAM, list[Sample]]:
+    """Give a model of 40 real shells of many species, and the shells that it was not trained on."""
+    samples = list(load_folder(shared_data / "shells"))
+    order = np.random.default_rng(0).permutation(len(samples))
+    model = trained_once("shells", lambda: train([samples[i] for i in order[:40]]))
+    return model, [samples[i] for i in order[40:]]
 
 
 @pytest.fixture(scope="session")

@@ -23,7 +23,7 @@ PLAIN = ("--diagonal", 40, "--copies", 0, "--lamps", "none")
 
 @pytest.fixture(scope="module")
 def portraits(tmp_path_factory):
-    """A folder of landmarked portraits, a differently lit picture, its truth, and a model."""
+    """A folder of landmarked portraits, a differently lit picture, and its truth."""
     folder = tmp_path_factory.mktemp("portraits")
     for i, scene in enumerate(make_set(6, head=Head(5), size=(160, 120))):
         write_image(folder / f"face{i}.png", scene.image)
@@ -33,17 +33,6 @@ def portraits(tmp_path_factory):
     write_image(aside / "new.png", scene.image)
     write_landmarks(aside / "truth.pts", scene.landmarks)
     return folder, aside / "new.png", aside / "truth.pts"
-
-
-@pytest.fixture(scope="module")
-def model_file(portraits, tmp_path_factory):
-    from liaam.datasets import load_folder
-    from liaam.training import train
-
-    path = tmp_path_factory.mktemp("model") / "face.safetensors"
-    # Without lamps: light is not what is tested, and a model with them sees half a face in one that is upside down.
-    train(load_folder(portraits[0]), diagonal=80, methods="all", lamps=None).save(path)
-    return path
 
 
 def test_compact_writes_a_small_model_and_says_what_it_fits_with(run, model_file, portraits, tmp_path):

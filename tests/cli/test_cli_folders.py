@@ -101,17 +101,6 @@ def test_landmarks_of_another_size_of_the_image_are_named_before_any_work(run, s
     assert "images of this size; correct or remove them" in err
 
 
-@pytest.fixture(scope="module")
-def model_file(tmp_path_factory):
-    from liaam.training import train
-
-    path = tmp_path_factory.mktemp("model") / "face.liaam"
-    # Without lamps: light is not what is tested, and a model with them sees half a face in one that lies on its side.
-    pairs = [(scene.image, scene.landmarks) for scene in make_set(8, head=Head(5), size=(160, 120))]
-    train(pairs, diagonal=100, lamps=None).save(path)
-    return path
-
-
 def test_an_image_of_three_faces_offers_all_and_init(run, model_file, scenes, tmp_path):
     image = tmp_path / "three.png"
     write_image(image, np.concatenate([scenes[i].image for i in range(3)], axis=1))

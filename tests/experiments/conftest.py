@@ -2,10 +2,11 @@
 
 import csv
 import json
+from functools import partial
 
 import pytest
 
-from experiments import basin, generic, occlusion, peer, unchanged
+from experiments import basin, generic, occlusion, peer, solvers, unchanged
 from experiments.runner import run_experiment
 from setups import copy_files, one_at_a_time, write_person
 
@@ -18,6 +19,14 @@ MAKERS = {
     "occlusion": occlusion.occlusion_experiment,
     "unchanged": unchanged.unchanged_experiment,
 }
+
+
+@pytest.fixture(autouse=True, scope="session")
+def without_regressors():
+    """Try no regressors: of generated persons, no model would keep one, and the trial takes most of the training."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(solvers, "train", partial(solvers.train, regressor=False))
+        yield
 
 
 @pytest.fixture(scope="session")

@@ -12,13 +12,15 @@ from liaam.error_measures import within_ellipses
 
 pytestmark = pytest.mark.slow
 
+PICTURES = 4  # of a generated head, to train on and to fit
+
 
 @pytest.fixture(scope="module")
 def finished(folder, tmp_path_factory):
     """Run one task of each group on few pictures; gives summary, rows and folder."""
     out = tmp_path_factory.mktemp("uncertainty")
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(uncertainty, "PICTURES", 6)
+        patch.setattr(uncertainty, "PICTURES", PICTURES)
         patch.setattr(uncertainty, "LEFT_OUT", (1,))
         whole = uncertainty.uncertainty_experiment(folder, heads=1, seed=5)
         first = {task.group: task for task in reversed(whole.tasks)}
@@ -38,7 +40,7 @@ def test_every_group_is_fitted_from_near_and_far(finished):
     assert {row["noise"] for row in generated} == set(uncertainty.NOISES)
     assert {row["light"] for row in generated} == {"training", "side"}
     # Each picture once at each noise, and once from far.
-    assert len(generated) == 6 * (len(uncertainty.NOISES) + 1)
+    assert len(generated) == PICTURES * (len(uncertainty.NOISES) + 1)
     assert "ROC" in (out / "report.md").read_text(encoding="utf-8")
 
 

@@ -70,7 +70,8 @@ def test_what_is_lost_by_its_status_has_no_chance_to_be_right(calibrated, value)
 
 def test_a_method_that_training_was_asked_for_is_calibrated_too(scenes, same_light_scene, tmp_path):
     pairs = [(scene.image, scene.landmarks) for scene in scenes]
-    train(pairs, diagonal=60.0, lamps=None, methods=["li", "li-lit"]).save(tmp_path / "m.liaam")
+    options = {"lamps": None, "regressor": False, "methods": ["li", "li-lit"]}
+    train(pairs, diagonal=60.0, **options).save(tmp_path / "m.liaam")
     model = load_model(tmp_path / "m.liaam")
     assert list(model.views[SURROUNDINGS].reliabilities) == ["soft-li"]
     assert list(model.views[MESH].reliabilities) == ["li"]  # what li-lit fits is not learnt again without images

@@ -51,12 +51,17 @@ def compose(samples: list[Sample], texts: list[str]) -> tuple[np.ndarray, list[n
     return tray, truth
 
 
+@pytest.fixture(scope="module")
+def wings(shared_data):
+    """Give a model of real wings, and the wings that it was not trained on."""
+    samples = list(load_folder(shared_data / "wings"))
+    return train([sample for i, sample in enumerate(samples) if i % 5], lamps=None), samples[::5]
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("name", ["wings", "shells"])
-def test_six_specimens_of_a_tray_are_found_and_none_is_mixed_up(shared_data, rng, name):
-    samples = list(load_folder(shared_data / name))
-    held_out = samples[::5]
-    model = train([sample for i, sample in enumerate(samples) if i % 5], lamps=None)
+def test_six_specimens_of_a_tray_are_found_and_none_is_mixed_up(request, rng, name):
+    model, held_out = request.getfixturevalue(name)
     errors = []
     for tray in range(N_TRAYS):
         texts = [f"T{tray}-{i}" for i in range(6)]

@@ -198,7 +198,7 @@ class Problem:
             self.expected = self.model_gradient()
         self.columns = self.angle_columns()
         J = self._weighted_jacobian(self.gradients if image_in_j else self.expected)
-        E = self._weighted_jacobian(self.gradients if image_in_e else self.expected)
+        E = J if image_in_e == image_in_j else self._weighted_jacobian(self.gradients if image_in_e else self.expected)
         self.aj = (self.modes[1:] * masked) @ J
         hessian = E.T @ J
         # E and J have the same derivatives by the angles, C. Between p and the angles both blocks are E'C, which has no
@@ -211,7 +211,12 @@ class Problem:
     def _weighted_jacobian(self, gradients: np.ndarray) -> np.ndarray:
         """dr/dq times the square roots of weights, (n k, n_q), from spatial gradients (n, k, 2)."""
         masked = self.masked.ravel()[:, None]
-        return np.hstack([masked * self.by_parameters(gradients), self.columns.T * masked])
+        by_p = self.by_parameters(gradients)
+        n_p = by_p.shape[1]
+        jacobian = np.empty((len(by_p), n_p + len(self.columns)))  # filled in place: new memory costs as much again
+        np.multiply(masked, by_p, out=jacobian[:, :n_p])
+        np.multiply(masked, self.columns.T, out=jacobian[:, n_p:])
+        return jacobian
 
     def by_parameters(self, gradients: np.ndarray) -> np.ndarray:
         """dr/dp = dr/dW dW/dp, (n k, n_p), from spatial gradients dr/dW (n, k, 2)."""
