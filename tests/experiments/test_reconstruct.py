@@ -26,7 +26,6 @@ def run(out, *options):
 def test_scenes_of_the_ideal_camera_lose_their_shadows(tmp_path, monkeypatch):
     monkeypatch.setattr(reconstruct, "CAMERAS", ("narrow",))
     monkeypatch.setattr(reconstruct, "SHOWN", 1)
-    monkeypatch.setattr(reconstruct, "N_TRAINING", 16)
     summary, rows = run(tmp_path / "out", None, ("li", "li+noise"), 3, 0)
     assert len(rows) == 2 * 3
     for method in ("li", "li+noise"):
