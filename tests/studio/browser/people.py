@@ -31,6 +31,11 @@ def as_expert(page) -> None:
     page.add_init_script("localStorage.setItem('liaam-studio:expert', 'on')")
 
 
+def untrained(page) -> None:
+    """Let the page not train by itself, which takes long; call it before the page is opened."""
+    page.add_init_script("localStorage.setItem('liaam-studio:auto-train', 'off')")
+
+
 def annotate(page, what: str):
     """Ask the Annotate tab's hooks."""
     return page.evaluate(f"() => window.liaamStudio.annotate.{what}")
