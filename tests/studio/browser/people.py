@@ -48,7 +48,8 @@ def points_of(page) -> np.ndarray:
 
 def wait_for(page, condition: str, argument=None) -> None:
     """Wait until JavaScript says yes."""
-    page.wait_for_function(condition, arg=argument, timeout=TIMEOUT)
+    # By default it is asked at each frame, for which the page draws sixty frames a second.
+    page.wait_for_function(condition, arg=argument, timeout=TIMEOUT, polling=20)
 
 
 def wait_until(page, condition: Callable[[], object]) -> None:
