@@ -4,6 +4,7 @@ import shutil
 import threading
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 
 import httpx
@@ -12,11 +13,13 @@ import pytest
 from small_projects import TRIANGLE, browser_of
 
 from liaam.io import Contour, Landmarks, write_image, write_landmarks
+from liaam.model.shape import Similarity, rotation
 from liaam.studio.app import Studio
 from liaam.studio.project import Project
 from liaam.studio.serving import make_server, open_port
 from liaam.studio.settings import StudioSettings
 from scenes import Head, Scene, make_set
+from setups import BODY, TexturedObject
 
 CONTOURS = (Contour(tuple(range(13))), Contour(tuple(range(21, 29)), closed=True))
 
@@ -47,20 +50,43 @@ def pictures(tmp_path_factory) -> Callable[[int], Path]:
     return get
 
 
+@pytest.fixture(scope="session")
+def pictures_of_objects(tmp_path_factory) -> Callable[[int], Path]:
+    """Give a like folder of up to eight pictures of an object with eight landmarks.
+
+    Training on them takes a third of the time of training on faces, which are lit by lamps.
+    """
+    folder = tmp_path_factory.mktemp("objects")
+    rng = np.random.default_rng(8)
+    thing = TexturedObject(rng, (110, 80))
+    for i in range(1, 9):
+        placed = Similarity(rng.normal(0.9, 0.03) * rotation(rng.normal(0.0, 0.1)), np.array([55.0, 40.0]))
+        image, points = thing.photograph(placed(BODY - BODY.mean(axis=0) + rng.normal(0.0, 1.0, BODY.shape)), rng)
+        write_image(folder / f"p{i}.png", image)
+        write_landmarks(folder / f"p{i}.ljson", Landmarks(points, (Contour(tuple(range(6)), closed=True),)))
+    return lambda _: folder
+
+
 @pytest.fixture
 def folder(pictures, tmp_path) -> Callable[..., Path]:
     """Make a project's folder: so many pictures, of which the first few have landmarks."""
+    return partial(make_folder, tmp_path, pictures)
 
-    def make(n: int = 3, done: int = 0) -> Path:
-        made = tmp_path / "parent" / "project"
-        made.mkdir(parents=True)
-        for i in range(1, n + 1):
-            shutil.copy(pictures(n) / f"p{i}.png", made)
-            if i <= done:
-                shutil.copy(pictures(n) / f"p{i}.ljson", made)
-        return made
 
-    return make
+@pytest.fixture
+def folder_of_objects(pictures_of_objects, tmp_path) -> Callable[..., Path]:
+    """Make a folder as ``folder`` does, of objects on which training is quick."""
+    return partial(make_folder, tmp_path, pictures_of_objects)
+
+
+def make_folder(where: Path, pictures: Callable[[int], Path], n: int = 3, done: int = 0) -> Path:
+    made = where / "parent" / "project"
+    made.mkdir(parents=True)
+    for i in range(1, n + 1):
+        shutil.copy(pictures(n) / f"p{i}.png", made)
+        if i <= done:
+            shutil.copy(pictures(n) / f"p{i}.ljson", made)
+    return made
 
 
 @pytest.fixture

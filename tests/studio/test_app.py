@@ -169,8 +169,8 @@ def test_a_template_is_read_from_a_file(folder, serve):
 
 
 @pytest.mark.slow
-def test_training_runs_and_is_told(folder, serve, listen):
-    running = serve(folder(5, 4))
+def test_training_runs_and_is_told(folder_of_objects, serve, listen):
+    running = serve(folder_of_objects(5, 4))
     client, page = running.client, listen(running)
     assert client.get("/api/model/file").status_code == 404
     assert client.post("/api/training", json={}).status_code == 202
@@ -186,19 +186,19 @@ def test_training_runs_and_is_told(folder, serve, listen):
     assert file.headers["content-disposition"].startswith("attachment")
     path = running.studio.project.root / "copy.liaam"
     path.write_bytes(file.content)
-    assert load_model(path).n_points == 58
+    assert load_model(path).n_points == 8
     # A point less: the model does not fit any more.
     template = project["template"]
-    mapping = list(range(57))
-    change = {"names": template["names"][:57], "contours": [], "mirror": None, "points": None, "mapping": mapping}
+    mapping = list(range(7))
+    change = {"names": template["names"][:7], "contours": [], "mirror": None, "points": None, "mapping": mapping}
     assert client.put("/api/template", json=change).status_code == 200
     project = client.get("/api/project").json()
     assert project["model"] is None and project["pictures"][4]["state"] == "new"
-    assert client.get("/api/pictures/p1.png/landmarks").json()["points"][56] is not None
+    assert client.get("/api/pictures/p1.png/landmarks").json()["points"][6] is not None
 
 
-def test_training_is_stopped(folder, serve):
-    client = serve(folder(5, 4)).client
+def test_training_is_stopped(folder_of_objects, serve):
+    client = serve(folder_of_objects(5, 4)).client
     client.post("/api/training", json={})
     assert client.delete("/api/training").json()["state"] == "idle"
     assert client.delete("/api/training").status_code == 200
@@ -299,8 +299,8 @@ def test_many_pages_save_at_once(folder, serve):
 # Events, and the end
 
 
-def test_the_server_stops_although_pages_listen(folder, serve, listen):
-    running = serve(folder(5, 4))
+def test_the_server_stops_although_pages_listen(folder_of_objects, serve, listen):
+    running = serve(folder_of_objects(5, 4))
     pages = [listen(running) for _ in range(3)]
     running.client.post("/api/training", json={})
     process = running.studio.training._process

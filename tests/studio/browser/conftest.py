@@ -106,14 +106,24 @@ def lit_portrait() -> Scene:
     return render(Head(5), random_pose(rng, (480, 640)), random_expression(rng), lateral("left"), size=(480, 640))
 
 
-@pytest.fixture
-def folder(portraits, tmp_path) -> Path:
-    """Give a new folder of those pictures, without any landmarks."""
-    root = tmp_path / "portraits"
+def written(root: Path, portraits: list[Scene]) -> Path:
+    """Write pictures to a new folder, without any landmarks."""
     root.mkdir()
     for i, scene in enumerate(portraits):
         write_image(root / f"portrait-{i + 1:02d}.png", scene.image)
     return root
+
+
+@pytest.fixture
+def folder(portraits, tmp_path) -> Path:
+    """Give a new folder of three of those pictures: a model is fitted to all that are in a folder."""
+    return written(tmp_path / "portraits", portraits[: len(NAMES)])
+
+
+@pytest.fixture
+def whole_folder(portraits, tmp_path) -> Path:
+    """Give a new folder of all of those pictures."""
+    return written(tmp_path / "all-portraits", portraits)
 
 
 @pytest.fixture

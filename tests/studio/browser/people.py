@@ -31,6 +31,11 @@ def as_expert(page) -> None:
     page.add_init_script("localStorage.setItem('liaam-studio:expert', 'on')")
 
 
+def untrained(page) -> None:
+    """Let the page not train by itself, which takes long; call it before the page is opened."""
+    page.add_init_script("localStorage.setItem('liaam-studio:auto-train', 'off')")
+
+
 def annotate(page, what: str):
     """Ask the Annotate tab's hooks."""
     return page.evaluate(f"() => window.liaamStudio.annotate.{what}")
@@ -43,7 +48,8 @@ def points_of(page) -> np.ndarray:
 
 def wait_for(page, condition: str, argument=None) -> None:
     """Wait until JavaScript says yes."""
-    page.wait_for_function(condition, arg=argument, timeout=TIMEOUT)
+    # By default it is asked at each frame, for which the page draws sixty frames a second.
+    page.wait_for_function(condition, arg=argument, timeout=TIMEOUT, polling=20)
 
 
 def wait_until(page, condition: Callable[[], object]) -> None:

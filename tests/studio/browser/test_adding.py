@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from people import annotate, shoot, violations, wait_for, wait_for_state, wait_until
+from people import annotate, shoot, untrained, violations, wait_for, wait_for_state, wait_until
 from test_layout import CLIPPED
 
 from liaam import datasets
@@ -62,14 +62,16 @@ def faces(tmp_path):
     return sorted(folder.iterdir())
 
 
-def test_pictures_and_landmarks_are_added_with_one_summary(serve, page, empty, folder, marked, tmp_path, artefacts):
+def test_pictures_and_landmarks_are_added_with_one_summary(
+    serve, page, empty, whole_folder, marked, tmp_path, artefacts
+):
     page.goto(serve(empty).address)
     wait_for(page, READY)
     assert page.locator("[data-testid=add-first]:visible").count() == 1
     shoot(page, artefacts, "40-nothing-yet")
     notes = tmp_path / "notes.txt"
     notes.write_text("Buy milk")
-    drop(page, *sorted(marked.glob("*.png")), *sorted(marked.glob("*.ljson")), folder / "portrait-04.png", notes)
+    drop(page, *sorted(marked.glob("*.png")), *sorted(marked.glob("*.ljson")), whole_folder / "portrait-04.png", notes)
     toast = page.locator(".toast", has_text="added")
     toast.wait_for()
     text = toast.inner_text()
@@ -146,11 +148,11 @@ def test_faces_are_fitted_as_they_arrive_worst_first(serve, page, empty, faces, 
     assert page.evaluate("() => window.liaamStudio.state.project.template") is None
 
 
-def test_new_pictures_are_accepted_on_the_wall(serve, page, folder, portrait_model, portraits, artefacts):
-    page.add_init_script("localStorage.setItem('liaam-studio:auto-train', 'off')")
-    page.goto(serve(folder, "--model", str(portrait_model)).address)
+def test_new_pictures_are_accepted_on_the_wall(serve, page, whole_folder, portrait_model, portraits, artefacts):
+    untrained(page)
+    page.goto(serve(whole_folder, "--model", str(portrait_model)).address)
     wait_for_state(page, "portrait-12.png", "proposed")
-    write_image(folder / "new.png", portraits[0].image)  # fitted as soon as it lies in the folder
+    write_image(whole_folder / "new.png", portraits[0].image)  # fitted as soon as it lies in the whole_folder
     wait_for_state(page, "new.png", "proposed")
     wait_for(page, "() => window.liaamStudio.annotate.source() === 'proposal'")
     page.keyboard.press("g")
@@ -207,9 +209,9 @@ def test_new_pictures_are_accepted_on_the_wall(serve, page, folder, portrait_mod
     assert page.locator("[data-testid=wall-page]").is_visible()
 
 
-def test_points_that_were_placed_anew_since_a_look_are_not_accepted(serve, page, folder, portrait_model):
-    page.add_init_script("localStorage.setItem('liaam-studio:auto-train', 'off')")
-    page.goto(serve(folder, "--model", str(portrait_model)).address)
+def test_points_that_were_placed_anew_since_a_look_are_not_accepted(serve, page, whole_folder, portrait_model):
+    untrained(page)
+    page.goto(serve(whole_folder, "--model", str(portrait_model)).address)
     wait_for_state(page, "portrait-12.png", "proposed")
     wait_for(page, "() => window.liaamStudio.annotate.source() === 'proposal'")
     page.keyboard.press("g")
@@ -239,14 +241,14 @@ RED = """([x, y]) => {
 }"""
 
 
-def test_a_slip_is_shown_beside_the_picture_and_before_training(serve, page, folder, portraits, artefacts):
+def test_a_slip_is_shown_beside_the_picture_and_before_training(serve, page, whole_folder, portraits, artefacts):
     for i, scene in enumerate(portraits[:9], 1):
         points = scene.landmarks.copy()
         if i == 3:
             points[[33, 39]] = points[[39, 33]]
-        write_landmarks(folder / f"portrait-{i:02d}.ljson", Landmarks(points))
-    page.add_init_script("localStorage.setItem('liaam-studio:auto-train', 'off')")
-    page.goto(serve(folder).address)
+        write_landmarks(whole_folder / f"portrait-{i:02d}.ljson", Landmarks(points))
+    untrained(page)
+    page.goto(serve(whole_folder).address)
     wait_for(page, "() => window.liaamStudio?.state.picture('portrait-03.png')?.slip")
     page.locator("[data-testid=strip-filter]").select_option("slips")
     wait_for(page, "() => document.querySelectorAll('.strip-item').length === 1")

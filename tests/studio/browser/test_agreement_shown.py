@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from people import shoot, violations, wait_for
+from people import shoot, untrained, violations, wait_for
 
 from liaam.io import Landmarks, write_image, write_landmarks
 from liaam.studio.project import Project
@@ -28,6 +28,7 @@ def test_two_observers_are_compared_by_slope_ratio_and_correlation(serve, page, 
         write_landmarks(
             root / "anna" / f"{name}.ljson", Landmarks(points + rng.normal(0, 1, base.shape), (), tuple("abcdef"))
         )
+    untrained(page)
     page.goto(serve(root).address)
     wait_for(page, "() => window.liaamStudio?.annotate?.source()")
     page.locator("[data-testid=agreement]").click()

@@ -18,6 +18,7 @@ from people import (
     points_of,
     saved,
     shoot,
+    untrained,
     wait_for,
     wait_for_point,
     wait_for_state,
@@ -29,11 +30,11 @@ pytestmark = pytest.mark.slow
 
 
 def test_a_new_folder_becomes_a_model_and_a_picture_without_its_shading(
-    serve, page, folder, portraits, lit_portrait, artefacts, tmp_path
+    serve, page, whole_folder, portraits, lit_portrait, artefacts, tmp_path
 ):
     truths = {f"portrait-{i + 1:02d}.png": scene.landmarks[POINTS] for i, scene in enumerate(portraits)}
     names = list(truths)
-    page.goto(serve(folder).address)
+    page.goto(serve(whole_folder).address)
     make_template(page, truths[names[0]])
     shoot(page, artefacts, "01-template")
     assert errors(page, truths[names[0]]).max() < 0.8  # a click is as good as the screen's pixels
@@ -69,7 +70,7 @@ def test_a_new_folder_becomes_a_model_and_a_picture_without_its_shading(
     page.locator("[data-testid=accept-next]").click()
     saved(page)
     wait_for(page, "name => window.liaamStudio.annotate.name() !== name", hardest)
-    marks = read_landmarks(folder / f"{hardest[:-4]}.ljson")
+    marks = read_landmarks(whole_folder / f"{hardest[:-4]}.ljson")
     assert np.linalg.norm(marks.points - truths[hardest], axis=1).max() < 1.6
     assert len(marks.contours) == 7
     # A picture under another light, dropped in.
@@ -93,8 +94,8 @@ def test_a_new_folder_becomes_a_model_and_a_picture_without_its_shading(
     assert flat.shape == (480, 640, 3)
     # The lamp stood at the left; without its shading the two halves of the face are nearer to one another.
     assert imbalance(flat, lit_portrait) < 0.5 * imbalance(lit_portrait.image, lit_portrait)
-    # Nothing but landmarks, and what the studio keeps for itself, came into the folder.
-    kinds = {path.suffix for path in folder.iterdir() if path.name != ".liaam-studio"}
+    # Nothing but landmarks, and what the studio keeps for itself, came into the whole_folder.
+    kinds = {path.suffix for path in whole_folder.iterdir() if path.name != ".liaam-studio"}
     assert kinds == {".png", ".ljson"}
 
 
@@ -108,10 +109,11 @@ def imbalance(image: np.ndarray, scene) -> float:
 
 
 @pytest.fixture
-def annotated(folder, portraits):
-    """Give the folder with five pictures annotated as the studio would have."""
+def annotated(page, whole_folder, portraits):
+    """Give a folder with pictures annotated as the studio would have, and let the page not train on them."""
     from liaam.io import Contour, Landmarks, write_landmarks
 
+    untrained(page)
     contours, first = [], 0
     from people import PATHS
 
@@ -119,8 +121,9 @@ def annotated(folder, portraits):
         contours.append(Contour(tuple(range(first, first + count)), closed))
         first += count
     for i, scene in enumerate(portraits[:5]):
-        write_landmarks(folder / f"portrait-{i + 1:02d}.ljson", Landmarks(scene.landmarks[POINTS], tuple(contours)))
-    return folder
+        path = whole_folder / f"portrait-{i + 1:02d}.ljson"
+        write_landmarks(path, Landmarks(scene.landmarks[POINTS], tuple(contours)))
+    return whole_folder
 
 
 def test_a_reload_keeps_what_was_done(serve, page, annotated):

@@ -1,5 +1,7 @@
 """Pictures of a hundred megapixels: shown at once, sharp where one looks, fitted and annotated."""
 
+import shutil
+
 import cv2
 import numpy as np
 import pytest
@@ -13,11 +15,10 @@ WIDTH, HEIGHT = 7200, 9600
 """69 megapixels: more than the studio once took, and quick to write."""
 
 
-@pytest.fixture
-def large(tmp_path, portraits):
-    """Give a folder of a picture with large and with tiny marks, and its landmarks."""
-    folder = tmp_path / "large"
-    folder.mkdir()
+@pytest.fixture(scope="module")
+def wing(portraits, tmp_path_factory):
+    """Give a picture with large and with tiny marks, beside its landmarks."""
+    folder = tmp_path_factory.mktemp("wing")
     scene = portraits[0]
     image = cv2.resize(np.ascontiguousarray(scene.image), (WIDTH, HEIGHT), interpolation=cv2.INTER_LINEAR)
     image[3000:3004, 5000:5004] = (255, 0, 0)  # four pixels, which are gone in a preview
@@ -25,6 +26,12 @@ def large(tmp_path, portraits):
     factor = WIDTH / scene.image.shape[1]
     write_landmarks(folder / "wing.ljson", Landmarks((scene.landmarks[[0, 6, 12, 33, 49]] + 0.5) * factor - 0.5))
     return folder
+
+
+@pytest.fixture
+def large(wing, tmp_path):
+    """Give a folder with a copy of that picture and its landmarks."""
+    return shutil.copytree(wing, tmp_path / "large")
 
 
 RED = """([x, y]) => {

@@ -5,7 +5,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from people import client, drag, opened, saved, shoot, wait_for, wait_until
+from people import client, drag, opened, saved, shoot, untrained, wait_for, wait_until
 
 from liaam.io import Landmarks, read_landmarks, write_image, write_landmarks
 
@@ -47,6 +47,7 @@ def measuring(serve, page, wings):
 
 def open_measures(page, address: str) -> None:
     """Open the page of a folder, and its Measure tab."""
+    untrained(page)
     page.goto(address)
     wait_for(page, "() => window.liaamStudio?.annotate?.source()")
     page.locator("[data-testid=tab-measure]").click()

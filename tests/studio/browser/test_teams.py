@@ -4,7 +4,7 @@ import zipfile
 
 import numpy as np
 import pytest
-from people import NAMES, annotate, client, drag, opened, picture, points_of, saved, wait_for
+from people import NAMES, annotate, client, drag, opened, picture, points_of, saved, untrained, wait_for
 
 from liaam.io import Landmarks, read_collection, write_image, write_landmarks
 
@@ -24,7 +24,7 @@ def in_state(page, name, state):
 @pytest.fixture
 def annotating(serve, page, marked):
     """Give the page on three done pictures, with training off."""
-    page.add_init_script("localStorage.setItem('liaam-studio:auto-train', 'off')")
+    untrained(page)
     page.goto(serve(marked).address)
     opened(page, NAMES[0])
     return page

@@ -167,13 +167,7 @@ class Objective:
         }
 
     def _coded(self, parts: np.ndarray) -> tuple[np.ndarray, CodedModes]:
-        """Return the mean (parts, n k), and the modes in 16 bits, of those projected by the parts of P.
-
-        ``parts`` (3, 1 + m, ...) are constant, cos and sin. Where theta_1 is fixed, one part is
-        returned, at the model's angle.
-        """
-        if not self._turns and len(parts) > 1:
-            parts = at_angle(parts, self.theta_model)[None]
+        """Return the mean (parts, n k), and the modes in 16 bits, of both (parts, 1 + m, ...)."""
         flat = parts.reshape(*parts.shape[:2], -1)
         return np.ascontiguousarray(flat[:, 0]), CodedModes.of(flat[:, 1:])
 
@@ -233,17 +227,26 @@ class Objective:
         return [appearance.mean[None], appearance.modes, *added, *gain]
 
     def _modes_of(self, appearance: AppearanceModel, illumination: AppearanceModel | None) -> np.ndarray:
-        """Return mean and modes projected by the parts of P (constant, cos, sin), (3, 1 + m, n, k) float32."""
+        """Return mean and modes projected by the parts of P, (1 or 3, 1 + m, n, k) float32.
+
+        Three parts, constant, cos and sin, if theta_1 is free; else one at the model's angle.
+        """
         n = len(appearance.mean)
         k = self.method.n_rows
+        metrics = self.method.model_metric_parts
+        if not self._turns:
+            metrics = at_angle(metrics, self.theta_model)[None]
         textures = self._textures(appearance, illumination)
         bias = {"none": np.zeros((0, 1, k)), "common": np.ones((1, 1, k)), "rows": np.eye(k)[:, None]}[self.method.bias]
-        constant = np.broadcast_to(bias.astype(np.float32), (len(bias), n, k))
-        parts = [
-            np.concatenate([*(texture @ metric.T for texture in textures), constant if i == 0 else 0.0 * constant])
-            for i, metric in enumerate(self.method.model_metric_parts.astype(np.float32))
-        ]
-        return np.stack(parts).astype(np.float32)
+        parts = np.empty((len(metrics), sum(map(len, textures)) + len(bias), n, k), np.float32)
+        end = 0
+        for texture in textures:
+            begin, end = end, end + len(texture)
+            for part, metric in zip(parts, metrics.astype(np.float32), strict=True):
+                np.matmul(texture, metric.T, out=part[begin:end])
+        parts[0, end:] = bias
+        parts[1:, end:] = 0.0
+        return parts
 
     def _ridge(self) -> np.ndarray:
         """Return the ridge on the diagonal of A'A, (m,) float64, from the norms of the modes before projection."""
@@ -277,12 +280,11 @@ class Objective:
 
     @cached_property
     def _mode_gradient_parts(self) -> np.ndarray:
-        """Spatial gradients of mean and modes, (1 or 3, 1 + m, 2 n k) float32; empty for methods that use none.
+        """Spatial gradients of what :meth:`_modes_of` returns, (1 or 3, 1 + m, 2 n k) float32.
 
-        Three parts, as of :meth:`_modes_of`, if theta_1 is free; else one at the model's angle.
+        They are empty for methods that use none.
         """
         parts = self._modes_of(*(self.in_frame or (self.appearance, self.illumination)))
-        parts = parts if self._turns else at_angle(parts, self.theta_model)[None]
         if not self.method.expects:
             return np.zeros((*parts.shape[:2], 0), np.float32)
         n_parts, n_modes, n_all, k = parts.shape
