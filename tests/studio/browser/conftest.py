@@ -7,8 +7,9 @@ from pathlib import Path
 import pytest
 from forked_server import start_forked
 from people import NAMES, TIMEOUT
+from shared_browser import SHARED
 
-from benchmarks.studio import Server, lacking, launched
+from benchmarks.studio import Server, lacking
 from liaam.io import Landmarks, write_image, write_landmarks
 from liaam.training import train
 from scenes import DIFFUSE, Head, Scene, lateral, make_set, random_expression, random_pose, render
@@ -17,14 +18,21 @@ SLOWDOWN = float(os.environ.get("LIAAM_SLOWDOWN", "1"))
 """How much slower the page is, also to find races."""
 
 
+@pytest.hookimpl(wrapper=True)
+def pytest_runtest_teardown(nextitem):
+    """Close the browser after the last of the tests here that follow each other, and after their fixtures."""
+    yield
+    if nextitem is None or nextitem.path.parent != Path(__file__).parent:
+        SHARED.close()
+
+
 @pytest.fixture(scope="module")
 def browser():
-    """Give one headless browser for a file's tests: while Playwright runs, no other test can have an event loop."""
+    """Give the headless browser of all files' tests."""
     reason = lacking()
     if reason:
         pytest.skip(reason)
-    with launched() as found:
-        yield found
+    return SHARED.with_flags()
 
 
 @pytest.fixture(scope="session")

@@ -3,15 +3,15 @@
 import base64
 import csv
 import re
-from collections.abc import Iterator
 from pathlib import Path
 
 import av
 import numpy as np
 import pytest
 from people import shoot, violations, wait_for
+from shared_browser import SHARED
 
-from benchmarks.studio import lacking, launched, write_camera
+from benchmarks.studio import lacking, write_camera
 from liaam.io import video_writer
 from liaam.training import train
 
@@ -51,13 +51,12 @@ def picture(portraits) -> np.ndarray:
 
 
 @pytest.fixture(scope="module")
-def browser(picture, tmp_path_factory) -> Iterator:
+def browser(picture, tmp_path_factory):
     """Give a browser with a camera in which the picture moves to and fro."""
     reason = lacking()
     if reason:
         pytest.skip(reason)
-    with launched(write_camera(tmp_path_factory.mktemp("camera") / "camera.mjpeg", picture)) as found:
-        yield found
+    return SHARED.with_flags(write_camera(tmp_path_factory.mktemp("camera") / "camera.mjpeg", picture))
 
 
 @pytest.fixture(scope="session")
