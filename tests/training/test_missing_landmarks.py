@@ -26,8 +26,6 @@ from liaam.training.search_filter import FilterLearner
 from liaam.training.shapes import shape_groups
 from setups import disturb
 
-FITS_NEAR = "liaam.training.left_out.fits_near"
-
 LINEAR = CameraModel(response="linear")
 QUICK = {"diagonal": 60.0, "camera": LINEAR, "lamps": None}
 train = partial(train_as_users_do, **QUICK)
@@ -114,13 +112,11 @@ def test_what_lies_where_landmarks_are_missing_is_not_learnt(pairs):
     assert masked.levels[-1].appearances["value"].usable[lost].min() == 1.0
 
 
-def test_left_out_fits_are_compared_with_known_landmarks_only(pairs, monkeypatch):
-    seen = []
-    monkeypatch.setattr(FITS_NEAR, lambda _model, pictures, _methods: seen.extend(pictures) or {})
+def test_left_out_fits_are_compared_with_known_landmarks_only(pairs, left_out_images):
     true = pairs[1][1].copy()
     pairs[1][1][MOUTH] = np.nan
     train(pairs, copies=0)
-    (picture,) = [each for each in seen if each.known is not None]
+    (picture,) = [each for each in left_out_images if each.known is not None]
     assert np.flatnonzero(~picture.known).tolist() == list(range(58))[MOUTH]
     np.testing.assert_array_equal(picture.points[picture.known], true[picture.known])
     fitter = Fitter(picture.model, METHODS[DEFAULT_METHOD], OPTIONS, restarts=False)

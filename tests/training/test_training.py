@@ -26,8 +26,6 @@ from liaam.training.left_out import describe_objects, folds_of
 from liaam.training.options import ARGUMENTS
 from setups import disturb, model_pixels, train_on
 
-FITS_NEAR = "liaam.training.left_out.fits_near"
-
 LINEAR = CameraModel(response="linear")
 # The scenes are faces, but light is not what most of these tests are about; tests/training/test_faces.py is.
 train = partial(train_as_users_do, lamps=None)
@@ -568,40 +566,35 @@ def test_pictures_whose_names_tell_nothing_are_left_out_one_by_one_or_in_a_few_f
     assert sorted(np.concatenate(folds)) == list(range(50))
 
 
-def test_pictures_left_out_are_given_as_they_are(pairs, monkeypatch):
+def test_pictures_left_out_are_given_as_they_are(pairs, left_out_images):
     """The fit itself takes vignetting off; twice would be once too often."""
-    seen = []
-    monkeypatch.setattr(FITS_NEAR, lambda _model, pictures, _methods: seen.extend(pictures) or {})
     camera = CameraModel(response="linear", vignetting=(-0.3,))
     train(pairs, diagonal=40.0, camera=camera)
-    assert len(seen) == len(pairs)
-    for left_out, (image, points) in zip(seen, pairs, strict=True):
+    assert len(left_out_images) == len(pairs)
+    for left_out, (image, points) in zip(left_out_images, pairs, strict=True):
         np.testing.assert_array_equal(left_out.image, image)
         np.testing.assert_array_equal(left_out.points, points)
         assert len(left_out.model.views[SURROUNDINGS].levels) == 3
 
 
 @pytest.mark.parametrize("prior", ["sample", "shrunk", "smooth", "wide"])
-def test_models_that_leave_pictures_out_are_learnt_in_the_same_way(scenes, monkeypatch, prior):
-    seen = []
-    monkeypatch.setattr(FITS_NEAR, lambda _model, pictures, _methods: seen.extend(pictures) or {})
+def test_models_that_leave_pictures_out_are_learnt_in_the_same_way(scenes, left_out_images, prior):
     options = {"diagonal": 40.0, "blurs": (1.0,), "prior": prior}
     model = train_on(scenes[:5], variance=3, leave_out=True, **options)
     assert len(model.views[SURROUNDINGS].shape_model.modes) == 3
-    assert len(seen) == 5
-    parts = [left_out.model.views[SURROUNDINGS].shape_model for left_out in seen]
+    assert len(left_out_images) == 5
+    parts = [left_out.model.views[SURROUNDINGS].shape_model for left_out in left_out_images]
     assert {len(part.modes) for part in parts} == {3}
     assert all(np.abs(part.modes - model.views[SURROUNDINGS].shape_model.modes).max() > 1e-3 for part in parts)
 
 
-def test_modes_are_counted_by_evidence_of_shapes_and_appearances_alike(scenes, monkeypatch):
-    seen = []
-    monkeypatch.setattr(FITS_NEAR, lambda _model, pictures, _methods: seen.extend(pictures) or {})
+def test_modes_are_counted_by_evidence_of_shapes_and_appearances_alike(scenes, left_out_images):
     options = {"diagonal": 40.0, "blurs": (1.0,)}
     model = train_on(scenes, variance="auto", leave_out=True, **options)
     for count in (len(model.shape_model.modes), model.views[SURROUNDINGS].levels[0].appearances["soft"].n_modes):
         assert 0 <= count < len(scenes) - 1  # fewer than there are: some of the variance is noise
-    assert len(seen[0].model.views[SURROUNDINGS].shape_model.modes) <= len(model.views[SURROUNDINGS].shape_model.modes)
+    part = left_out_images[0].model.views[SURROUNDINGS]
+    assert len(part.shape_model.modes) <= len(model.views[SURROUNDINGS].shape_model.modes)
 
 
 def test_a_smooth_prior_knows_more_shapes_than_the_pictures_show(pairs):

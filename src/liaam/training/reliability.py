@@ -118,8 +118,8 @@ def with_distant_and_wrong_fits(
         prior and the same factor on the shape.
     """
     finder = Finder(model)
-    fits = {name: [] for name in near}
-    weighted = [(method, near[method.name].final_prior) for method in methods if method.name in near]
+    fits: dict[str, list[LeftOutFit]] = {method.name: [] for method in methods}
+    weighted = [(method, near[method.name].final_prior) for method in methods]
     for i, (picture, fitters) in enumerate(_with_fitters(pictures, weighted)):
         _, distant = starts_of(picture, number=i)
         elsewhere = _elsewhere(picture, finder)
@@ -127,7 +127,7 @@ def with_distant_and_wrong_fits(
             if _can_fit(fitter, picture):
                 wrong = [_most_explaining_wrong(each, fitter, starts) for each, starts in elsewhere]
                 of_method.extend(_sound([_fit(picture, fitter, distant), *wrong]))
-    return {name: of_method.with_others(fits[name]) for name, of_method in near.items()}
+    return {name: near[name].with_others(others) for name, others in fits.items()}
 
 
 def _with_fitters(

@@ -256,9 +256,10 @@ def test_copies_know_their_lamps(pictures, lamps):
     np.testing.assert_array_equal(chosen, lamps.relit(day.image, points, [3])[0])
 
 
-def test_quality_is_learnt_under_lamps_that_are_left_out_of_training(lamps, monkeypatch):
+def test_quality_is_learnt_under_lamps_that_are_left_out_of_training(lamps, left_out_images, monkeypatch):
     """Without this, light that no training image shows makes right fits doubtful."""
-    trained_without, lit_by, fitted = left_out._without, Copies(lamps, np.array([4, 4, 4])).lit_by, []
+    trained_without = left_out._without
+    lit_by = Copies(lamps, np.array([4, 4, 4])).lit_by
     known_lamps: dict[int, set[int]] = {}
 
     def noted(*given, **named):
@@ -275,10 +276,9 @@ def test_quality_is_learnt_under_lamps_that_are_left_out_of_training(lamps, monk
         return lamps.relit(day.image, day.landmarks.points, [lamp])[0]
 
     monkeypatch.setattr(left_out, "_without", noted)
-    monkeypatch.setattr(left_out, "fits_near", lambda _model, pictures, _methods: fitted.extend(pictures) or {})
     data = [sample(f"head{i}-day", s.image, s.landmarks) for i, s in enumerate(make_set(3, Head(5), size=SIZE))]
     train(data, lamps=lamps, diagonal=40.0, blurs=(1.0,), copies=4)
-    shown = [(lamp_of(each), known_lamps[id(each.model)]) for each in fitted if each.relit]
+    shown = [(lamp_of(each), known_lamps[id(each.model)]) for each in left_out_images if each.relit]
     left, right = {0, 2}, {1, 3}
     assert {lamp in left for lamp, _ in shown} == {True, False}
     for lamp, known in shown:
