@@ -220,7 +220,7 @@ class Studio:
             "pictures": overview.pictures,
             "template": project.templates.as_json(),
             "offered": project.templates.is_offered,
-            "model": model_json(self.models.current, overview.done, overview.unread),
+            "model": model_json(self.models.current, overview.done, overview.unread, overview.sides),
             "checked": self.background.has_checked(overview.done),
             "training": cast(contract.Training, asdict(training.state)),
             "versions": training.versions.as_json(project.templates.order),

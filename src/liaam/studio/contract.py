@@ -192,6 +192,7 @@ class Model(TypedDict):
     left_out: Annotated[dict[str, str], "Why its training left out pictures that have not changed since, by name."]
     mean: list[list[float]]
     sides: Annotated[Sides | None, "null: there is one side only, as far as is known."]
+    sides_changed: Annotated[bool, "Whether the side of a training picture was stated or withdrawn since."]
 
 
 class Training(TypedDict):

@@ -886,6 +886,8 @@ test("the first model comes with four pictures, the next after three more", () =
   assert.ok(!assist.shouldTrain(project(four, { model: { stale: 2, source: "studio" } }), auto));
   assert.ok(assist.shouldTrain(project(four, { model: { stale: 3, source: "studio" } }), auto));
   assert.ok(!assist.shouldTrain(project(four, { model: { stale: 3, source: "file" } }), auto));
+  // One side that is stated may tell those of all.
+  assert.ok(assist.shouldTrain(project(four, { model: { stale: 1, sides_changed: true, source: "studio" } }), auto));
 });
 
 test("a picture without some absent points counts for training, one with hardly any point does not", () => {

@@ -196,6 +196,8 @@ interface Model {
   mean: number[][];
   /** null: there is one side only, as far as is known. */
   sides: Sides | null;
+  /** Whether the side of a training picture was stated or withdrawn since. */
+  sides_changed: boolean;
 }
 
 /** The state of the training. */

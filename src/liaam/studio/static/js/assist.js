@@ -25,7 +25,8 @@ export function shouldTrain(project, { auto, failedAt = null }) {
   if (model && !["studio", "face"].includes(model.source)) return false; // a model given by the user is replaced only on request
   if (project.checked === false) return false; // possible slips are left out
   if (forTraining(pictures).length - slipped(pictures).length < AUTO_FIRST || situation(project) === failedAt) return false;
-  return !model || model.stale >= AUTO_AGAIN;
+  // One side that is stated may tell those of all pictures.
+  return !model || model.sides_changed || model.stale >= AUTO_AGAIN;
 }
 
 /** Key of the training data: training on the same data would fail again. */
@@ -276,11 +277,13 @@ export function createAssist(app, commands, onexport) {
     watch();
   }
 
-  /** Train on opening, once the states of all pictures are known, and when pictures are left out or taken in. */
+  /** Train on opening, once the states of all pictures are known, and when pictures are left out or taken in, or a side is
+   *  stated. */
   function watch() {
-    const { pictures, training, checked } = state.project;
+    const { pictures, training, checked, model } = state.project;
     if (asking || training?.state === "running" || !checked || pictures.some(({ state: is }) => is === "reading")) return;
-    const now = JSON.stringify(pictures.filter(({ left_out: who }) => who).map(({ name }) => name));
+    const without = pictures.filter(({ left_out: who }) => who).map(({ name }) => name);
+    const now = JSON.stringify([without, model?.sides_changed ? model.number : null]);
     if (now !== known && shouldTrain(state.project, { auto: auto.checked, failedAt })) start(false);
     known = now;
   }
