@@ -6,6 +6,7 @@ export class ApiError extends Error {
     super(message);
     this.name = "ApiError";
     this.status = status;
+    /** @type {Partial<Fault> | null} */
     this.body = body;
   }
 

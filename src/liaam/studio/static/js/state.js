@@ -177,9 +177,10 @@ export class State extends EventTarget {
   /** Take over the template that the server has saved; its pictures follow by `refresh`. */
   takeTemplate(template) { this.#project.template = template; }
 
-  /** Take over the state of a training, or of placing points: "training" or "fitting". */
+  /** Take over the state of a training, or of placing points.
+   *  @template {"training" | "fitting"} Work; @param {Work} work; @param {Events[Work]} now */
   takeWork(work, now) {
-    this.#project[work] = now;
+    Object.assign(this.#project, { [work]: now });
     this.#emit(work, now);
   }
 
@@ -278,12 +279,13 @@ export class State extends EventTarget {
       if (source.readyState === EventSource.CLOSED) setTimeout(() => this.#followEvents(), RECONNECT_AFTER);
     });
     source.addEventListener("project", () => this.refresh().catch(() => {}));
-    for (const work of ["training", "fitting"]) {
+    for (const work of /** @type {("training" | "fitting")[]} */ (["training", "fitting"])) {
       source.addEventListener(work, (/** @type {any} */ { data }) => {
         this.takeWork(work, JSON.parse(data));
       });
     }
     source.addEventListener("landmarks", ({ data }) => {
+      /** @type {Events["landmarks"]} */
       const changed = JSON.parse(data); // of one picture, or of several
       for (const each of Array.isArray(changed) ? changed : [changed]) this.#emit("landmarks", each);
     });
