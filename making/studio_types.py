@@ -7,7 +7,7 @@ import types
 from pathlib import Path
 from typing import Annotated, Any, Literal, NotRequired, Union, get_args, get_origin, get_type_hints, is_typeddict
 
-from liaam.studio.contract import TYPES
+from liaam.studio.contract import EVENTS, TYPES
 
 PATH = Path(__file__).parents[1] / "tests" / "studio" / "js" / "contract.d.ts"
 HEAD = "// Types of the page's data, written by python -m making.studio_types from src/liaam/studio/contract.py.\n"
@@ -16,7 +16,9 @@ NAMES = {str: "string", int: "number", float: "number", bool: "boolean", type(No
 
 def typescript() -> str:
     """Return the types as TypeScript."""
-    return "\n".join([HEAD, *map(_interface, TYPES)])
+    events = [f"  {name}: {name_of(hint)};" for name, hint in EVENTS.items()]
+    of_events = ["/** Data of the events that the server sends, by kind. */", "interface Events {", *events, "}", ""]
+    return "\n".join([HEAD, *map(_interface, TYPES), *of_events])
 
 
 def _interface(kind: Any) -> str:

@@ -74,7 +74,8 @@ def trainers_in(folder):
 
 def shown(current, project):
     """What the page is told of a model."""
-    return model_json(current, project.overview().done)
+    overview = project.overview()
+    return model_json(current, overview.done, sides=overview.sides)
 
 
 def states(project):
@@ -126,6 +127,9 @@ def test_training_places_the_points_of_the_other_pictures(setting_of_faces, port
     marks = again.marks("p5.png")
     again.save_marks("p5.png", marks)
     assert shown(store.current, again)["stale"] == 1
+    assert not shown(store.current, again)["sides_changed"]
+    again.save_sides({"sides": {"p2.png": "left"}})
+    assert shown(store.current, again)["sides_changed"]
     again.templates.order = "another"  # as after a change of the points
     Trainer(again, store, lambda *_: None).follow_template()
     assert store.current is None and not (again.root / STATE / "model.liaam").exists()

@@ -88,6 +88,31 @@ def test_answers_of_a_folder_keep_the_contract(folder, serve):
     assert faults(running.client.post("/api/review", json=did).json(), contract.Reviewed) == []
 
 
+def test_refusals_and_events_keep_the_contract(folder, serve, monkeypatch):
+    running = serve(folder(2, 1))
+    told = []
+    monkeypatch.setattr(running.studio.events, "publish", lambda kind, data: told.append((kind, sent(data))))
+    address = "/api/pictures/p1.png/landmarks"
+    marks = running.client.get(address).json()
+    change = {key: marks[key] for key in ("points", "invisible", "revision")}
+    change["points"][0] = [5.0, 6.0]
+    assert running.client.put(address, json=change).status_code == 200
+    change["points"][0] = [7.0, 8.0]
+    template = {"names": ["a", "b", "c"], "contours": [], "mirror": None, "revision": "earlier"}
+    refused = {
+        "current": running.client.put(address, json=change),
+        "folder": running.client.put(address, json=change | {"folder": "another"}),
+        "template": running.client.put("/api/template", json=template),
+        "error": running.client.get("/api/pictures/none.png/landmarks"),
+    }
+    for field, answer in refused.items():
+        assert answer.status_code in (404, 409), field
+        assert field in answer.json() and faults(answer.json(), contract.Fault) == []
+    running.client.post("/api/review", json={"pictures": ["p1.png"], "did": "deleted"})
+    assert {kind for kind, _ in told} == {"landmarks", "project"}
+    assert [fault for kind, data in told for fault in faults(data, contract.EVENTS[kind])] == []
+
+
 @pytest.mark.parametrize("state", ["new", "proposed", "accepted", "partial", "broken"])
 def test_pictures_in_every_state_keep_the_contract(small, state):
     if state in ("proposed", "accepted"):

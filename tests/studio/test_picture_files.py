@@ -40,6 +40,27 @@ def test_removed_pictures_come_back_with_all_that_belongs_to_them(two):
     assert refused(restore, again, {"token": token}).status == 404
 
 
+def test_what_was_said_of_a_removed_picture_does_not_count_for_a_later_one_of_the_same_name(two):
+    two.save_sides({"sides": {"p1.png": "left"}})
+    two.review({"pictures": ["p1.png"], "did": "left out", "who": "Ada"})
+    two.save_marks("p2.png", {"points": [*POINTS[:2], None], "absent": [2], "revision": None})
+    said = [by_name(two)["p1.png"], two.history("p1.png"), two.marks("p2.png")["absent"]]
+    other = (two.root / "q.jpg").read_bytes()
+    token = remove(two, {"pictures": ["p1.png", "p2.png"]})["token"]
+    for name in ("p1.png", "p2.png"):
+        (two.root / name).write_bytes(other)
+    for project in (two, Project(two.root)):
+        later = by_name(project)["p1.png"]
+        assert (later["side"], later["left_out"], project.history("p1.png")) == ("", None, [])
+        assert project.marks("p2.png")["absent"] == []
+    again = remove(two, {"pictures": ["p1.png", "p2.png"]})["token"]
+    restore(two, {"token": token})
+    assert [by_name(two)["p1.png"], two.history("p1.png"), two.marks("p2.png")["absent"]] == said
+    remove(two, {"pictures": ["p1.png", "p2.png"]})
+    restore(two, {"token": again})
+    assert by_name(two)["p1.png"]["side"] == ""
+
+
 def test_a_picture_is_not_restored_over_another_one(two):
     token = remove(two, {"pictures": ["p1.png"]})["token"]
     (two.root / "p1.png").write_bytes((two.root / "p2.png").read_bytes())

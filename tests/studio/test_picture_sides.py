@@ -9,6 +9,7 @@ from small_projects import put
 
 from liaam.io import Landmarks, write_image, write_landmarks
 from liaam.studio.background import slips_in
+from liaam.studio.model_store import ModelStore, model_json
 from liaam.studio.project import Annotated, Project
 from liaam.studio.refusal import Refusal
 from liaam.studio.shapes import shapes
@@ -67,6 +68,30 @@ def test_sides_are_said_withdrawn_and_follow_the_picture(sided):
     assert changed == {"wing-0.png"}  # so that a model is trained again
     project.save_sides({"sides": {"wing-0.png": ""}})
     assert project.overview().done == trained_on
+
+
+def test_a_side_that_is_stated_or_withdrawn_after_a_training_is_told(sided, head_model):
+    project = Project(sided)
+    project.save_sides({"sides": {"wing-1.png": "left"}})
+    overview = project.overview()
+    del overview.done["wing-9.png"]  # placed after the training
+    facts = {"source": "studio", "trained": None, "pictures": overview.done}
+
+    def has_changed(facts):
+        now = project.overview()
+        return model_json(ModelStore().publish(head_model, facts), now.done, sides=now.sides)["sides_changed"]
+
+    assert not has_changed(facts)  # of an earlier version, which did not note the sides
+    facts["sides"] = overview.sides
+    assert not has_changed(facts)
+    project.save_sides({"sides": {"wing-9.png": "right"}})
+    assert not has_changed(facts)
+    project.save_sides({"sides": {"wing-0.png": "left"}})
+    assert has_changed(facts)
+    project.save_sides({"sides": {"wing-0.png": ""}})
+    assert not has_changed(facts)
+    project.save_sides({"sides": {"wing-1.png": ""}})
+    assert has_changed(facts)
 
 
 @pytest.mark.parametrize("sides", [None, {}, {"wing-0.png": "up"}, {"wing-0.png": None}, ["wing-0.png"], "left"])

@@ -220,7 +220,7 @@ class Studio:
             "pictures": overview.pictures,
             "template": project.templates.as_json(),
             "offered": project.templates.is_offered,
-            "model": model_json(self.models.current, overview.done, overview.unread),
+            "model": model_json(self.models.current, overview.done, overview.unread, overview.sides),
             "checked": self.background.has_checked(overview.done),
             "training": cast(contract.Training, asdict(training.state)),
             "versions": training.versions.as_json(project.templates.order),
@@ -243,7 +243,9 @@ class Studio:
     def _save_landmarks(self, request: Request, data: Any) -> contract.Saved:
         name = request.path_params["name"]
         answer = self.project.save_marks(name, data)
-        changed = {"name": name, "revision": answer["revision"], "beside": answer["beside"]}
+        changed: contract.LandmarksChanged = {
+            "name": name, "revision": answer["revision"], "beside": answer["beside"],
+        }  # fmt: skip
         self.events.publish("landmarks", changed)
         self.background.woken.set()
         return answer
@@ -256,7 +258,9 @@ class Studio:
     def _review(self, request: Request, data: Any) -> dict[str, Any]:
         answer = self.project.review(data)
         # One event, because a page that falls behind is disconnected. "" means that there is no file any more.
-        written = [{"name": name, "revision": now or ""} for name, now in answer.pop("revisions").items()]
+        written: list[contract.LandmarksChanged] = [
+            {"name": name, "revision": now or ""} for name, now in answer.pop("revisions").items()
+        ]
         self.events.publish("landmarks", written)
         self.background.woken.set()
         self.events.publish("project", {})

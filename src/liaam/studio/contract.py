@@ -192,6 +192,7 @@ class Model(TypedDict):
     left_out: Annotated[dict[str, str], "Why its training left out pictures that have not changed since, by name."]
     mean: list[list[float]]
     sides: Annotated[Sides | None, "null: there is one side only, as far as is known."]
+    sides_changed: Annotated[bool, "Whether the side of a training picture was stated or withdrawn since."]
 
 
 class Training(TypedDict):
@@ -368,12 +369,28 @@ class Agreement(TypedDict):
     shapes: Annotated[list[ShapeAgreement], "Of each other observer and the set that is shown, from 5 pictures on."]
 
 
-Json = dict[str, Any]
+class LandmarksChanged(TypedDict):
+    """The landmarks of a picture were saved, by any page."""
+
+    name: str
+    revision: Annotated[str | None, "null or empty: there is no file any more."]
+    beside: Annotated[NotRequired[str], "Changes with what is kept beside the file."]
+
+
+class Fault(TypedDict):
+    """The answer to a request that is refused or has failed."""
+
+    error: Annotated[str, "What is wrong, and what to do, in a sentence for the person."]
+    folder: Annotated[NotRequired[str], "The page shows another folder than this one, by its id."]
+    current: Annotated[NotRequired[Marks], "The landmarks, which were changed since the page read them."]
+    template: Annotated[NotRequired[Template | None], "The template, which was changed since the page read it."]
+
+
 EVENTS: dict[str, Any] = {
-    "project": Json,
+    "project": dict[str, Any],
     "training": Training,
     "fitting": Counted | None,
-    "landmarks": Json | list[Json],
+    "landmarks": LandmarksChanged | list[LandmarksChanged],
 }
 """Data of the events that the server sends, by kind."""
 
@@ -381,6 +398,6 @@ TYPES = (
     Contour, Picture, Template, Bar, FoundScale, Marks, Base, SaveMarks, Saved, Reviewed, SidesBefore, Removed, Renamed,
     HistoryEntry, Sides, Model, Training, Method, Version,
     Counted, Formats, Limits, Project, Unchanged, Column, Grid, Space, GroupTest, Shapes,
-    ShapeAgreement, Agreement,
+    ShapeAgreement, Agreement, LandmarksChanged, Fault,
 )  # fmt: skip
 """All types, in the order in which they are written for the page."""

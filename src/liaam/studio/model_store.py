@@ -32,8 +32,8 @@ class ModelInUse:
     number: int  # incremented with every published model
     facts: dict[str, Any]
     """``source`` ("studio", "file" or "guest"), ``trained`` (ISO 8601 or None) and ``pictures`` (revision by name). A
-    model of the studio also has ``order`` (:attr:`liaam.studio.template.Templates.order`) and ``left_out`` (the
-    reasons why ``pictures`` were left out, by name), a guest its ``name``."""
+    model of the studio also has ``order`` (:attr:`liaam.studio.template.Templates.order`), ``left_out`` (the reasons
+    why ``pictures`` were left out, by name) and ``sides`` (those that were stated, by name), a guest its ``name``."""
 
     @property
     def key(self) -> str:
@@ -143,12 +143,15 @@ def load_dropped_model(data: bytes, name: str, points: int) -> AAM:
 
 
 def model_json(
-    current: ModelInUse | None, done: Mapping[str, str], unread: Collection[str] = ()
+    current: ModelInUse | None,
+    done: Mapping[str, str],
+    unread: Collection[str] = (),
+    sides: Mapping[str, str] | None = None,
 ) -> contract.Model | None:
     """Return the current model as JSON for the page.
 
     ``done`` are the revisions of the landmarks of pictures for training, by name; ``unread`` names of pictures whose
-    files have not been read, so that it is not known whether they are done.
+    files have not been read, so that it is not known whether they are done; ``sides`` those that are stated, by name.
     """
     if current is None:
         return None
@@ -177,7 +180,16 @@ def model_json(
         "left_out": {name: why for name, why in left_out.items() if name in unchanged},
         "mean": model.shape_model.mean.tolist(),
         "sides": _sides_json(model),
+        "sides_changed": _has_other_sides(facts, done, sides or {}),
     }
+
+
+def _has_other_sides(facts: Mapping[str, Any], done: Mapping[str, str], sides: Mapping[str, str]) -> bool:
+    """Return whether the side of a training picture was stated or withdrawn since; it may tell those of all."""
+    before = facts.get("sides")
+    if before is None:  # a model that did not note them
+        return False
+    return any(sides.get(name, "") != before.get(name, "") for name in facts["pictures"].keys() & done.keys())
 
 
 def _sides_json(model: AAM) -> contract.Sides | None:

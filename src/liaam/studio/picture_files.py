@@ -2,7 +2,8 @@
 
 A removed picture and its landmark files lie in the studio's own folder until it is restored. The store says beforehand
 what is moved, so that a killed studio loses nothing. A renamed picture takes its landmarks and its history along, in
-all sets of landmarks.
+all sets of landmarks. What is kept of a removed one has another name meanwhile, so that it does not count for a later
+picture of the same name.
 """
 
 import secrets
@@ -35,6 +36,8 @@ def remove(project: Project, data: Any) -> contract.Removed:
         project.store.put(REMOVED, {token: {"pictures": names, "files": files}})
         for file in files:
             _move(project.root / file, _place(project, token, file))
+        for name in names:
+            project.rekey(name, _kept_name(token, name), {})
     return {"token": token, "pictures": names}
 
 
@@ -53,6 +56,8 @@ def restore(project: Project, data: Any) -> contract.Removed:
             raise Refusal(409, f"the folder has other files of these names: {some_names(taken, 3)}; rename them first")
         for file in waiting:
             _move(_place(project, token, file), project.root / file)
+        for name in kept["pictures"]:
+            project.rekey(_kept_name(token, name), name, {})
         project.store.put(REMOVED, {token: None})
         _tidy(_place(project, token, "x").parent)
     return {"token": token, "pictures": kept["pictures"]}
@@ -112,6 +117,11 @@ def _is_same(project: Project, to: str, moves: dict[str, str]) -> bool:
 
 def _place(project: Project, token: str, file: str) -> Path:
     return project.store.path(f"{REMOVED}/{token}/{file}")
+
+
+def _kept_name(token: str, name: str) -> str:
+    """Return the name under which what is known of a removed picture is kept; no picture has it."""
+    return f"{REMOVED}/{token}/{name}"
 
 
 def _move(source: Path, target: Path) -> None:

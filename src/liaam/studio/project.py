@@ -104,6 +104,11 @@ class Overview:
     done: dict[str, str]  # revision of the landmarks of each done picture that is not left out of training, by name
     unread: list[str]  # names of the pictures whose files have not been read yet
 
+    @property
+    def sides(self) -> dict[str, str]:
+        """The sides that are stated, by name."""
+        return {each["name"]: side for each in self.pictures if (side := each.get("side"))}
+
 
 @dataclass(frozen=True)
 class _Wanted:

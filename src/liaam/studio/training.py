@@ -151,7 +151,7 @@ class Trainer:
         trained = self.models.own
         if trained is None or trained.facts["source"] != "studio":
             return
-        for names in (trained.facts["pictures"], trained.facts.get("left_out", {})):
+        for names in (trained.facts["pictures"], trained.facts.get("left_out", {}), trained.facts.get("sides", {})):
             if name in names:
                 names[new] = names.pop(name)
         self.project.store.put("model", {MODEL_FILE: trained.facts})
@@ -194,6 +194,7 @@ class Trainer:
                 "pictures": {item.name: item.revision for item in job.done},
                 "left_out": {name: self.project.folder.plain(reason) for name, reason in data.items()},
                 "order": job.order,
+                "sides": {item.name: item.side for item in job.done if item.side},
             }
             self.project.store.put("model", {MODEL_FILE: facts})
             self.models.publish(load_model(job.model), facts)

@@ -182,15 +182,13 @@ def test_a_picture_that_was_panned_is_drawn_as_if_it_were_drawn_anew(page, serve
         """async () => {
           const { viewer } = window.liaamStudio.annotate;
           const frame = () => new Promise((then) => requestAnimationFrame(() => requestAnimationFrame(then)));
-          const pixels = () => viewer._scaled.canvas.getContext("2d")
+          const pixels = () => viewer.canvas.getContext("2d")
             .getImageData(0, 0, viewer.canvas.width, viewer.canvas.height).data.slice();
           viewer.zoomBy(1.7);
           await frame();
           for (const by of [[31.4, -12.7], [-80, 44], [3, 5]]) { viewer.panBy(...by); await frame(); }
           const panned = pixels();
-          viewer._scaled = null;
-          viewer.redraw();
-          await frame();
+          for (const on of [true, false]) { viewer.mirror(on); await frame(); } // draws all of it again
           const anew = pixels();
           return panned.length > 1e6 && panned.every((value, i) => Math.abs(value - anew[i]) <= 1);
         }"""

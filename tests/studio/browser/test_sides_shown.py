@@ -1,5 +1,7 @@
 """Sides of objects, such as left and right wings: said in the list and the panel, and chosen for a fit."""
 
+import shutil
+
 import pytest
 from people import NAMES, opened, picture, shoot, violations, wait_for, wait_until
 
@@ -31,6 +33,20 @@ def test_the_side_of_pictures_is_said_and_taken_back(serve, page, marked, artefa
     page.reload()
     opened(page, NAMES[2])
     assert panel.input_value() == "left"
+
+
+def test_the_model_is_trained_again_once_a_side_is_stated(serve, page, marked):
+    for i in (4, 5):
+        shutil.copy(marked / NAMES[i - 4], marked / f"portrait-0{i}.png")
+        shutil.copy((marked / NAMES[i - 4]).with_suffix(".ljson"), marked / f"portrait-0{i}.ljson")
+    page.goto(serve(marked).address)
+    wait_for(page, "() => window.liaamStudio?.state.project?.model?.n_images === 5")
+    wait_for(page, "() => window.liaamStudio.state.project.training.state === 'done'")
+    trained = page.evaluate("() => window.liaamStudio.state.project.model.trained")
+    page.locator("[data-testid=strip-several]").click()
+    page.locator("[data-testid=bulk-action]").select_option("left")
+    wait_for(page, "before => window.liaamStudio.state.project.model.trained !== before", trained)
+    assert not page.evaluate("() => window.liaamStudio.state.project.model.sides_changed")
 
 
 def test_a_fit_is_asked_for_one_side(serve, page, folder, portrait_model, artefacts):

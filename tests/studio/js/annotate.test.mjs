@@ -188,11 +188,11 @@ test("held keys are one step, until they pause or the key is another", () => {
     time += 100;
     history.push(n, "move", "a");
   }
-  assert.equal(history.past.length, 1);
+  assert.equal(history.steps, 1);
   history.push(6, "move", "b");
   time += 900;
   history.push(7, "move", "b");
-  assert.equal(history.past.length, 3);
+  assert.equal(history.steps, 3);
   assert.deepEqual([history.undo(), history.undo(), history.undo()], [6, 5, 0]);
 });
 
@@ -399,7 +399,7 @@ test("a save whose answer was lost is no conflict", async () => {
   await answer("fail", { status: 409, body: { current: marks(1, "r5") } });
   assert.equal(state(), "saved");
   assert.equal(log.conflicts.length, 0);
-  assert.equal(saver.entry("a").revision, "r5");
+  assert.equal(saver.revisionOf("a"), "r5");
 });
 
 test("news of another tab is told once nothing is unsaved; our own is not news", async () => {
@@ -604,9 +604,9 @@ test("a file that was deleted is said to be", async () => {
   run();
   const gone = { points: [null, null], invisible: [], revision: null, source: "none" };
   await answer("fail", { status: 409, body: { current: gone } });
-  assert.equal(saver.entry("a").deleted, true);
+  assert.equal(saver.isDeleted("a"), true);
   saver.resolveConflict("a", "mine");
-  assert.equal(saver.entry("a").deleted, false);
+  assert.equal(saver.isDeleted("a"), false);
   assert.equal(log.sent[1].body.revision, null);
   await answer("ok");
   assert.equal(state(), "saved");
@@ -618,8 +618,7 @@ test("what was made for another folder than the server shows is refused, and the
   t.after(() => Object.assign(globalThis, { fetch: before, location: place }));
   globalThis.location = { reload: () => (reloads += 1) };
   globalThis.fetch = async () => new Response(JSON.stringify({ id: "two", pictures: [] }));
-  const state = new State();
-  state.project = { id: "one", pictures: [] };
+  const state = new State({ id: "one", pictures: [] });
   assert.equal(await state.send(async (folder) => folder), "one");
   const refused = Object.assign(new Error("another folder"), { status: 409, body: { folder: "two" } });
   const wrong = Object.assign(new Error("wrong"), { status: 422, body: {} });
@@ -628,7 +627,7 @@ test("what was made for another folder than the server shows is refused, and the
   // As where nothing was sent: it is kept, since it may be of use once the folder is served again.
   await assert.rejects(state.send(() => Promise.reject(refused)), { status: 0 });
   assert.equal(reloads, 1);
-  state.unsure = true;
+  state.doubt();
   await assert.rejects(state.send(() => assert.fail("asked before it is sure")), { status: 0 });
   assert.equal(reloads, 2);
 });
@@ -887,6 +886,8 @@ test("the first model comes with four pictures, the next after three more", () =
   assert.ok(!assist.shouldTrain(project(four, { model: { stale: 2, source: "studio" } }), auto));
   assert.ok(assist.shouldTrain(project(four, { model: { stale: 3, source: "studio" } }), auto));
   assert.ok(!assist.shouldTrain(project(four, { model: { stale: 3, source: "file" } }), auto));
+  // One side that is stated may tell those of all.
+  assert.ok(assist.shouldTrain(project(four, { model: { stale: 1, sides_changed: true, source: "studio" } }), auto));
 });
 
 test("a picture without some absent points counts for training, one with hardly any point does not", () => {
@@ -915,11 +916,10 @@ test("a picture that is left out of training does not count for it, and leaving 
 });
 
 test("next is a picture of the subfolder that the list shows", () => {
-  const state = new State();
+  const pictures = ["a/1", "b/1", "ab/1", "a/c/2"].map((name, i) => ({ name, rank: 9 - i, state: "new" }));
+  const state = new State({ pictures });
   const told = [];
   state.addEventListener("folder", () => told.push(state.folder));
-  const pictures = ["a/1", "b/1", "ab/1", "a/c/2"].map((name, i) => ({ name, rank: 9 - i, state: "new" }));
-  state.project = { pictures };
   const next = () => assist.nextToTeach(state.pictures, "a/1")?.name;
   assert.equal(next(), "a/c/2");
   state.showFolder("b");
@@ -980,13 +980,13 @@ test("brightness, contrast and gamma of zero change nothing, and 1 stands for a 
   assert.equal(shownValue(0.9, { brightness: 2, contrast: 2, gamma: 2 }), 1);
 });
 
-test("waiting for the state of pictures does not end with an answer from before", async () => {
-  const [state, answers] = [new State(), []];
-  state._fetch = () => new Promise((resolve) => {
-    answers.push((placed) => {
-      state.project = { pictures: [{ name: "a.png", state: "new", placed }] };
-      resolve();
-    });
+test("waiting for the state of pictures does not end with an answer from before", async (t) => {
+  const of = (placed) => ({ id: "one", pictures: [{ name: "a.png", state: "broken", placed }] });
+  const [state, answers] = [new State(of(null)), []];
+  const before = globalThis.fetch;
+  t.after(() => Object.assign(globalThis, { fetch: before }));
+  globalThis.fetch = () => new Promise((resolve) => {
+    answers.push((placed) => resolve(new Response(JSON.stringify(of(placed)))));
   });
   state.refresh();
   const waiting = state.settled(); // after a change, which the request under way may have missed

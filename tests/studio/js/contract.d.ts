@@ -196,6 +196,8 @@ interface Model {
   mean: number[][];
   /** null: there is one side only, as far as is known. */
   sides: Sides | null;
+  /** Whether the side of a training picture was stated or withdrawn since. */
+  sides_changed: boolean;
 }
 
 /** The state of the training. */
@@ -394,4 +396,33 @@ interface Agreement {
   table: string;
   /** Of each other observer and the set that is shown, from 5 pictures on. */
   shapes: ShapeAgreement[];
+}
+
+/** The landmarks of a picture were saved, by any page. */
+interface LandmarksChanged {
+  name: string;
+  /** null or empty: there is no file any more. */
+  revision: string | null;
+  /** Changes with what is kept beside the file. */
+  beside?: string;
+}
+
+/** The answer to a request that is refused or has failed. */
+interface Fault {
+  /** What is wrong, and what to do, in a sentence for the person. */
+  error: string;
+  /** The page shows another folder than this one, by its id. */
+  folder?: string;
+  /** The landmarks, which were changed since the page read them. */
+  current?: Marks;
+  /** The template, which was changed since the page read it. */
+  template?: Template | null;
+}
+
+/** Data of the events that the server sends, by kind. */
+interface Events {
+  project: Record<string, any>;
+  training: Training;
+  fitting: Counted | null;
+  landmarks: LandmarksChanged | LandmarksChanged[];
 }

@@ -110,7 +110,7 @@ test("an open contour is traced, and its points are placed in one step", () => {
   tracing.finish();
   assert.ok(!tracing.on);
   assert.deepEqual(marking.state.points.slice(0, 6), [[0, 5], [20, 5], [40, 5], [60, 5], [80, 5], null]);
-  assert.equal(marking.history.past.length, 1);
+  assert.equal(marking.history.steps, 1);
   marking.travel("undo");
   assert.ok(marking.points.every((point) => point === null));
 });
@@ -199,14 +199,14 @@ test("Escape leaves without a change", () => {
   for (const x of [0, 40]) click(tracing, [x, 0]);
   tracing.turn(false);
   assert.deepEqual(marking.points[1], [1, 1]);
-  assert.equal(marking.history.past.length, 0);
+  assert.equal(marking.history.steps, 0);
 });
 
 test("the present points are spaced evenly, and missing ones among them are placed", () => {
   const { marking, tracing } = begin({ 0: [0, 0], 1: [1, 0], 3: [3, 0], 4: [40, 0] });
   tracing.space(CONTOURS[0]);
   assert.deepEqual(marking.state.points.slice(0, 5), [[0, 0], [10, 0], [20, 0], [30, 0], [40, 0]]);
-  assert.equal(marking.history.past.length, 1);
+  assert.equal(marking.history.steps, 1);
 });
 
 test("tracing and spacing move semilandmarks only: a landmark that a person has placed stays", () => {
@@ -264,5 +264,5 @@ test("undo before the first place leaves tracing and undoes the step before it",
 test("two points do not show how a contour runs", () => {
   const { marking, tracing } = begin({ 0: [0, 0], 4: [40, 0] });
   tracing.space(CONTOURS[0]);
-  assert.equal(marking.history.past.length, 0);
+  assert.equal(marking.history.steps, 0);
 });

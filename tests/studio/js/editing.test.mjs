@@ -45,7 +45,7 @@ test("a scale bar is a step to undo, and accepts no points", () => {
     made.change({ bar }, "scale bar");
     assert.deepEqual([made.state.bar, made.state.source, made.history.undoes], [bar, source, "scale bar"]);
     made.change({ bar: { ...bar } }, "scale bar"); // the same
-    assert.equal(made.history.past.length, 1);
+    assert.equal(made.history.steps, 1);
     made.commit([[5, 5], ...TRIANGLE.slice(1)], "move");
     assert.deepEqual([made.state.bar, made.state.source], [bar, "file"]);
     made.travel("undo");
@@ -129,7 +129,7 @@ test("twins move along only where that is wanted", () => {
   const { made } = marking();
   const after = [[8, 22], TRIANGLE[1], TRIANGLE[2]];
   assert.equal(made.follow(TRIANGLE, after, [0]), after);
-  made.mirrored = true;
+  made.toggleMirrored();
   assert.deepEqual(made.follow(TRIANGLE, after, [0])[1], [32, 22]);
 });
 
@@ -144,9 +144,9 @@ test("the frame is around the chosen points, or all of a mean shape", () => {
 test("nothing is edited while no picture is open, or all is hidden", () => {
   const { made } = marking();
   assert.equal(made.editable, true);
-  made.hidden = true;
+  made.hide(true);
   assert.equal(made.editable, false);
-  made.hidden = false;
+  made.hide(false);
   made.open(null);
   assert.deepEqual([made.editable, made.points, made.suggested, made.placing], [false, [], false, false]);
 });
@@ -191,7 +191,7 @@ test("points that move together are not placed one by one, nor is the twin that 
   made.select([0, 1]);
   made.commit([[1, 1], [2, 2], shifted[2]], "move");
   assert.deepEqual(made.origins, ["proposed", "proposed", "proposed"]);
-  made.mirrored = true;
+  made.toggleMirrored();
   made.select([0]);
   made.commit([[0, 3], [4, 4], shifted[2]], "move");
   assert.deepEqual(made.origins, ["moved", "proposed", "proposed"]);
@@ -318,32 +318,43 @@ test("a layout stays where it fills a part of the picture", () => {
   assert.equal(layoutIn(null, 60, 60), null);
 });
 
+/** The opening of a tab in which the picture "a" does not arrive. */
+function openingOf(tab) {
+  const marking = { setShown() {}, select() {}, open() {}, ...tab.marking };
+  const all = {
+    template: {}, viewer: {}, app: { pictures: { fetch: () => new Promise(() => {}) } }, refresh() {}, ...tab, marking,
+    tool: { cancel() {}, leave() {} }, saving: { fetchMarks: async () => null, ...tab.saving },
+  };
+  const opening = createOpening(all, { begins: () => "click", cover: {} });
+  opening.open("a");
+  return opening;
+}
+
 test("marks that were fetched before this page saved newer ones do not replace them", async () => {
-  const entry = { revision: "1" };
-  const saver = { isDirty: () => false, entry: () => entry };
+  let revision = "1";
+  const saver = { isDirty: () => false, revisionOf: () => revision };
   const saving = {
     tryToFetch: async () => {
-      const marks = { ...entry };
-      entry.revision = "2"; // saved while the server answers
+      const marks = { revision };
+      revision = "2"; // saved while the server answers
       return marks;
     },
-    inherited: async (_name, { revision }) => { throw new Error(`taken: ${revision}`); },
+    inherited: async (_name, marks) => { throw new Error(`taken: ${marks.revision}`); },
   };
   const state = { picture: () => ({ state: "done" }) };
-  const { reload } = createOpening({ name: "a", template: {}, marking: {}, tool: {}, state, saver, saving }, () => "click");
-  await assert.rejects(reload(), { message: "taken: 2" });
+  await assert.rejects(openingOf({ state, saver, saving }).reload(), { message: "taken: 2" });
 });
 
 test("marks that another program has changed are fetched, also after changes of this page", () => {
   const fetched = [];
   const picture = { tag: "t", state: "done", revision: "1" };
   const tab = {
-    name: "a", template: {}, editing: false, tool: {}, state: { picture: () => picture },
+    editing: false, state: { picture: () => picture },
     marking: { book: { tag: "t" }, history: { canUndo: true } },
-    saver: { isDirty: () => false, entry: () => ({ revision: "1" }) },
+    saver: { isDirty: () => false, revisionOf: () => "1" },
     saving: { tryToFetch: async (name) => { fetched.push(name); return null; } },
   };
-  const opening = createOpening(tab, () => "click");
+  const opening = openingOf(tab);
   opening.refresh();
   assert.deepEqual(fetched, []);
   picture.revision = "2";

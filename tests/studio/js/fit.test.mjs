@@ -236,7 +236,7 @@ test("the mean shape is placed in the picture, and dragged, scaled and rotated b
 test("keys move, scale and rotate the mean shape, which hides the fit until it is fitted", () => {
   const tool = new MeanTool(viewer);
   tool.use({ mean: [[-1, -2], [1, -2], [1, 2], [-1, 2]], contours: [], triangles: [] });
-  tool.fitted = true;
+  tool.showFit(true);
   assert.ok(!tool.hidesFit && !tool.key({ key: "z" }));
   assert.ok(tool.key({ key: "ArrowUp", shiftKey: true }) && tool.hidesFit);
   closePoints([tool.start.shape[0]], [[85, 10]]);
@@ -250,7 +250,7 @@ test("keys move, scale and rotate the mean shape, which hides the fit until it i
 test("a click on the mean shape keeps the fit in sight, and it cannot be shrunk to nothing", () => {
   const tool = new MeanTool(viewer);
   tool.use({ mean: [[-1, -2], [1, -2], [1, 2], [-1, 2]], contours: [], triangles: [] });
-  tool.fitted = true;
+  tool.showFit(true);
   const event = { pointerType: "mouse", at: viewer.toScreen([100, 50]) };
   assert.ok(tool.down(event, [100, 50]));
   tool.up();
@@ -437,7 +437,7 @@ test("a fit is remembered by picture, method, side and model only", async () => 
     project: { model: { number: 1 } },
     send: (request) => request("here"),
   });
-  const source = { key: "picture a", ready: Promise.resolve(), reference: { picture: "a" } };
+  const source = { key: "picture a", ready: Promise.resolve(), reference: { picture: "a" }, takeFit: () => null };
   const sent = [];
   globalThis.fetch = async (address, { body }) => {
     sent.push([address, JSON.parse(body)]);
@@ -467,7 +467,7 @@ test("a fit that is answered after its landmarks or its model have changed is no
     project: { model: { number: 1 } },
     send: (request) => request("here"),
   });
-  const source = { key: "picture a", name: "a", ofFolder: true, ready: Promise.resolve(), reference: { picture: "a" } };
+  const source = { key: "picture a", name: "a", ofFolder: true, ready: Promise.resolve(), reference: { picture: "a" }, takeFit: () => null };
   const answers = [];
   globalThis.fetch = () => new Promise((resolve) => {
     answers.push(() => resolve(new Response(JSON.stringify(fit({ picture: "a" })), { status: 200 })));
@@ -514,7 +514,7 @@ test("the picture that is selected is shown, although another one was opening", 
   state.dispatchEvent(new Event("project"));
   assert.equal(sources.current.name, "new.png");
   let isClosed = false;
-  sources.current.tiles = { close: () => { isClosed = true; } }; // of a large file
+  sources.current.show({}, 6, 4, { close: () => { isClosed = true; } }); // of a large file
   sources.backToFolder();
   assert.ok(isClosed);
 });
@@ -552,8 +552,7 @@ test("a fit that becomes the landmarks is saved in the name of the person", asyn
 
 /** The app of a page whose server has these marks, and the bodies that are sent to it. */
 function pageWith(marks) {
-  const [state, sent] = [new State(), []];
-  state.project = { id: "here", pictures: [], template: { revision: "t" } };
+  const [state, sent] = [new State({ id: "here", pictures: [], template: { revision: "t" } }), []];
   globalThis.fetch = async (address, { method, body }) => {
     if (method === "PUT") sent.push([address, JSON.parse(body)]);
     return new Response(JSON.stringify(method === "PUT" ? { picture: { name: "a.png" } } : marks), { status: 200 });

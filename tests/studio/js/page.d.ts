@@ -12,13 +12,13 @@ interface App {
   confirm: typeof import("../../../src/liaam/studio/static/js/ui.js").confirm;
   openTab(name: string, options?: object): void;
   /** Bringing files in. */
-  adding: any;
-  /** Actions on several pictures. */
-  bulk: any;
+  adding: ReturnType<typeof import("../../../src/liaam/studio/static/js/adding.js").createAdding>;
+  /** The list of the pictures, the wall, and actions on several pictures. */
+  list: ReturnType<typeof import("../../../src/liaam/studio/static/js/strip.js").mountStrip>;
   /** Resolves once all moved points are saved, or cannot be. */
   saved(): Promise<any>;
-  /** Indices of the selected points of the open picture. */
-  selection(): number[];
+  /** The points that the Annotate tab shows. */
+  points(): Point[];
   showsPictures(): boolean;
   pictures: import("../../../src/liaam/studio/static/js/fit-source.js").PictureStore;
   /** The picture to fit and the fits, shared by the tabs Fit and Compare. */

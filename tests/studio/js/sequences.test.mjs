@@ -8,6 +8,7 @@ import { test } from "node:test";
 import { createCommands } from "./modules/annotate-commands.js";
 import { createOpening } from "./modules/annotate-opening.js";
 import { createSaving } from "./modules/annotate-saving.js";
+import { Shown } from "./modules/annotate-shown.js";
 import { PointTool } from "./modules/gestures.js";
 import { Marking } from "./modules/marking.js";
 import { sameMarks } from "./modules/points.js";
@@ -92,10 +93,10 @@ async function openTab(server, storage, first) {
   const toast = (text) => { toasts.push(text); return () => {}; };
   const app = { state, api, toast, ui: { dialog: async () => "theirs" }, pictures: { fetch: async () => ({ bitmap: {} }) } };
   const tab = {
-    app, state, viewer, name: null, visible: true, editing: false, template: TEMPLATE, cover: { hidden: true },
-    boxing: false, mirroredViews: new Set(), status: { show() {} }, assist: { left() {} }, templates: {}, toasts,
+    app, state, viewer, visible: true, editing: false, template: TEMPLATE, shown: new Shown(), status: { show() {} }, assist: { left() {} }, templates: {}, toasts,
     say() {}, sayPlace() {}, refresh() {}, focus() {}, act: (_, work) => work(),
     leavePicture(name) { tab.saver.flush(name); },
+    get name() { return tab.opening.name; },
     get drawing() { return tab.tracing.on ? tab.tracing : undefined; },
     get doc() { return tab.drawing ?? tab.marking; },
   };
@@ -108,7 +109,7 @@ async function openTab(server, storage, first) {
   });
   tab.tracing = new Tracing(tab.marking, {});
   tab.commands = createCommands(tab);
-  tab.opening = createOpening(tab, () => "click");
+  tab.opening = createOpening(tab, { begins: () => "click", cover: {} });
   tab.saving = createSaving(tab);
   tab.saver = tab.saving.saver;
   tab.tool = new PointTool(viewer, () => tab.doc);

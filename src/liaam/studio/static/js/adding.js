@@ -58,6 +58,7 @@ export function summary({ pictures, known, landmarks, placed, refused }) {
   return `${parts.filter(Boolean).join(", ")}.`;
 }
 
+/** What brings files in: take([{file, path}]), choose() and keep(file). @param {App} app */
 export function createAdding(app) {
   const { state } = app;
 
@@ -109,8 +110,7 @@ export function createAdding(app) {
     const result = { pictures: 0, known: 0, landmarks: 0, placed: 0, refused: [] };
     const send = async () => {
       for (let i = queue.shift(); i !== undefined; i = queue.shift()) {
-        state.adding = { done: items.length - queue.length, total: items.length };
-        state.dispatchEvent(new Event("fitting"));
+        state.setAdding({ done: items.length - queue.length, total: items.length });
         try {
           if (items[i].file.size > limits.upload_bytes)
             throw new Error(`${names[i]} is larger than ${Math.round(limits.upload_bytes / 1e6)} MB: put it into the folder`);
@@ -122,11 +122,11 @@ export function createAdding(app) {
       }
     };
     await Promise.all(Array.from({ length: AT_ONCE }, send));
-    state.adding = null;
+    state.setAdding(null);
     await state.settled();
     result.placed = state.project.pictures.filter(({ name, placed }) => placed && !before.has(name)).length;
     toast(summary(result), result.refused.length ? "bad" : "good");
-    state.dispatchEvent(new Event("added"));
+    app.list.sortByQuality();
     if (result.pictures && !state.guest) app.openTab("annotate");
   }
 

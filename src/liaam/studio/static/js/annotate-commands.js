@@ -14,6 +14,7 @@ const EDGE = 20; // css pixels; a point closer to the border of the view is scro
 /** @param {import("./annotate.js").Tab} tab */
 export function createCommands(tab) {
   const { app, state, marking, viewer, say } = tab;
+  let escaped = false; // whether Tab leaves the picture
   let warned = null; // picture with a warning about missing points
   let closeWarning = () => {};
 
@@ -71,41 +72,40 @@ export function createCommands(tab) {
   }
 
   const commands = {
-    escaped: false, // whether Tab leaves the picture
+    /** Whether Tab leaves the picture. */
+    get escaped() { return escaped; },
+
+    /** Other points were selected, so that Tab selects points again. */
+    stay() { escaped = false; },
 
     get marks() { return !tab.editing && marking.book !== null; },
 
     /** Whether another picture can be opened: one is open, or cannot be opened. */
-    get goesOn() { return !tab.editing && tab.name !== null && (marking.book !== null || !tab.cover.hidden); },
+    get goesOn() { return !tab.editing && tab.name !== null && (marking.book !== null || tab.opening.isCovered); },
 
     flick(what) {
-      tab.drawn[what] = !tab.drawn[what];
-      tab.toolbar.press(what, tab.drawn[what]);
-      viewer.redraw();
+      tab.shown.toggle(what);
     },
 
     /** Show the open picture mirrored, or as it is; the page remembers which ones. */
     mirrorView() {
-      const { mirroredViews, name } = tab;
-      if (!mirroredViews.delete(name)) mirroredViews.add(name);
-      viewer.mirror(mirroredViews.has(name));
+      viewer.mirror(tab.shown.toggleMirrored(tab.name));
       say(viewer.mirrored ? "Shown mirrored" : "Shown as it is");
     },
 
     hideMarks(on) {
       if (marking.hidden === on) return;
-      marking.hidden = on;
+      marking.hide(on);
       viewer.redraw();
     },
 
     toggleBox() {
-      tab.boxing = !tab.boxing;
-      tab.toolbar.press("box", tab.boxing);
+      tab.toolbar.press("box", tab.tool.toggleBoxes());
     },
 
     toggleMirrored() {
       if (!tab.template?.mirror) return void app.toast(NOT_MIRRORED);
-      marking.mirrored = !marking.mirrored;
+      marking.toggleMirrored();
       tab.toolbar.press("mirror", marking.mirrored);
       say(marking.mirrored ? "Mirrored points move together" : "Points move separately");
     },
@@ -129,10 +129,7 @@ export function createCommands(tab) {
       if (tab.drawing) return;
       const inOrder = [...marking.selection].filter((i) => marking.points[i]); // as they were selected
       if (inOrder.length > 1) return void app.toast(`${tab.measured.add(inOrder)}, in all pictures.`, "good", { label: "Show all", onclick: () => app.openTab("measure") });
-      tab.drawn.measures = !tab.drawn.measures;
-      tab.toolbar.press("measures", tab.drawn.measures);
-      say(tab.drawn.measures ? "Measures shown" : "Measures hidden");
-      viewer.redraw();
+      say(tab.shown.toggle("measures") ? "Measures shown" : "Measures hidden");
     },
 
     /** Trace the contour of the selected or next point; again: end it, or stop if it has too few places. */
@@ -156,7 +153,7 @@ export function createCommands(tab) {
       tab.tool.cancel();
       tab.drawing?.turn(false);
       marking.select([]);
-      commands.escaped = true;
+      escaped = true;
     },
 
     /** Select the next or previous point; false if there is none, so that the focus leaves the picture. */
@@ -224,7 +221,7 @@ export function createCommands(tab) {
       if (tab.tracing.on) return tab.tracing.finish();
       if (marking.state.source === "layout") // left as it is
         return void (warned === tab.name ? goOnAfter(tab.saving.markUnchecked) : warn(UNTOUCHED));
-      const isSlip = state.picture(tab.name)?.slip && marking.state === marking.book.seen;
+      const isSlip = state.picture(tab.name)?.slip && marking.isAsOpened;
       marking.accept();
       const left = marking.missing;
       if (!left.length || warned === tab.name) return void (isSlip ? goOnAfter(passSlip) : goNext());

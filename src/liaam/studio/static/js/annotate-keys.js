@@ -43,7 +43,7 @@ export function createKeys(tab) {
     l: () => commands.flick("names"), k: () => commands.flick("contours"), e: () => commands.flick("ellipses"),
     b: commands.toggleBox, h: () => commands.hideMarks(true), escape: commands.escape, n: commands.skip,
     f: commands.mirrorView,
-    r: () => { tab.tool.magnifies = !tab.tool.magnifies; },
+    r: () => tab.tool.toggleLoupe(),
   };
   const marks = {
     v: commands.toggleInvisible, u: commands.toggleAbsent, y: commands.confirm, x: commands.toggleMirrored, m: commands.flip,
@@ -59,7 +59,7 @@ export function createKeys(tab) {
 
   function arrow(event) {
     const { doc, editing } = tab;
-    if (isIn(event, WITH_ARROWS) && event.target !== tab.panel.list) return false;
+    if (isIn(event, WITH_ARROWS) && !tab.panel.isList(event.target)) return false;
     if (!doc.editable || tab.tool.gesture) return true;
     if (!editing && marking.placing) commands.placeChosen();
     if (!editing && !doc.selection.size) marking.select(marking.framed()); // an untouched mean shape is moved as a whole
@@ -84,7 +84,7 @@ export function createKeys(tab) {
     else if (event.key.startsWith("Arrow")) return arrow(event);
     else if (event.key === "Enter" && !command) {
       if (isIn(event, CONTROLS)) return false;
-      if (!event.shiftKey || tab.editing || !tab.state.wall.resume()) commands.accept();
+      if (!event.shiftKey || tab.editing || !tab.app.list.wall.resume()) commands.accept();
     } else if (command || event.altKey) return false;
     else if (tab.editing && tab.templates.key(event)) return true;
     else {

@@ -11,27 +11,29 @@ const UNREACHABLE = {
 };
 const LAYOUT_OF = 8; // number of done pictures in the mean layout
 
-/** begins() -> the start of pictures without points, "layout" or "click".
- *  @param {import("./annotate.js").Tab} tab */
-export function createOpening(tab, begins) {
-  const { state, marking, viewer, cover } = tab;
+/** begins() -> the start of pictures without points, "layout" or "click"; cover: the element that a message or the first
+ *  screen is shown in, over the view.
+ *  @param {import("./annotate.js").Tab} tab; @param {{begins: () => string, cover?: any}} options */
+export function createOpening(tab, { begins, cover = null }) {
+  const { state, marking, viewer } = tab;
   const fetchMarks = (name) => tab.saving.fetchMarks(name);
   const first = new FirstMarks({ state, fetchMarks, begins });
   const books = new Map(); // name -> book of a picture that was opened on this page
+  let opened = null; // name of the open picture
   let begin = null; // the first screen
   let turn = 0; // incremented with each picture, to drop late answers
 
   async function open(name) {
     const own = ++turn;
-    const { name: before } = tab;
+    const before = opened;
     const { width: wasWide, height: wasHigh } = viewer;
     tab.tool.cancel();
     tab.tool.leave();
     tab.drawing?.turn(false);
-    marking.shown = null;
+    marking.setShown(null);
     marking.select([]);
     if (before && before !== name) tab.leavePicture(before);
-    tab.name = name;
+    opened = name;
     marking.open(null);
     const fault = whyNot(name);
     if (fault) return showInstead(fault);
@@ -44,7 +46,7 @@ export function createOpening(tab, begins) {
       if (own !== turn) return;
       const { width, height } = marks ?? picture;
       viewer.setPicture(picture.bitmap, width, height, picture.tiles);
-      viewer.mirror(tab.mirroredViews.has(name));
+      viewer.mirror(tab.shown.isMirrored(name));
       if (before !== name || width !== wasWide || height !== wasHigh) viewer.fit();
       if (!tab.template) tab.templates.begin();
       else await take(name, marks, own, key);
@@ -105,26 +107,27 @@ export function createOpening(tab, begins) {
   }
 
   async function reload() {
-    const { name, saver } = tab;
+    const { saver } = tab;
+    const name = opened;
     const own = turn;
     if (!name || !tab.template || tab.editing) return;
-    const { revision } = saver.entry(name);
+    const revision = saver.revisionOf(name);
     const key = keyOf(name);
     const marks = await tab.saving.tryToFetch(name); // if the server is unreachable, `online` calls this again
     if (!marks || own !== turn || saver.isDirty(name) || tab.tool.gesture) return;
     const { chosen, active } = marking;
-    if (saver.entry(name).revision !== revision) await reload(); // this page has saved newer marks meanwhile
+    if (saver.revisionOf(name) !== revision) await reload(); // this page has saved newer marks meanwhile
     else await take(name, marks, own, key);
     if (marking.book && chosen.length && chosen.at(-1) < marking.points.length) marking.select(chosen, active);
   }
 
   async function sharpen() {
-    const { name } = tab;
+    const name = opened;
     const bitmap = await tab.app.pictures.sharper(name, viewer.scale * devicePixelRatio);
-    if (bitmap && tab.name === name) viewer.setPicture(bitmap, viewer.width, viewer.height);
+    if (bitmap && opened === name) viewer.setPicture(bitmap, viewer.width, viewer.height);
   }
 
-  const isIdle = () => !tab.saver.isDirty(tab.name) && !tab.tool.gesture;
+  const isIdle = () => !tab.saver.isDirty(opened) && !tab.tool.gesture;
 
   /** Whether the user has not changed anything, so that newer marks may replace the shown ones. */
   const isPristine = () => marking.book !== null && !marking.history.canUndo && isIdle();
@@ -136,77 +139,90 @@ export function createOpening(tab, begins) {
   }
 
   /** Whether the shown marks, which the user has not changed, are older than what the project says of the picture. */
-  const hasNewerMarks = () => isPristine() && marking.book.key !== keyOf(tab.name);
+  const hasNewerMarks = () => isPristine() && marking.book.key !== keyOf(opened);
 
   /** The project was reloaded: the open picture may have been replaced, or the model may have a new proposal. */
   function refresh() {
     const { book } = marking;
     if (!book) {
-      const isBroken = state.picture(tab.name)?.state === "broken";
+      const isBroken = state.picture(opened)?.state === "broken";
       if (tab.visible && !tab.editing && !isBroken && !cover.hidden) open(state.current);
-    } else if (!tab.editing && isIdle() && book.tag !== state.picture(tab.name)?.tag) {
-      open(tab.name); // the file was replaced
+    } else if (!tab.editing && isIdle() && book.tag !== state.picture(opened)?.tag) {
+      open(opened); // the file was replaced
     } else if (hasNewerMarks()) {
       reload();
     } else if (!tab.editing && isIdle()) {
-      const { state: progress = "reading", revision } = state.picture(tab.name) ?? {};
-      if (progress !== "reading" && revision !== tab.saver.entry(tab.name).revision) reload(); // by another program
+      const { state: progress = "reading", revision } = state.picture(opened) ?? {};
+      if (progress !== "reading" && revision !== tab.saver.revisionOf(opened)) reload(); // by another program
     }
   }
 
   /** A picture's landmarks were changed elsewhere, or the changes of this page were discarded. */
   function foreign(name, discarded = false) {
     first.forget(name);
-    if (discarded || name !== tab.name) books.delete(name);
-    if (name !== tab.name) return;
+    if (discarded || name !== opened) books.delete(name);
+    if (name !== opened) return;
     if (discarded && !tab.editing) open(name); // the discarded points must not be edited until then
     else reload();
   }
 
   const clear = () => {
     books.clear();
-    first.shapes.clear();
+    first.clear();
   };
-  return { first, open, take, reload, sharpen, refresh, foreign, clear, isPristine };
+  return {
+    open, take, reload, sharpen, refresh, foreign, clear, isPristine,
+    /** Name of the open picture. */
+    get name() { return opened; },
+    /** Whether a message or the first screen covers the view. */
+    get isCovered() { return !cover.hidden; },
+    /** The marks of a picture were changed: others do not begin with the earlier ones. */
+    forget: (name) => first.forget(name),
+  };
 }
 
 /** Marks that a picture opens with: its own, the model's proposal, or the mean of the done pictures. */
 export class FirstMarks {
+  #state;
+  #fetchMarks;
+  #begins;
+  #shapes = new Map(); // name -> promise of the marks of a done picture
+
   /** fetchMarks(name) -> Promise of the server's marks; begins() -> "layout" or "click". */
   constructor({ state, fetchMarks, begins }) {
-    this.state = state;
-    this.fetchMarks = fetchMarks;
-    this.begins = begins;
-    this.shapes = new Map(); // name -> promise of the marks of a done picture
+    this.#state = state;
+    this.#fetchMarks = fetchMarks;
+    this.#begins = begins;
   }
 
-  forget(name) { this.shapes.delete(name); }
+  forget(name) { this.#shapes.delete(name); }
+  clear() { this.#shapes.clear(); }
 
   async of(name, { points, invisible, absent = [], origins = null, source, width, height, bar = null }) {
-    const { names } = this.state.project.template;
+    const { names } = this.#state.project.template;
     const fits = points.length === names.length; // a file may belong to another template
     const lacks = fits ? absent : [];
     const without = (all) => (lacks.length ? remove(all, lacks) : all);
     if (fits && (source === "file" || source === "proposal"))
       return { points: without(points), invisible: invisible ?? [], absent: lacks, origins, source, bar };
-    const layout = this.begins() === "click" || this.state.readOnly ? null : await this.layout(name, width, height);
+    const layout = this.#begins() === "click" || this.#state.readOnly ? null : await this.#layout(name, width, height);
     const own = layout ? { points: without(layout), source: "layout" } : { points: names.map(() => null), source: "none" };
     return { ...own, invisible: [], absent: lacks, origins: null, bar };
   }
 
   /** Mean of the done pictures, or else the template's layout; null if there is neither. */
-  async layout(name, width, height) {
-    const { template, pictures } = this.state.project;
+  async #layout(name, width, height) {
+    const { template, pictures } = this.#state.project;
     const done = pictures.filter((picture) => picture.state === "done" && picture.name !== name).slice(0, LAYOUT_OF);
-    const shapes = await Promise.all(done.map((picture) => this.learn(picture.name)));
+    const shapes = await Promise.all(done.map((picture) => this.#learn(picture.name)));
     const whole = shapes.filter((shape) => shape?.source === "file" && shape.points.length === template.names.length);
     return meanLayout(whole, width, height) ?? layoutIn(template.points, width, height);
   }
 
   /** Marks of a done picture; null if they cannot be fetched, so that it is left out of the mean. */
-  learn(name) {
-    const fetched = () => this.fetchMarks(name).catch(() => { this.shapes.delete(name); return null; });
-    if (!this.shapes.has(name)) this.shapes.set(name, fetched());
-    return this.shapes.get(name);
+  #learn(name) {
+    const fetched = () => this.#fetchMarks(name).catch(() => { this.#shapes.delete(name); return null; });
+    if (!this.#shapes.has(name)) this.#shapes.set(name, fetched());
+    return this.#shapes.get(name);
   }
 }

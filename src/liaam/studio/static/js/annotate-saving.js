@@ -30,7 +30,7 @@ export function createSaving(tab) {
     onStatus: (what, message) => tab.status.show(what, message), onConflict: decide, onTemplate: templateMoved,
     onForeign: (name) => tab.opening.foreign(name), onLost: (_name, sentence) => toast(sentence, "bad"),
     onSaved: (name, { picture }) => {
-      tab.opening.first.forget(name);
+      tab.opening.forget(name);
       if (picture) state.update(picture);
     },
   });
@@ -43,18 +43,18 @@ export function createSaving(tab) {
 
   function change(name, marks) {
     saver.change(name, contentOf(marks));
-    if (saver.entry(name).state === "conflict") decide(name);
+    if (saver.isInConflict(name)) decide(name);
   }
 
   async function decide(name) {
     if (deciding || name === null) return;
     deciding = true;
-    const { deleted } = saver.entry(name);
-    const { title, what, text, theirs, mine } = deleted ? DELETED : CHANGED;
+    const isDeleted = saver.isDeleted(name);
+    const { title, what, text, theirs, mine } = isDeleted ? DELETED : CHANGED;
     const choice = await ui.dialog(title, `The ${what} of ${name} ${text}`, [
       { label: theirs, value: "theirs", testid: "conflict-theirs" },
       { label: mine, kind: "primary", value: "mine", testid: "conflict-mine" },
-    ], { undecided: !deleted }); // it opens by itself: an Enter for the next picture must not decide
+    ], { undecided: !isDeleted }); // it opens by itself: an Enter for the next picture must not decide
     deciding = false;
     if (choice === null) return; // undecided: the status line shows a button to decide
     await saver.resolveConflict(name, choice);
@@ -71,7 +71,7 @@ export function createSaving(tab) {
 
   async function rebase(names = saver.dirty, mapping = null) {
     for (const name of names) {
-      await saver.entry(name).request; // it has marks of the earlier template, too
+      await saver.answered(name); // it has marks of the earlier template, too
       const marks = await tryToFetch(name);
       if (marks) saver.rebase(name, marks, mapping);
     }
@@ -80,11 +80,11 @@ export function createSaving(tab) {
   /** Marks that an earlier page could not save; this page saves them from now on. Null if there are none. */
   async function inherited(name, marks) {
     if (saver.isStale(name)) {
-      await saver.entry(name).request;
+      await saver.answered(name);
       saver.rebase(name, marks);
     }
     if (saver.isDirty(name)) return null;
-    const kept = saver.unsaved.get(name);
+    const kept = saver.kept(name);
     const ours = kept === null || (await page.inherits(kept.page));
     if (saver.isDirty(name)) return null;
     if (ours) return saver.restore(name, marks);
@@ -93,7 +93,7 @@ export function createSaving(tab) {
   }
 
   async function sendKept() {
-    for (const name of saver.unsaved.names()) {
+    for (const name of saver.keptNames) {
       if (!state.picture(name) || !tab.template || saver.isDirty(name)) continue;
       const isOpen = name === tab.name; // then loading its marks restores those that were not saved
       const marks = isOpen ? null : await tryToFetch(name);

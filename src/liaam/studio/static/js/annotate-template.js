@@ -18,7 +18,9 @@ export function createTemplates(tab) {
   const kept = keptDraft(state.project.id);
   const onselect = () => { panel.mark(); viewer.redraw(); };
   const doc = new Drafting({ viewer, onchange: changed, onselect, say: tab.say });
-  const panel = createTemplatePanel({ drafting: doc, onload: load, onsliders: loadSliders, ondone: done, onleave: stop });
+  const panel = createTemplatePanel({
+    drafting: doc, formats: state.project.formats.landmarks, onload: load, onsliders: loadSliders, ondone: done, onleave: stop,
+  });
   let editing = false;
   let saving = false; // whether this page is changing the template
   let known = JSON.stringify(tab.template); // the template that is shown
@@ -121,7 +123,7 @@ export function createTemplates(tab) {
     try {
       const change = mapping ? { ...template, mapping } : template;
       const saved = await state.send((folder) => api.put(api.url("template"), { ...change, folder }));
-      state.project.template = saved;
+      state.takeTemplate(saved);
       await tab.saving.rebase(tab.saver.dirty, mapping);
       known = JSON.stringify(saved);
       tab.opening.clear();

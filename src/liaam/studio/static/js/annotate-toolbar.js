@@ -4,7 +4,7 @@ import { button, complaints, h, iconButton, press } from "./ui.js";
 
 /** @param {import("./annotate.js").Tab} tab */
 export function createToolbar(tab) {
-  const { state, commands, status } = tab;
+  const { state, commands, shown, status } = tab;
   const tool = (label, icon, shortcut, work, more = {}) =>
     iconButton(label, icon, (event) => tab.act(event, work), { shortcut, ...more });
   const show = (name, title, face, shortcut, pressed) =>
@@ -33,7 +33,11 @@ export function createToolbar(tab) {
   const trace = tool("Trace a contour", "curve", "C", commands.trace, {
     pressed: false, testid: "trace", title: "Trace a contour: click a few places along it, and its points are placed evenly",
   });
-  const switches = { names, contours, ellipses, box, mirror, measures };
+  const drawing = { names, contours, ellipses, measures };
+  const modes = { box, mirror };
+  const pressDrawn = () => { for (const [what, on] of Object.entries(shown.drawn)) press(drawing[what], on); };
+  shown.addEventListener("change", pressDrawn);
+  pressDrawn();
   const element = h("div.toolbar.annotate-toolbar", { role: "group", "aria-label": "Annotate" },
     tool("Previous picture", "left", "[", () => state.step(-1)),
     tool("Next picture", "right", "]", () => state.step(1)),
@@ -55,7 +59,8 @@ export function createToolbar(tab) {
       press(ruler, tab.ruler.on);
       press(trace, tab.tracing.on);
     },
-    press: (name, on) => press(switches[name], on),
+    /** Show whether "box" or "mirror" is on. */
+    press: (mode, on) => press(modes[mode], on),
   };
 }
 

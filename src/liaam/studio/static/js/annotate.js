@@ -6,8 +6,9 @@ import { createKeys, SHORTCUTS } from "./annotate-keys.js";
 import { createOpening } from "./annotate-opening.js";
 import { createSaving } from "./annotate-saving.js";
 import { createTemplates } from "./annotate-template.js";
+import { Shown } from "./annotate-shown.js";
 import { createStatus, createToolbar } from "./annotate-toolbar.js";
-import { descriptionOf, placeOf, promptOf, several, tallyOf } from "./annotate-words.js";
+import { descriptionOf, placeOf, promptOf, several } from "./annotate-words.js";
 import { api } from "./api.js";
 import { createAssist } from "./assist.js";
 import { drawGesture, drawHint, drawMarking, loupeOver } from "./drawing.js";
@@ -30,20 +31,20 @@ const BUSY = { hovered: -1, gesture: {}, pointer: null };
 
 export class Tab {
   shortcuts = SHORTCUTS;
-  name = null; // name of the open picture
-  visible = false;
-  drawn = { names: false, contours: true, ellipses: true, measures: true }; // what is drawn beside the points
-  mirroredViews = new Set(); // names of the pictures that are shown mirrored
-  boxing = false; // whether dragging selects with a box
-  waiting = null; // timer of an announcement
-  container = h("div", { testid: "annotate-viewer" });
-  prompt = h("div.annotate-prompt", { hidden: true });
-  hint = h("canvas.annotate-hint", { hidden: true, "aria-hidden": "true" });
-  cover = h("div.annotate-cover", { hidden: true });
-  spoken = h("p.visually-hidden", { role: "status", "aria-live": "polite" });
-  alternative = h("p.visually-hidden", { id: "annotate-text" });
-  side = h("aside.side.annotate-side", { "aria-label": "Points" });
-  viewer = new Viewer(this.container, { label: "Picture with landmarks" });
+  shown = new Shown();
+  #visible = false;
+  #waiting = null; // timer of an announcement
+  #container = h("div", { testid: "annotate-viewer" });
+  #prompt = h("div.annotate-prompt", { hidden: true });
+  #hint = h("canvas.annotate-hint", { hidden: true, "aria-hidden": "true" });
+  #spoken = h("p.visually-hidden", { role: "status", "aria-live": "polite" });
+  #alternative = h("p.visually-hidden", { id: "annotate-text" });
+  #side = h("aside.side.annotate-side", { "aria-label": "Points" });
+  #finder; // button of the scale bar
+  viewer = new Viewer(this.#container, { label: "Picture with landmarks" });
+
+  /** Announce a text to screen readers. */
+  say = (text) => { this.#spoken.textContent = text; };
 
   /** @param {HTMLElement} root; @param {App} app */
   constructor(root, app) {
@@ -51,34 +52,31 @@ export class Tab {
     const { state } = app;
     this.state = state;
     const { viewer } = this;
-    app.selection = () => [...this.marking.selection];
-    app.saved = () => this.saver.flush();
     viewer.canvas.setAttribute("aria-describedby", "annotate-text");
-    this.container.append(this.prompt, this.hint, this.cover, this.alternative, this.spoken);
-    this.say = (text) => { this.spoken.textContent = text; };
+    const cover = h("div.annotate-cover", { hidden: true }); // the opening's
+    this.#container.append(this.#prompt, this.#hint, cover, this.#alternative, this.#spoken);
     this.marking = new Marking({
-      template: () => this.template,
-      onchange: () => this.changed(),
-      onselect: () => this.chosen(),
+      template: () => this.template, locked: state.readOnly,
+      onchange: () => this.#changed(),
+      onselect: () => this.#chosen(),
       onpreview: () => viewer.redraw(),
-      onplaced: (index) => this.placed(index),
+      onplaced: (index) => this.#placed(index),
     });
-    this.marking.locked = state.readOnly;
     this.ruler = new ScaleBar(this.marking, {
       onchange: () => this.refresh(),
       onpreview: () => viewer.redraw(),
       alone: () => state.pictures.length < 2,
-      onshare: (bar, anyway) => this.shareBar(bar, anyway),
-      onfind: (asked) => this.findScale(asked),
+      onshare: (bar, anyway) => this.#shareBar(bar, anyway),
+      onfind: (asked) => this.#findScale(asked),
     });
-    this.finder = button("Find it in the picture…", {
+    this.#finder = button("Find it in the picture…", {
       icon: "ruler", small: true, hidden: true, kind: "annotate-finder", testid: "scale-find",
       onclick: () => {
         this.ruler.turn(false);
         this.ruler.find();
       },
     });
-    this.container.append(this.finder);
+    this.#container.append(this.#finder);
     this.tracing = new Tracing(this.marking, { onchange: () => this.refresh() });
     this.measured = createMeasured(this);
     // In this order: the later ones use the earlier ones.
@@ -86,22 +84,29 @@ export class Tab {
     this.status = createStatus(this);
     this.toolbar = createToolbar(this);
     this.panel = createPointsPanel(this);
-    this.opening = createOpening(this, () => this.panel.start);
+    this.opening = createOpening(this, { begins: () => this.panel.start, cover });
     this.saving = createSaving(this);
     this.saver = this.saving.saver;
     this.templates = createTemplates(this);
     this.key = createKeys(this);
-    this.assist = createAssist(app, this.commands);
+    this.assist = createAssist(app, this.commands, () => this.review.exportAll());
     this.review = createReview(this);
-    this.tool = new PointTool(viewer, () => this.doc, { boxes: () => this.boxing, onend: () => this.refresh() });
-    viewer.tool = this.tool;
-    viewer.addLayer((ctx) => this.draw(ctx));
+    this.tool = new PointTool(viewer, () => this.doc, { onend: () => this.refresh() });
+    viewer.use(this.tool);
+    this.shown.addEventListener("change", () => viewer.redraw());
+    viewer.addLayer((ctx) => this.#draw(ctx));
     root.classList.add("annotate");
-    root.append(h("div.workspace", this.toolbar.element, this.container), this.side);
-    this.listen();
-    this.expose();
+    root.append(h("div.workspace", this.toolbar.element, this.#container), this.#side);
+    this.#listen();
+    this.#expose();
   }
 
+  /** Name of the open picture, or null. */
+  get name() { return this.opening.name; }
+  /** Whether the tab is open. */
+  get visible() { return this.#visible; }
+  /** The points as shown: of the picture, or of the template that is being edited. */
+  get points() { return this.doc.points; }
   get template() { return this.state.project?.template ?? null; }
   get editing() { return this.templates.editing; }
   /** Indices of the points of the open picture that may be slips. */
@@ -110,6 +115,8 @@ export class Tab {
   get drawing() { return [this.ruler, this.tracing].find(({ on }) => on); }
   /** The document that gestures edit: the template, what is being drawn, or the marks of the picture. */
   get doc() { return this.editing ? this.templates.doc : (this.drawing ?? this.marking); }
+  /** Resolves once all moved points are saved, or cannot be. */
+  saved() { return this.saver.flush(); }
   focus() { this.viewer.canvas.focus({ preventScroll: true }); }
 
   /** Run the action of a button. After a click, return the focus to the picture, so that Enter works there. */
@@ -118,12 +125,12 @@ export class Tab {
     if (event.detail > 0) this.focus();
   }
 
-  listen() {
+  #listen() {
     const { state, saver, opening, commands } = this;
-    state.addEventListener("select", (/** @type {any} */ { detail }) => this.selected(detail));
+    state.addEventListener("select", (/** @type {any} */ { detail }) => this.#selected(detail));
     state.addEventListener("project", () => this.templates.noticed() || opening.refresh());
     state.addEventListener("landmarks", (/** @type {any} */ { detail }) => saver.heard(detail.name, detail.revision, detail.beside));
-    state.addEventListener("online", (/** @type {any} */ { detail }) => detail && this.online());
+    state.addEventListener("online", (/** @type {any} */ { detail }) => detail && this.#online());
     this.viewer.addEventListener("view", () => opening.sharpen());
     this.viewer.addEventListener("unmirror", () => commands.mirrorView());
     // A gesture in progress is not saved when the page is closed.
@@ -136,7 +143,7 @@ export class Tab {
 
   /** The tab was opened. */
   show() {
-    this.visible = true;
+    this.#visible = true;
     if (this.name !== this.state.current || !this.marking.book) this.opening.open(this.state.current);
     this.refresh();
     this.focus();
@@ -144,19 +151,19 @@ export class Tab {
 
   /** Another tab was opened. */
   hide() {
-    this.visible = false;
+    this.#visible = false;
     this.tool.cancel();
     this.saver.flush();
   }
 
   /** The server is reachable again. */
-  online() {
+  #online() {
     this.saver.retry();
     if (!this.marking.book && this.visible && !this.editing) this.opening.open(this.state.current);
   }
 
   /** Another picture was selected in the list. */
-  selected({ name, before }) {
+  #selected({ name, before }) {
     if (name === this.name && this.editing) return; // the selection was reverted by mayLeave below
     if (!this.templates.mayLeave(before)) return;
     if (this.visible) this.opening.open(name);
@@ -167,21 +174,20 @@ export class Tab {
   leavePicture(name) { this.saver.flush(name).then(() => this.assist.left()); }
 
   /** The marks of the open picture were changed. */
-  changed() {
+  #changed() {
     this.saving.change(this.name, this.marking.state);
     this.refresh();
   }
 
   /** A point was placed: select the next missing one. */
-  placed(index) {
+  #placed(index) {
     const next = this.marking.nextMissing(index);
     this.marking.select([next < 0 ? index : next]);
     this.sayPlace(index, next);
   }
 
-  /** Set the scale bar of the open picture in all others of the shown folder, also in those that filters hide. */
   /** Ask the server for the ruler or the scale bar of the open picture. Say why if there is none. */
-  async findScale(asked) {
+  async #findScale(asked) {
     try {
       return await api.get(api.url("pictures", this.name, "scale", asked));
     } catch (error) {
@@ -190,24 +196,25 @@ export class Tab {
     }
   }
 
-  shareBar(bar, anyway) {
+  /** Set the scale bar of the open picture in all others of the shown folder, also in those that filters hide. */
+  #shareBar(bar, anyway) {
     const others = this.state.pictures.map(({ name }) => name).filter((name) => name !== this.name);
-    this.app.bulk.run("scaled", others, { bar, of: this.name, anyway });
+    this.app.list.bulk.run("scaled", others, { bar, of: this.name, anyway });
   }
 
   /** Other points were selected. */
-  chosen() {
-    this.commands.escaped = false; // Tab selects points again
+  #chosen() {
+    this.commands.stay();
     this.panel.mark(this.marking);
-    this.showHint();
+    this.#showHint();
     this.viewer.redraw();
   }
 
   /** Elements of the side panel. */
-  sideElements() {
+  #sideElements() {
     const { assist, editing, panel, templates } = this;
     // The head stays in place, and the points begin at the same height for every picture.
-    if (!editing) return [assist.element, panel.points, this.review, assist.notes, panel.foot];
+    if (!editing) return [assist.element, panel.points, this.review.element, assist.notes, panel.foot];
     // Before there is a template, notices may say why no landmark file gave one.
     return this.template ? [templates.panel] : [templates.panel, assist.notes];
   }
@@ -216,42 +223,40 @@ export class Tab {
   refresh() {
     if (!this.tool) return; // the parts are not complete yet
     const { assist, editing, marking, panel, templates } = this;
-    const elements = this.sideElements();
-    if (this.side.firstChild !== elements[0]) { // else they would lose the focus and the scroll position
-      this.side.replaceChildren(...elements);
-      this.side.scrollTop = 0;
+    const elements = this.#sideElements();
+    if (this.#side.firstChild !== elements[0]) { // else they would lose the focus and the scroll position
+      this.#side.replaceChildren(...elements);
+      this.#side.scrollTop = 0;
     }
     const isMarking = !editing && marking.book !== null;
     this.toolbar.refresh({ history: this.doc.history, editing, marking: isMarking });
-    panel.edit.disabled = !isMarking || this.tracing.on || marking.locked;
-    if (!editing) panel.render(marking);
-    // It accepts points at the mean shape as they are. Its place stays, so that nothing moves between pictures.
-    assist.sure.style.visibility = marking.state?.source === "layout" ? "" : "hidden";
-    panel.tally.textContent = marking.book ? tallyOf(marking) : "";
+    if (!editing) panel.render(marking, isMarking && !this.tracing.on && !marking.locked);
+    assist.offerLayout(marking.state?.source === "layout");
     // A template is saved only with Done, so the status must not say "Saved" before.
     if (editing && templates.doc.started) this.status.show("draft", "");
     else if (this.status.state === "draft") this.saver.report();
-    this.showHint();
-    this.describe();
+    this.#showHint();
+    this.#describe();
     this.viewer.redraw();
   }
 
   /** Show where the next point belongs, as a small drawing of the template, and what to do, as a line of text. */
-  showHint() {
-    const { cover, drawing, editing, hint, marking, prompt, template } = this;
-    hint.hidden = editing || drawing || !marking.placing || !template?.points || !cover.hidden;
+  #showHint() {
+    const { drawing, editing, marking, opening, template } = this;
+    const [hint, prompt] = [this.#hint, this.#prompt];
+    hint.hidden = editing || drawing || !marking.placing || !template?.points || opening.isCovered;
     if (!hint.hidden) drawHint(hint, template.points, template.contours, marking.active, getComputedStyle(hint));
-    const text = this.promptText();
+    const text = this.#promptText();
     prompt.hidden = !text;
-    this.finder.hidden = drawing !== this.ruler || editing || Boolean(this.ruler.ends[0]);
+    this.#finder.hidden = drawing !== this.ruler || editing || Boolean(this.ruler.ends[0]);
     prompt.dataset.kind = marking.suggested && !editing && !drawing ? "suggested" : "";
     if (prompt.textContent !== text) prompt.textContent = text;
   }
 
   /** What the user may do next; empty if nothing. */
-  promptText() {
-    const { cover, drawing, editing, marking, templates } = this;
-    if (!cover.hidden) return "";
+  #promptText() {
+    const { drawing, editing, marking, opening, templates } = this;
+    if (opening.isCovered) return "";
     if (editing) return templates.prompt;
     if (!marking.book) return "";
     if (marking.locked) return "This folder can only be read: copy it to place landmarks";
@@ -259,13 +264,13 @@ export class Tab {
   }
 
   /** Describe the picture to screen readers. */
-  describe() {
-    this.alternative.textContent = this.descriptionText();
+  #describe() {
+    this.#alternative.textContent = this.#descriptionText();
     const { name } = this;
     this.viewer.canvas.setAttribute("aria-label", name ? `${name} with landmarks` : "Picture with landmarks");
   }
 
-  descriptionText() {
+  #descriptionText() {
     const { editing, marking, name, templates } = this;
     if (editing) return `Editing the template: ${several(templates.doc.names.length, "point")}.`;
     return marking.book ? descriptionOf(name, marking) : "No picture is open.";
@@ -276,8 +281,8 @@ export class Tab {
 
   /** Announce moved points after a pause, so that a burst of keys does not flood a screen reader. */
   saySoon(indices) {
-    clearTimeout(this.waiting);
-    this.waiting = setTimeout(() => {
+    clearTimeout(this.#waiting);
+    this.#waiting = setTimeout(() => {
       if (this.doc !== this.marking) return;
       if (indices.length === 1) this.sayPlace(indices[0]);
       else this.say(`${indices.length || "All"} points moved`);
@@ -285,13 +290,13 @@ export class Tab {
   }
 
   /** Layer of the viewer: what is edited, and the gesture in progress. */
-  draw(ctx) {
+  #draw(ctx) {
     const { viewer, tool, marking } = this;
     if (!viewer.width || marking.hidden) return;
     if (this.editing) this.templates.draw(ctx, tool);
     else if (marking.book) {
       if (this.tracing.on) this.tracing.draw(ctx, viewer);
-      drawMarking(ctx, viewer, this.doc === marking ? tool : BUSY, marking, this.drawn, this.wrong);
+      drawMarking(ctx, viewer, this.doc === marking ? tool : BUSY, marking, this.shown.drawn, this.wrong);
       this.measured.draw(ctx);
       this.ruler.draw(ctx, viewer);
     }
@@ -299,11 +304,11 @@ export class Tab {
   }
 
   /** Hooks for browser tests: positions of points in the picture and on the page. */
-  expose() {
+  #expose() {
     const annotate = {
       viewer: this.viewer,
       /** Points as shown: of the picture, or of the template that is being edited. */
-      points: () => this.doc.points.map((point) => point && point.slice()),
+      points: () => this.points.map((point) => point && point.slice()),
       /** Position of a point, or of any [x, y] of the picture, on the page: [clientX, clientY] or null. */
       toClient: (what) => {
         const point = Array.isArray(what) ? what : this.doc.points[what];
@@ -316,7 +321,7 @@ export class Tab {
       selection: () => [...this.doc.selection],
       invisible: () => [...this.marking.invisible],
       bar: () => this.ruler.bar,
-      undoSteps: () => this.doc.history?.past.length ?? 0,
+      undoSteps: () => this.doc.history?.steps ?? 0,
       isDirty: () => this.saver.dirty.length > 0,
       /** The loupe: {xy under its centre, centre on the screen, scale}, or null. */
       loupe: () => this.tool.loupe && { xy: this.tool.loupe, ...loupeOver(this.viewer, this.tool.pointer) },

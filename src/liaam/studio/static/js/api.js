@@ -6,6 +6,7 @@ export class ApiError extends Error {
     super(message);
     this.name = "ApiError";
     this.status = status;
+    /** @type {Partial<Fault> | null} */
     this.body = body;
   }
 
@@ -31,16 +32,22 @@ export const fileOf = (name) => new URL(`../${name}`, import.meta.url).href;
 const TRIES = 10; // attempts of a request to a busy server, about half a minute
 
 /** Event "change": the number of requests that the user waits for has changed. */
-export const busy = Object.assign(new EventTarget(), { count: 0 });
+class Busy extends EventTarget {
+  #count = 0;
 
-function count(by) {
-  busy.count += by;
-  busy.dispatchEvent(new Event("change"));
+  get count() { return this.#count; }
+
+  add(by) {
+    this.#count += by;
+    this.dispatchEvent(new Event("change"));
+  }
 }
 
+export const busy = new Busy();
+
 async function send(address, { quiet = false, ...options } = {}) {
-  if (!quiet) count(1);
-  return request(address, options).finally(() => quiet || count(-1));
+  if (!quiet) busy.add(1);
+  return request(address, options).finally(() => quiet || busy.add(-1));
 }
 
 async function request(address, options) {

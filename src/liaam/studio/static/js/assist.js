@@ -12,7 +12,6 @@ const SHOWN = 5; // slips that are listed before training
 const SLIP = "Move what is wrong, or press Enter if the points are right: they are then marked as checked.";
 const AUTO_KEY = "liaam-studio:auto-train";
 const countOf = (pictures, ...states) => pictures.filter(({ state }) => states.includes(state)).length;
-const openList = (of) => /** @type {HTMLSelectElement} */ (document.querySelector(of)).showPicker();
 
 /** The pictures that a training uses, which may lack absent points, and those of them whose points look wrong. */
 const forTraining = (pictures) => pictures.filter(({ state, left_out: who, absent, placed }) =>
@@ -26,7 +25,8 @@ export function shouldTrain(project, { auto, failedAt = null }) {
   if (model && !["studio", "face"].includes(model.source)) return false; // a model given by the user is replaced only on request
   if (project.checked === false) return false; // possible slips are left out
   if (forTraining(pictures).length - slipped(pictures).length < AUTO_FIRST || situation(project) === failedAt) return false;
-  return !model || model.stale >= AUTO_AGAIN;
+  // One side that is stated may tell those of all pictures.
+  return !model || model.sides_changed || model.stale >= AUTO_AGAIN;
 }
 
 /** Key of the training data: training on the same data would fail again. */
@@ -111,8 +111,9 @@ export function mismatch({ model, template }) {
   return `The model has ${has} points where the template has ${wants}, so it cannot place points here: ${remedy}.`;
 }
 
-/** {element, notes: of notices, sure: button for a right mean shape, left(): a picture was left}. @param {App} app */
-export function createAssist(app, commands) {
+/** {element, notes: of notices, offerLayout(on): whether the points may be right at the mean shape, left(): a picture was
+ *  left}; onexport(): choose what all landmarks are exported to. @param {App} app */
+export function createAssist(app, commands, onexport) {
   const { api, state } = app;
   let failedAt = null;
   let asking = false;
@@ -151,8 +152,8 @@ export function createAssist(app, commands) {
   const go = (label, testid, work) => button(label, { small: true, testid: `then-${testid}`, onclick: work });
   const end = h("div.column.assist-end", { hidden: true },
     h("p", icon("check"), " All pictures are done. What next?"),
-    h("div.row", go("Review", "review", () => state.dispatchEvent(new Event("to-review"))),
-      go("Measure", "measure", () => app.openTab("measure")), go("Export", "export", () => openList("[data-testid=export-all]")),
+    h("div.row", go("Review", "review", () => app.list.review()),
+      go("Measure", "measure", () => app.openTab("measure")), go("Export", "export", onexport),
       go("Fit", "fit", () => app.openTab("fit")), go("Try live", "live", () => app.openTab("live"))));
   const decline = () => api.delete(api.url("model", "face")).then(() => state.refresh());
   const other = button("Use other points…", { small: true, kind: "ghost", testid: "decline-face", onclick: decline });
@@ -183,7 +184,7 @@ export function createAssist(app, commands) {
     asking = true;
     fail("");
     try {
-      state.project.training = await state.send((folder) => api.post(api.url("training"), { folder, slips }));
+      state.takeWork("training", await state.send((folder) => api.post(api.url("training"), { folder, slips })));
     } catch (error) {
       // 409: another tab has started the training already. 422: it cannot start with this data.
       if (error.status !== 409) fail(error.message, error.status === 422);
@@ -276,11 +277,13 @@ export function createAssist(app, commands) {
     watch();
   }
 
-  /** Train on opening, once the states of all pictures are known, and when pictures are left out or taken in. */
+  /** Train on opening, once the states of all pictures are known, and when pictures are left out or taken in, or a side is
+   *  stated. */
   function watch() {
-    const { pictures, training, checked } = state.project;
+    const { pictures, training, checked, model } = state.project;
     if (asking || training?.state === "running" || !checked || pictures.some(({ state: is }) => is === "reading")) return;
-    const now = JSON.stringify(pictures.filter(({ left_out: who }) => who).map(({ name }) => name));
+    const without = pictures.filter(({ left_out: who }) => who).map(({ name }) => name);
+    const now = JSON.stringify([without, model?.sides_changed ? model.number : null]);
     if (now !== known && shouldTrain(state.project, { auto: auto.checked, failedAt })) start(false);
     known = now;
   }
@@ -295,5 +298,7 @@ export function createAssist(app, commands) {
   state.addEventListener("project", watch);
   refresh();
   watch();
-  return { element, notes, sure, left };
+  /** A button for points that are right at the mean shape. Its place stays, so that nothing moves between pictures. */
+  const offerLayout = (on) => { sure.style.visibility = on ? "" : "hidden"; };
+  return { element, notes, offerLayout, left };
 }

@@ -60,7 +60,8 @@ export async function act({ state, api, toast, saved }, did, names, { more = {},
   return answer.changed;
 }
 
-/** The bar of actions; chosen() -> names; onall(): choose all; onend(): choose none; ondone(): after an action. */
+/** The bar of actions; chosen() -> names; onall(): choose all; onend(): choose none; ondone(): after an action.
+ *  @param {{app: App, chosen: () => string[], onall: () => any, onend: () => any, ondone: () => any}} options */
 export function createBulk({ app, chosen, onall, onend, ondone }) {
   let last = null; // {undo()}: takes the last action back
   const count = h("span.small.grow", { "aria-live": "polite" });

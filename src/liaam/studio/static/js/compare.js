@@ -12,72 +12,88 @@ const FAMILIAR = ["rgb", "grey"]; // methods to compare the default with at firs
 const SMALL = 300; // css pixels of height below which the object fills a view
 
 class Side {
-  fit = null;
-  _run = 0;
+  #fit = null;
+  #run = 0; // number of the newest run, to drop answers of older ones
+  // Elements.
+  #badge; #facts; #message; #select;
 
-  /** @param {Tab} tab */
-  constructor(tab, name, method) {
-    const { methods } = tab.state.project;
+  /** drawn(): names of the overlays that are drawn; truth(): points to mark, or null; onmethod(): another was chosen.
+   *  @param {Project} project; @param {string} name; @param {string} method; @param {any} handlers */
+  constructor({ methods }, name, method, { drawn, truth, onmethod }) {
     const options = methods.map(({ name: value, summary: title }) => h("option", { value, title }, value));
-    this.select = h("select.text", {
+    this.#select = h("select.text", {
       "aria-label": `Method on the ${name}`, testid: `compare-method-${name}`, onchange: () => {
-        this.take(null);
-        tab.run();
+        this.#take(null);
+        onmethod();
       },
     }, options);
-    this.select.value = method;
-    this.badge = h("span.badge", { hidden: true });
-    this.facts = h("dl.fit-facts.compare-facts");
-    this.message = h("p.small.muted.compare-message");
-    this.container = h("div.fit-viewer");
-    this.viewer = new Viewer(this.container, { label: `Picture, fitted with the method on the ${name}` });
+    this.#select.value = method;
+    this.#badge = h("span.badge", { hidden: true });
+    this.#facts = h("dl.fit-facts.compare-facts");
+    this.#message = h("p.small.muted.compare-message");
+    const container = h("div.fit-viewer");
+    this.viewer = new Viewer(container, { label: `Picture, fitted with the method on the ${name}` });
     this.viewer.addLayer((ctx, viewer) => {
-      if (tab.truth && tab.showTruth) drawTruth(ctx, viewer, tab.truth);
-      if (this.fit) drawFit(ctx, viewer, this.fit, tab.overlays.shown);
+      if (truth()) drawTruth(ctx, viewer, truth());
+      if (this.#fit) drawFit(ctx, viewer, this.#fit, drawn());
     });
     this.element = h("section.compare-side", { "aria-label": `Method on the ${name}`, testid: `compare-${name}` },
-      h("div.compare-head", this.select, this.badge), this.container,
-      h("div.compare-result", { role: "status", "aria-live": "polite" }, this.facts, this.message));
+      h("div.compare-head", this.#select, this.#badge), container,
+      h("div.compare-result", { role: "status", "aria-live": "polite" }, this.#facts, this.#message));
   }
 
-  get method() { return this.select.value; }
+  get fit() { return this.#fit; }
+  get method() { return this.#select.value; }
+
+  /** Choose a method; its fit is still to be made. */
+  choose(method) {
+    this.#select.value = method;
+    this.reset();
+  }
+
+  /** Offer the methods that the model was trained for. */
+  offer(model) { offer(this.#select, model); }
+
+  /** Show that this side is the better one, or not. */
+  praise(on) { this.element.classList.toggle("nearer", on); }
+
   show(source) { this.viewer.setPicture(source?.image ?? null, source?.width ?? 0, source?.height ?? 0, source?.tiles ?? null); }
 
-  take(fit) {
-    this.fit = fit;
-    this.badge.hidden = !fit;
+  #take(fit) {
+    this.#fit = fit;
+    this.#badge.hidden = !fit;
     this.viewer.redraw();
-    this.say(fit?.message ?? "");
+    this.#say(fit?.message ?? "");
     if (!fit) return;
     const { kind, title } = verdictOf(fit);
-    this.badge.className = `badge ${kind}`;
-    this.badge.textContent = title;
-    this.facts.replaceChildren(...entries(factsOf(fit)));
+    this.#badge.className = `badge ${kind}`;
+    this.#badge.textContent = title;
+    this.#facts.replaceChildren(...entries(factsOf(fit)));
   }
 
-  say(text, bad = false) {
-    this.facts.replaceChildren();
-    this.message.className = `small ${bad ? "error-text" : "muted"} compare-message`;
-    this.message.textContent = this.message.title = text;
+  #say(text, bad = false) {
+    this.#facts.replaceChildren();
+    this.#message.className = `small ${bad ? "error-text" : "muted"} compare-message`;
+    this.#message.textContent = this.#message.title = text;
   }
 
   /** Fit; return whether this is still the newest run of the side. */
   async run(fits, source) {
-    const run = (this._run += 1);
+    const run = (this.#run += 1);
     try {
       const fit = fits.recall(source, this.method) ?? (await fits.run(source, this.method));
-      if (run === this._run) this.take(fit);
+      if (run === this.#run) this.#take(fit);
     } catch (error) {
-      if (run !== this._run) return false;
-      this.take(null);
-      this.say(error.message, true);
+      if (run !== this.#run) return false;
+      this.#take(null);
+      this.#say(error.message, true);
     }
-    return run === this._run;
+    return run === this.#run;
   }
 
   reset() {
-    this._run += 1;
-    this.take(null);
+    this.#run += 1;
+    this.#take(null);
   }
 }
 
@@ -87,8 +103,12 @@ export class Tab extends SourceTab {
     { keys: "X", what: "Swap the sides" },
     { keys: "C L M E T", what: "Show contours, points, mesh, ellipses, ground truth" },
   ];
-  truth = null;
-  showTruth = true;
+  #truth = null; // points of the picture, or null
+  #showsTruth = true;
+  #left;
+  #right;
+  // Elements.
+  #empty; #name; #pair; #runButton; #truthButton; #verdictText;
 
   /** @param {HTMLElement} root; @param {App} app */
   constructor(root, app) {
@@ -96,131 +116,133 @@ export class Tab extends SourceTab {
     const { methods, default_method: first } = this.state.project;
     const known = this.state.project.model?.methods ?? methods.map(({ name }) => name);
     const other = [...FAMILIAR, first].find((name) => known.includes(name)) ?? first;
-    this.sides = [new Side(this, "left", first), new Side(this, "right", other)];
-    this.left = this.sides[0];
-    this.right = this.sides[1];
-    this._build(root);
-    const [left, right] = this.sides.map((side) => side.viewer);
+    const handlers = {
+      drawn: () => this.overlays.shown, truth: () => (this.#showsTruth ? this.#truth : null), onmethod: () => this.#run(),
+    };
+    this.#left = new Side(this.state.project, "left", first, handlers);
+    this.#right = new Side(this.state.project, "right", other, handlers);
+    this.#build(root);
+    const [left, right] = this.#sides.map((side) => side.viewer);
     for (const [one, other] of [[left, right], [right, left]]) // keep zoom and pan of both sides equal
       one.addEventListener("view", () => one.width === other.width && other.setView(one.view));
-    this.sources.addEventListener("ready", () => this.sides.forEach((side) => side.show(this.sources.current)));
+    this.sources.addEventListener("ready", () => this.#sides.forEach((side) => side.show(this.sources.current)));
     this.state.addEventListener("landmarks", (/** @type {any} */ { detail }) => {
       if (this.sources.current?.name !== detail.name) return;
-      this._truth();
-      if (this.visible) this.run();
+      this.#fetchTruth();
+      if (this.visible) this.#run();
     });
     this.follow();
-    window.liaamStudio.compare = { left: this.left, right: this.right };
+    window.liaamStudio.compare = { left: this.#left, right: this.#right };
   }
 
-  get _works() { return Boolean(this.sources.current && this.state.project.model); }
+  get #sides() { return [this.#left, this.#right]; }
+  get #works() { return Boolean(this.sources.current && this.state.project.model); }
 
   key(event) {
-    const keys = { enter: () => this.run(), f: () => this.run(), x: () => this.swap(), t: () => this._toggleTruth() };
-    return isPlain(event) && (runKey(event, keys) || this.overlays.key(event) || this.right.viewer.key(event));
+    const keys = { enter: () => this.#run(), f: () => this.#run(), x: () => this.#swap(), t: () => this.#toggleTruth() };
+    return isPlain(event) && (runKey(event, keys) || this.overlays.key(event) || this.#right.viewer.key(event));
   }
 
-  async run() {
-    if (!this._works) return;
-    this._say("Fitting…");
-    const newest = await Promise.all(this.sides.map((side) => side.run(this.app.fits, this.sources.current)));
-    if (newest.every(Boolean)) this._verdict();
-    this._enlarge();
+  async #run() {
+    if (!this.#works) return;
+    this.#say("Fitting…");
+    const newest = await Promise.all(this.#sides.map((side) => side.run(this.app.fits, this.sources.current)));
+    if (newest.every(Boolean)) this.#verdict();
+    this.#enlarge();
   }
 
   /** In a small view, show the object instead of the whole picture, unless the user has zoomed. */
-  _enlarge() {
-    const [{ viewer }, shape] = [this.left, this.sides.find(({ fit }) => fit?.ok)?.fit.shape];
+  #enlarge() {
+    const [{ viewer }, shape] = [this.#left, this.#sides.find(({ fit }) => fit?.ok)?.fit.shape];
     if (!shape || viewer.container.clientHeight > SMALL || !viewer.showsWhole) return;
     const box = bounds(shape);
     viewer.fitTo(box, 0.07 * viewer.container.clientHeight);
   }
 
-  swap() {
-    const [a, b] = this.sides;
-    [a.select.value, b.select.value] = [b.method, a.method];
-    for (const side of this.sides) side.reset();
-    this.run();
+  #swap() {
+    const methods = this.#sides.map(({ method }) => method).reverse();
+    this.#sides.forEach((side, i) => side.choose(methods[i]));
+    this.#run();
   }
 
-  _another(source) {
-    this.truth = null;
-    for (const side of this.sides) {
+  useSource(source) {
+    this.#truth = null;
+    for (const side of this.#sides) {
       side.reset();
       side.show(source);
       if (source) side.viewer.fit();
     }
   }
 
-  _showFit() {
-    this._truth();
-    if (!this.left.fit && !this.right.fit) this.run();
+  showFit() {
+    this.#fetchTruth();
+    if (!this.#left.fit && !this.#right.fit) this.#run();
   }
 
-  _anotherModel() {
-    for (const side of this.sides) side.reset();
-    if (this.visible) this.run();
+  useModel() {
+    for (const side of this.#sides) side.reset();
+    if (this.visible) this.#run();
   }
 
-  _refused(error) { this._say(error.message, { bad: true }); }
+  refuse(error) { this.#say(error.message, { bad: true }); }
 
-  async _truth() {
+  async #fetchTruth() {
     const source = this.sources.current;
     const marks = source?.ofFolder ? await api.get(source.address("landmarks")).catch(() => null) : null;
     if (this.sources.current !== source) return;
-    this.truth = marks?.source === "file" && marks.points.some(Boolean) ? marks.points : null;
-    this._truthButton.disabled = !this.truth;
-    this._redraw();
+    this.#truth = marks?.source === "file" && marks.points.some(Boolean) ? marks.points : null;
+    this.#truthButton.disabled = !this.#truth;
+    this.#redraw();
   }
 
-  _verdict() {
-    const [a, b] = this.sides.map((side) => side.fit);
-    if (a && b) this._say(comparison(a, b, meanDistance(a.shape, b.shape)), { better: betterOf(a, b) });
-    else this._say("");
+  #verdict() {
+    const [a, b] = this.#sides.map((side) => side.fit);
+    if (a && b) this.#say(comparison(a, b, meanDistance(a.shape, b.shape)), { better: betterOf(a, b) });
+    else this.#say("");
   }
 
-  _say(text, { bad = false, better = null } = {}) {
-    this._verdictText.textContent = text;
-    this._verdictText.classList.toggle("error-text", bad);
-    for (const { element, fit } of this.sides) element.classList.toggle("nearer", better !== null && fit === better);
+  #say(text, { bad = false, better = null } = {}) {
+    this.#verdictText.textContent = text;
+    this.#verdictText.classList.toggle("error-text", bad);
+    for (const side of this.#sides) side.praise(better !== null && side.fit === better);
   }
 
-  _build(root) {
-    this.overlays = new Overlays(["contours", "landmarks"], () => this._redraw(), "compare");
+  #build(root) {
+    this.overlays = new Overlays(["contours", "landmarks"], () => this.#redraw(), "compare");
     const tool = (label, shortcut, name, onclick, more) =>
       button(label, { small: true, shortcut, testid: `compare-${name}`, onclick, ...more });
-    this._truthButton = tool("Ground truth", "T", "truth", () => this._toggleTruth(), {
-      pressed: this.showTruth, disabled: true, title: "Show the known landmarks of the picture as crosses",
+    this.#truthButton = tool("Ground truth", "T", "truth", () => this.#toggleTruth(), {
+      pressed: this.#showsTruth, disabled: true, title: "Show the known landmarks of the picture as crosses",
     });
-    this._runButton = tool("Fit both", "Enter", "run", () => this.run(), { icon: "target", kind: "primary" });
-    const swap = tool("Swap", "X", "swap", () => this.swap(), { icon: "swap" });
-    this._verdictText = h("p.compare-verdict.grow", { role: "status", testid: "compare-verdict" });
-    this._name = h("span.fit-source-name");
-    this._pair = h("div.compare-pair", this.left.element, this.right.element);
-    this._empty = h("div.empty.big");
+    this.#runButton = tool("Fit both", "Enter", "run", () => this.#run(), { icon: "target", kind: "primary" });
+    const swap = tool("Swap", "X", "swap", () => this.#swap(), { icon: "swap" });
+    this.#verdictText = h("p.compare-verdict.grow", { role: "status", testid: "compare-verdict" });
+    this.#name = h("span.fit-source-name");
+    this.#pair = h("div.compare-pair", this.#left.element, this.#right.element);
+    this.#empty = h("div.empty.big");
     root.append(h("div.workspace.compare-tab",
-      h("div.toolbar", { role: "toolbar", "aria-label": "Compare" }, this._runButton, swap, h("span.rule"),
-        this.overlays.buttons, this._truthButton, h("span.grow"), this._name),
-      this._pair, this._empty, h("div.compare-foot", this._verdictText)));
+      h("div.toolbar", { role: "toolbar", "aria-label": "Compare" }, this.#runButton, swap, h("span.rule"),
+        this.overlays.buttons, this.#truthButton, h("span.grow"), this.#name),
+      this.#pair, this.#empty, h("div.compare-foot", this.#verdictText)));
   }
 
-  _redraw() { for (const { viewer } of this.sides) viewer.redraw(); }
+  #redraw() { for (const { viewer } of this.#sides) viewer.redraw(); }
 
-  _toggleTruth() {
-    this.showTruth = !this.showTruth;
-    press(this._truthButton, this.showTruth);
-    this._redraw();
+  #toggleTruth() {
+    this.#showsTruth = !this.#showsTruth;
+    press(this.#truthButton, this.#showsTruth);
+    this.#redraw();
   }
 
-  _emptiness() {
-    const works = this._works;
-    this.sides.forEach((side) => offer(side.select, this.state.project.model));
-    this._pair.hidden = this._runButton.disabled = !works;
-    this._empty.hidden = works;
-    this._name.textContent = this._name.title = this.sources.current?.name ?? "";
+  offer() {
+    const works = this.#works;
+    for (const side of this.#sides) side.offer(this.state.project.model);
+    this.#pair.hidden = this.#runButton.disabled = !works;
+    this.#empty.hidden = works;
+    this.#name.textContent = this.#name.title = this.sources.current?.name ?? "";
     if (works) return;
     const select = h("p", "Select a picture in the list, or drop one here.");
     const remedy = this.state.project.model ? [select] : modelNeeded(this.app);
-    this._empty.replaceChildren(icon("compare", 56), h("h2", "Two methods, side by side"), ...remedy);
+    this.#empty.replaceChildren(icon("compare", 56), h("h2", "Two methods, side by side"), ...remedy);
   }
 }

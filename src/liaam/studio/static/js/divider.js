@@ -10,44 +10,53 @@ export function shareAfterKey(share, { key, shiftKey = false }) {
 }
 
 export class Divider {
+  #viewer;
+  #onmove;
+  #share = 0.5; // position of the line, as a fraction of the width
+  #before; // the labels
+  #after;
+
   /** `onmove` is called when the line has moved; `testid` tells the dividers of the tabs apart. */
   constructor(viewer, onmove, testid = "divider") {
-    this.viewer = viewer;
-    this._onmove = onmove;
-    this._before = h("span.fit-divider-label.before");
-    this._after = h("span.fit-divider-label.after");
+    this.#viewer = viewer;
+    this.#onmove = onmove;
+    this.#before = h("span.fit-divider-label.before");
+    this.#after = h("span.fit-divider-label.after");
     this.element = grip("div.fit-divider", {
       hidden: true, "aria-orientation": "horizontal", "aria-valuemin": "0", "aria-valuemax": "100", testid,
-      onmove: (event) => this._set(viewer.place(event)[0] / viewer.container.clientWidth),
+      onmove: (event) => this.#set(viewer.place(event)[0] / viewer.container.clientWidth),
       onkey: (event) => {
-        const next = shareAfterKey(this.share, event);
-        if (next !== null) this._set(next);
+        const next = shareAfterKey(this.#share, event);
+        if (next !== null) this.#set(next);
         return next !== null;
       },
     },
     h("span.fit-divider-line"), h("span.fit-divider-grip", { "aria-hidden": "true" }, "‹ ›"),
-    this._before, this._after);
+    this.#before, this.#after);
     viewer.container.append(this.element);
-    this._set(0.5);
+    this.#set(0.5);
   }
 
-  get x() { return this.share * this.viewer.container.clientWidth; }
+  /** Position of the line in the container, css pixels. */
+  get x() { return this.#share * this.#viewer.container.clientWidth; }
+
+  show(on) { this.element.hidden = !on; }
 
   label(before, after) {
-    this._before.textContent = before;
-    this._after.textContent = after;
+    this.#before.textContent = before;
+    this.#after.textContent = after;
     this.element.setAttribute("aria-label", `Divider between ${before.toLowerCase()} and ${after.toLowerCase()}`);
   }
 
-  _set(share) {
-    this.share = Math.min(1, Math.max(0, share));
-    const percent = Math.round(100 * this.share);
-    this.element.style.left = `${100 * this.share}%`;
+  #set(share) {
+    this.#share = Math.min(1, Math.max(0, share));
+    const percent = Math.round(100 * this.#share);
+    this.element.style.left = `${100 * this.#share}%`;
     this.element.setAttribute("aria-valuenow", String(percent));
     this.element.setAttribute("aria-valuetext", `${percent} % of the width`);
     // Near an edge there is no room for the label on that side.
-    this._before.hidden = this.share < 0.08;
-    this._after.hidden = this.share > 0.92;
-    this._onmove();
+    this.#before.hidden = this.#share < 0.08;
+    this.#after.hidden = this.#share > 0.92;
+    this.#onmove();
   }
 }

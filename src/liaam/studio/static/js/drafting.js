@@ -11,30 +11,46 @@ const AXIS_REACH = 8; // css pixels; a new point closer to the axis is placed on
 const GRIP_REACH = 20; // css pixels
 
 export class Drafting extends Editable {
+  #viewer;
+  #saved = null;
+  #isFresh = true;
+  #axis = null;
+  #history;
+
   /** handlers: those of Editable, and say(text): announce to screen readers. */
   constructor({ viewer, ...handlers }) {
     super({ onpreview: () => viewer.redraw(), ...handlers });
-    this.viewer = viewer;
+    this.#viewer = viewer;
     this.start(null, null, drafts.EMPTY);
   }
 
   /** Edit `template` with its points at `points` on the picture, or `draft` of a new template if it is null. */
   start(template, points, draft = null) {
-    this.saved = template; // the edited template, or null for a new one
-    this.isFresh = template === null; // whether there was no template at the start
-    this.axis = null; // x of the mirror line while mirroring
-    Object.assign(this, { selection: new Set(), active: -1, shown: null });
+    this.#saved = template;
+    this.#isFresh = template === null;
+    this.#axis = null;
+    this.setShown(null);
+    this.restore();
     const kinds = draft?.kinds ?? draft?.names.map(() => "landmark"); // drafts of earlier versions have none
-    this.history = new History(template ? drafts.draftOf(template, points) : { ...draft, kinds });
+    this.#history = new History(template ? drafts.draftOf(template, points) : { ...draft, kinds });
   }
 
   rebase(template) {
     const draft = drafts.rebased(this.draft, this.saved, template);
-    Object.assign(this, { saved: template, shown: null, history: new History(drafts.draftOf(template)) });
+    this.#saved = template;
+    this.#history = new History(drafts.draftOf(template));
+    this.setShown(null);
     this.apply(draft, "earlier changes");
   }
 
   say(_text) {}
+  get history() { return this.#history; }
+  /** The edited template, or null for a new one. */
+  get saved() { return this.#saved; }
+  /** Whether there was no template at the start. */
+  get isFresh() { return this.#isFresh; }
+  /** x of the mirror line while mirroring, or null. */
+  get axis() { return this.#axis; }
   get draft() { return this.history.state; }
 
   /** {file, points} of a loaded template whose layout as a whole is being placed; otherwise null. It is a part of the
@@ -62,13 +78,13 @@ export class Drafting extends Editable {
   }
 
   changed() {
-    this.selection = new Set([...this.selection].filter((i) => i < this.names.length));
-    if (this.active >= this.names.length) this.active = -1;
+    const isThere = (i) => i < this.names.length;
+    this.restore({ selection: [...this.selection].filter(isThere), active: isThere(this.active) ? this.active : -1 });
     this.onchange();
   }
 
   commit(points, what, key = null) {
-    this.shown = null;
+    this.setShown(null);
     this.apply({ ...this.draft, points }, what, key);
   }
 
@@ -77,7 +93,7 @@ export class Drafting extends Editable {
   }
 
   adding(xy) {
-    const { viewer, axis } = this;
+    const [viewer, axis] = [this.#viewer, this.#axis];
     if (axis !== null && distance(gripOf(viewer, axis), viewer.toScreen(xy)) <= GRIP_REACH) return this.draggingAxis();
     if (this.layingOut) return null;
     const unplaced = this.draft.points.findIndex((point) => !point);
@@ -99,13 +115,13 @@ export class Drafting extends Editable {
   }
 
   withPoint(at) {
-    return drafts.addPoint(this.draft, at, { axis: this.axis, tolerance: AXIS_REACH / this.viewer.scale });
+    return drafts.addPoint(this.draft, at, { axis: this.axis, tolerance: AXIS_REACH / this.#viewer.scale });
   }
 
   draggingAxis() {
     const before = this.axis;
-    const move = ([x]) => { this.axis = Math.round(x * 10) / 10; };
-    return { ...NOTHING, move, cancel: () => { this.axis = before; } };
+    const move = ([x]) => { this.#axis = Math.round(x * 10) / 10; };
+    return { ...NOTHING, move, cancel: () => { this.#axis = before; } };
   }
 
   /** Handle a press on a point: with Shift, connect the curve to it; on the curve's first point, close the curve. */
@@ -150,9 +166,9 @@ export class Drafting extends Editable {
 
   addInTheMiddle() {
     if (this.layingOut) return;
-    const { clientWidth, clientHeight } = this.viewer.container;
+    const { clientWidth, clientHeight } = this.#viewer.container;
     const index = this.names.length;
-    this.apply(this.withPoint(this.viewer.toImage([clientWidth / 2, clientHeight / 2])), "add a point");
+    this.apply(this.withPoint(this.#viewer.toImage([clientWidth / 2, clientHeight / 2])), "add a point");
     this.select([index], index);
     this.say(`${this.names[index]} added in the middle. Arrow keys move it`);
   }
@@ -174,7 +190,7 @@ export class Drafting extends Editable {
 
   toggleMirror() {
     const on = this.axis === null;
-    this.axis = on ? drafts.axisOf(this.draft, this.viewer.width) : null;
+    this.#axis = on ? drafts.axisOf(this.draft, this.#viewer.width) : null;
     this.say(on ? "Mirroring on: each new point is mirrored" : "Mirroring off");
     this.onchange();
     return on;
@@ -183,8 +199,8 @@ export class Drafting extends Editable {
   shiftAxis(event) {
     const by = { ArrowLeft: -1, ArrowRight: 1 }[event.key];
     if (this.axis === null || !by) return false;
-    this.axis += by * (event.shiftKey ? 10 : 1);
-    this.viewer.redraw();
+    this.#axis += by * (event.shiftKey ? 10 : 1);
+    this.#viewer.redraw();
     return true;
   }
 

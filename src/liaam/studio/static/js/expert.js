@@ -8,10 +8,12 @@ const KEY = "liaam-studio:expert";
 
 /** Tells listeners of "change" that parts of the page are to be shown or hidden. */
 class Expert extends EventTarget {
-  on = attempt(() => localStorage.getItem(KEY)) === "on";
+  #on = attempt(() => localStorage.getItem(KEY)) === "on";
+
+  get on() { return this.#on; }
 
   turn(on) {
-    this.on = on;
+    this.#on = on;
     attempt(() => localStorage.setItem(KEY, on ? "on" : "off"));
     this.dispatchEvent(new Event("change"));
   }

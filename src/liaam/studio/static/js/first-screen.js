@@ -15,28 +15,34 @@ const GAMMA = Uint8ClampedArray.from({ length: 2048 }, (_, i) => 255 * (i / 2047
 
 /** Light of lamps as a sum of layers, which making/first_screen.py has prepared. */
 export class Layers {
+  #n; // layers
+  #size; // pixels
+  #lamps;
+  #coefficients;
+  #values;
+
   /** pixels: RGBA of all layers, one below the other; the first is ambient light. */
   constructor(pixels, { low, high, lamps, coefficients }) {
     const [n, size] = [low.length, pixels.length / 4 / low.length];
-    this.n = n;
-    this.size = size;
-    this.lamps = lamps;
-    this.coefficients = coefficients;
+    this.#n = n;
+    this.#size = size;
+    this.#lamps = lamps;
+    this.#coefficients = coefficients;
     const value = (i, k) => low[k] + ((high[k] - low[k]) * pixels[4 * (k * size + i)]) / 255;
-    this.values = Float32Array.from({ length: n * size }, (_, j) => value(Math.floor(j / n), j % n));
+    this.#values = Float32Array.from({ length: n * size }, (_, j) => value(Math.floor(j / n), j % n));
   }
 
   /** Coefficients of a lamp at [x, y] over the ball: those of nearby lamps, mixed. */
-  mixed([x, y]) {
-    const near = this.lamps.map(([u, v]) => Math.exp(-((x - u) ** 2 + (y - v) ** 2) / (2 * NEAR ** 2)));
+  #mixed([x, y]) {
+    const near = this.#lamps.map(([u, v]) => Math.exp(-((x - u) ** 2 + (y - v) ** 2) / (2 * NEAR ** 2)));
     const total = near.reduce((sum, each) => sum + each, 1e-9);
-    return this.coefficients[0].map((_, k) =>
-      near.reduce((sum, each, j) => sum + each * this.coefficients[j][k], 0) / total);
+    return this.#coefficients[0].map((_, k) =>
+      near.reduce((sum, each, j) => sum + each * this.#coefficients[j][k], 0) / total);
   }
 
   draw(at, target) {
-    const { values, n, size } = this;
-    const weights = Float32Array.from([0, ...this.mixed(at)]);
+    const [values, n, size] = [this.#values, this.#n, this.#size];
+    const weights = Float32Array.from([0, ...this.#mixed(at)]);
     const [here, lamp] = [AMBIENT, LAMP].map((colour) => colour.map((each) => (each * 2047) / MOST));
     for (let i = 0, j = 0; i < size; i += 1, j += n) {
       let lit = 0;
@@ -50,84 +56,98 @@ export class Layers {
 
 const load = async (name) => createImageBitmap(await (await fetch(fileOf(`first/${name}`))).blob());
 
-/** The picture with its lamp. Resolves once it is painted for the first time. */
+/** The picture with its lamp. */
 class RelitFace {
-  at = FIRST;
-  flat = 0; // fraction that is shown without shading, from the left
-  frames = 0;
+  #at = FIRST;
+  #flat = 0; // fraction that is shown without shading, from the left
+  #frames = 0;
+  #isMoved = false; // by a person
+  #lamp;
+  #face; // the photograph, and the same as bright as it becomes
+  #bright;
+  #layers;
+  #image; // the light, and a canvas with it
+  #small;
 
   constructor() {
     this.canvas = h("canvas.first-face", { width: 640, height: 640, "aria-hidden": "true" });
-    this.lamp = lampHandle({
-      class: "first-lamp", "aria-label": "Lamp", testid: "first-lamp", middle: MIDDLE, onmove: (to) => this._move(to),
+    this.#lamp = lampHandle({
+      class: "first-lamp", "aria-label": "Lamp", testid: "first-lamp", middle: MIDDLE, onmove: (to) => this.#move(to),
     });
-    const follow = perFrame((event) => this._move(this.lamp.at(event)));
+    const follow = perFrame((event) => this.#move(this.#lamp.at(event)));
     this.element = h("div.first-picture", { testid: "first-picture", onpointermove: follow, onpointerdown: follow },
-      this.canvas, this.lamp.element);
-    this.ready = this._load();
+      this.canvas, this.#lamp.element);
+    this.#load();
   }
 
-  async _load() {
+  /** How often the picture was painted, and whether a person has moved the lamp: for tests and benchmarks. */
+  get frames() { return this.#frames; }
+  get moved() { return this.#isMoved; }
+
+  async #load() {
     const [face, light, facts] = await Promise.all([
       load("face.jpg"), load("light.jpg"), fetch(fileOf("first/light.json")).then((answer) => answer.json())]);
-    this._face = face;
+    this.#face = face;
     const { width } = light;
-    this._layers = new Layers(pixelsOf(light).data, facts);
-    this._bright = new OffscreenCanvas(face.width, face.height);
-    const bright = this._bright.getContext("2d");
+    this.#layers = new Layers(pixelsOf(light).data, facts);
+    this.#bright = new OffscreenCanvas(face.width, face.height);
+    const bright = this.#bright.getContext("2d");
     bright.filter = `brightness(${MOST ** (1 / 2.2)})`;
     bright.drawImage(face, 0, 0);
-    this._small = new OffscreenCanvas(width, width);
-    this._image = new ImageData(width, width);
-    this._image.data.fill(255);
-    this.moved = matchMedia("(prefers-reduced-motion: reduce)").matches;
-    this.flat = this.moved ? 0.5 : 0;
-    this.draw();
-    if (!this.moved) this._play(performance.now());
+    this.#small = new OffscreenCanvas(width, width);
+    this.#image = new ImageData(width, width);
+    this.#image.data.fill(255);
+    this.#isMoved = matchMedia("(prefers-reduced-motion: reduce)").matches;
+    this.#flat = this.#isMoved ? 0.5 : 0;
+    this.#draw();
+    if (!this.#isMoved) this.#play(performance.now());
   }
 
   /** Wipe from hard light to none, then lead the lamp round the face, until a person moves it. */
-  _play(began) {
+  #play(began) {
     const step = (now) => {
-      if (this.moved || !this.element.isConnected) return;
+      if (this.#isMoved || !this.element.isConnected) return;
       const t = now - began;
       const angle = Math.PI + Math.max(0, t - PHASES.flat) / 1600;
       const wiped = Math.min(Math.max((t - PHASES.hard) / (PHASES.wipe - PHASES.hard), 0), 1);
-      this.flat = t < PHASES.flat ? wiped * wiped * (3 - 2 * wiped) : 0;
-      if (t > PHASES.flat) this.at = [0.85 * Math.cos(angle), 0.6 * Math.sin(angle) - 0.1];
-      if (this.canvas.checkVisibility()) this.draw();
+      this.#flat = t < PHASES.flat ? wiped * wiped * (3 - 2 * wiped) : 0;
+      if (t > PHASES.flat) this.#at = [0.85 * Math.cos(angle), 0.6 * Math.sin(angle) - 0.1];
+      if (this.canvas.checkVisibility()) this.#draw();
       if (t < PHASES.end) requestAnimationFrame(step);
     };
     requestAnimationFrame(step);
   }
 
-  _move(/** @type {number[]} */ [x, y]) {
-    Object.assign(this, { at: [x, y], moved: true, flat: 0 });
-    if (this._layers) this.draw();
+  #move(/** @type {number[]} */ [x, y]) {
+    this.#at = [x, y];
+    this.#isMoved = true;
+    this.#flat = 0;
+    if (this.#layers) this.#draw();
   }
 
-  draw() {
-    const { canvas, flat } = this;
+  #draw() {
+    const [canvas, flat] = [this.canvas, this.#flat];
     const { width, height } = canvas;
     const ctx = canvas.getContext("2d");
-    this._layers.draw(this.at, this._image.data);
-    this._small.getContext("2d").putImageData(this._image, 0, 0);
+    this.#layers.draw(this.#at, this.#image.data);
+    this.#small.getContext("2d").putImageData(this.#image, 0, 0);
     ctx.globalCompositeOperation = "copy";
-    ctx.drawImage(this._bright, 0, 0);
+    ctx.drawImage(this.#bright, 0, 0);
     ctx.globalCompositeOperation = "multiply";
-    ctx.drawImage(this._small, 0, 0, width, height);
+    ctx.drawImage(this.#small, 0, 0, width, height);
     ctx.globalCompositeOperation = "source-over";
-    if (flat > 0) ctx.drawImage(this._face, 0, 0, flat * width, height, 0, 0, flat * width, height);
+    if (flat > 0) ctx.drawImage(this.#face, 0, 0, flat * width, height, 0, 0, flat * width, height);
     if (flat > 0 && flat < 1) {
       ctx.fillStyle = "rgb(255 255 255 / 85%)";
       ctx.fillRect(flat * width - 1, 0, 2, height);
     }
-    this.lamp.show(directionAt(this.at));
-    this.lamp.element.style.opacity = String(1 - flat);
-    this.frames += 1;
+    this.#lamp.show(directionAt(this.#at));
+    this.#lamp.fade(1 - flat);
+    this.#frames += 1;
   }
 }
 
+/** @param {App} app */
 export function createFirstScreen(app) {
   const face = new RelitFace();
   const fit = async () => {

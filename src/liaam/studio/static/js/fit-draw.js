@@ -14,9 +14,12 @@ const OVERLAYS = [
 
 /** What is drawn over a picture, with a button for each overlay. */
 export class Overlays {
+  #onchange;
+  #shown = new Set();
+
   /** shown: names of the drawn overlays; onchange(): they have changed; test ids start with testid. */
   constructor(shown, onchange, testid) {
-    this._onchange = onchange;
+    this.#onchange = onchange;
     this.buttons = OVERLAYS.map(({ name, label, key, title }) => button(label, {
       small: true, shortcut: key, title, pressed: false, testid: `${testid}-${name}`, dataset: { name },
       onclick: () => this.toggle(name),
@@ -24,15 +27,18 @@ export class Overlays {
     this.show(new Set(shown));
   }
 
+  /** Names of the overlays that are drawn. */
+  get shown() { return this.#shown; }
+
   show(shown) {
-    this.shown = shown;
+    this.#shown = shown;
     for (const each of this.buttons) press(each, shown.has(each.dataset.name) && !each.disabled);
   }
 
   toggle(name) {
-    if (!this.shown.delete(name)) this.shown.add(name);
-    this.show(this.shown);
-    this._onchange();
+    if (!this.#shown.delete(name)) this.#shown.add(name);
+    this.show(this.#shown);
+    this.#onchange();
   }
 
   key({ key }) {
@@ -42,11 +48,11 @@ export class Overlays {
   }
 
   /** Whether the model has contours; without, their button cannot be pressed. */
-  set hasContours(has) {
+  allowContours(has) {
     const contours = this.buttons.find((each) => each.dataset.name === "contours");
     contours.disabled = !has;
     contours.title = has ? "Show the contours (C)" : "This model has no contours: define them in the template";
-    this.show(this.shown);
+    this.show(this.#shown);
   }
 }
 

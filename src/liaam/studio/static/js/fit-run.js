@@ -11,8 +11,10 @@ export class FitStore {
   #kept = new Map();
   #changes = 0; // of landmarks, which the errors of fits refer to
 
+  #state;
+
   constructor(state) {
-    this.state = state;
+    this.#state = state;
     state.addEventListener("landmarks", ({ detail }) => {
       this.#changes += 1;
       this.#drop((fit) => fit.picture === detail.name);
@@ -23,11 +25,10 @@ export class FitStore {
     const key = this.#key(source, method, side); // of the model that is asked, which may be replaced meanwhile
     const changes = this.#changes;
     await source.ready;
-    const { fit: own } = source; // with the upload
-    source.fit = null;
+    const own = source.takeFit(); // with the upload
     const asked = { ...source.reference, method, start, side };
     const fit = cleaned(own?.method === method && !start && side === AUTO ? own
-      : await this.state.send((folder) => api.post(api.url("fits"), { ...asked, folder })));
+      : await this.#state.send((folder) => api.post(api.url("fits"), { ...asked, folder })));
     if (changes !== this.#changes) return fit;
     this.#kept.delete(key);
     this.#kept.set(key, fit);
@@ -39,7 +40,7 @@ export class FitStore {
   async runAll(source, method, side = AUTO) {
     await source.ready;
     const asked = { ...source.reference, method, side };
-    const { fits, faults } = await this.state.send((folder) => api.post(api.url("fits", "all"), { ...asked, folder }));
+    const { fits, faults } = await this.#state.send((folder) => api.post(api.url("fits", "all"), { ...asked, folder }));
     return { fits: fits.map(cleaned), faults };
   }
 
@@ -51,7 +52,7 @@ export class FitStore {
     for (const [key, kept] of this.#kept) if (isStale(kept)) this.#kept.delete(key);
   }
 
-  #key(source, method, side) { return `${source.key}|${method}|${side}|${this.state.project.model?.number ?? ""}`; }
+  #key(source, method, side) { return `${source.key}|${method}|${side}|${this.#state.project.model?.number ?? ""}`; }
 }
 
 /** A fit whose points are either [x, y] or null: a diverged fit may lack a coordinate. */

@@ -24,28 +24,32 @@ const STARTS = [
 const SIDES = { left: "Left", right: "Right", original: "Not mirrored", mirrored: "Mirrored" };
 
 export class SetupPanel {
+  #tab;
+  // Elements.
+  #back; #hint; #label; #method; #mismatch; #needsModel; #ofMethod; #ofSides; #place; #runner; #sides; #starts; #withModel;
+
   /** @param {import("./fit.js").Tab} tab */
   constructor(tab) {
-    this._tab = tab;
+    this.#tab = tab;
     const { app } = tab;
-    this._label = h("span.fit-source-name.grow");
+    this.#label = h("span.fit-source-name.grow");
     const onback = () => tab.sources.backToFolder();
-    this._back = iconButton("Back to the folder", "left", onback, { small: true, hidden: true });
+    this.#back = iconButton("Back to the folder", "left", onback, { small: true, hidden: true });
     const open = button("Open…", {
       icon: "image", small: true, title: "Open another picture without adding it to the folder",
-      onclick: () => tab.file.click(),
+      onclick: () => tab.chooseFile(),
     });
-    this._place = button("Place its landmarks", {
+    this.#place = button("Place its landmarks", {
       icon: "plus", small: true, hidden: true, testid: "fit-place", title: "Add the picture to the folder, and annotate it",
       onclick: () => app.adding.keep(tab.sources.current.file),
     });
-    this._starts = segmented("Start", STARTS, "auto", (value) => tab.setStart(value), "start");
-    this._starts.element.addEventListener("click", ({ detail, target }) => {
+    this.#starts = segmented("Start", STARTS, "auto", (value) => tab.setStart(value), "start");
+    this.#starts.element.addEventListener("click", ({ detail, target }) => {
       if (!detail || !target.value) return; // chosen by keys
       tab.setStart(target.value);
       if (tab.startTool) tab.focus();
     });
-    this._hint = h("p.small.muted", { hidden: true });
+    this.#hint = h("p.small.muted", { hidden: true });
     const { methods, default_method: first } = app.state.project;
     const sorted = [...methods].sort((a, b) => Number(b.name === first) - Number(a.name === first));
     const summary = h("p.small.muted.fit-method-summary", { id: "fit-method-summary" });
@@ -54,72 +58,76 @@ export class SetupPanel {
       summary.textContent = `${chosen.summary}${chosen.needs_colour ? " Needs colour." : ""}`;
       return chosen.name;
     };
-    const method = this._method = h("select.text", {
+    const method = this.#method = h("select.text", {
       "aria-describedby": "fit-method-summary", testid: "fit-method", onchange: () => tab.setMethod(summarise()),
     }, sorted.map(({ name }) => h("option", { value: name }, name)));
     summarise();
-    this.runner = button("Fit", {
+    this.#runner = button("Fit", {
       icon: "target", kind: "primary", shortcut: "Enter", testid: "fit-run", onclick: () => tab.run(),
     });
-    this.runner.append(h("kbd.kbd", "Enter"));
-    this._mismatch = h("p.small.error-text", { hidden: true, testid: "fit-mismatch" });
-    this._needsModel = h("div.column", modelNeeded(app, "fit-to-annotate"));
-    this._ofSides = h("div.column.tight", { testid: "fit-sides" });
-    this._ofMethod = h("div.column.tight", h("label.field", "Method", method), summary);
-    this._withModel = h("div.column",
-      h("div.column.tight", this._starts.element, this._hint), this._ofSides, this._ofMethod,
-      h("div.row", expert.control(), h("span.grow"), this.runner));
+    this.#runner.append(h("kbd.kbd", "Enter"));
+    this.#mismatch = h("p.small.error-text", { hidden: true, testid: "fit-mismatch" });
+    this.#needsModel = h("div.column", modelNeeded(app, "fit-to-annotate"));
+    this.#ofSides = h("div.column.tight", { testid: "fit-sides" });
+    this.#ofMethod = h("div.column.tight", h("label.field", "Method", method), summary);
+    this.#withModel = h("div.column",
+      h("div.column.tight", this.#starts.element, this.#hint), this.#ofSides, this.#ofMethod,
+      h("div.row", expert.control(), h("span.grow"), this.#runner));
     this.element = h("section.panel", { "aria-label": "Fit" },
-      h("div.row.fit-source", this._back, this._label, open), this._place, this._needsModel, this._mismatch, this._withModel);
+      h("div.row.fit-source", this.#back, this.#label, open), this.#place, this.#needsModel, this.#mismatch, this.#withModel);
   }
 
-  set start(value) {
-    this._starts.value = value;
-    this._hint.textContent = STARTS.find((start) => start.value === value).hint;
-    this._hint.hidden = !this._hint.textContent;
+  /** Show which start is chosen. */
+  showStart(value) {
+    this.#starts.value = value;
+    this.#hint.textContent = STARTS.find((start) => start.value === value).hint;
+    this.#hint.hidden = !this.#hint.textContent;
   }
 
   /** Let a side of the object be chosen, if the model knows two. @param {Model | null} model */
   offerSides(model) {
     const sides = model?.sides;
-    this._ofSides.hidden = !sides;
-    this._sides = null;
+    this.#ofSides.hidden = !sides;
+    this.#sides = null;
     if (!sides) return;
     const choices = [
       { value: AUTO, label: "Either side", title: "Try both sides, and take the likelier" },
       ...[sides.own, sides.other].map((side) => ({ value: side, label: SIDES[side], title: `Fit as ${side}` })),
     ];
-    this._sides = segmented("Side", choices, AUTO, (value) => this._tab.setSide(value), "side");
-    this._ofSides.replaceChildren(this._sides.element, h("p.small.muted", sidesInWords(sides)));
+    this.#sides = segmented("Side", choices, AUTO, (value) => this.#tab.setSide(value), "side");
+    this.#ofSides.replaceChildren(this.#sides.element, h("p.small.muted", sidesInWords(sides)));
   }
 
-  set side(value) { if (this._sides) this._sides.value = value; }
+  showSide(value) { if (this.#sides) this.#sides.value = value; }
+
+  /** A fit runs, or no longer. */
+  setBusy(busy) { this.#runner.disabled = busy || !this.#tab.sources.current; }
 
   /** Whether a method has to be chosen, since the model was not trained for this one. */
   needsMethod(name) {
-    const { model } = this._tab.state.project;
+    const { model } = this.#tab.state.project;
     return Boolean(model) && !model.methods.includes(name);
   }
 
   /** Choose a method as if by hand. */
   choose(name) {
-    this._method.value = name;
-    this._method.dispatchEvent(new Event("change"));
+    this.#method.value = name;
+    this.#method.dispatchEvent(new Event("change"));
   }
 
   show() {
-    const { sources: { current: source }, state, mismatch } = this._tab;
+    const { sources: { current: source }, state, mismatch } = this.#tab;
     const { model } = state.project;
-    this._label.textContent = this._label.title = source?.name ?? "No picture";
-    this._place.hidden = !source?.file || state.guest;
-    this._back.hidden = !source || source.ofFolder || !state.current;
-    this._needsModel.hidden = Boolean(model);
-    this._withModel.hidden = !model;
-    offer(this._method, model);
-    this._ofMethod.hidden = !expert.on && !this.needsMethod(this._tab.method);
-    this._mismatch.textContent = mismatch;
-    this._mismatch.hidden = !mismatch;
-    this.runner.disabled = !source;
+    this.#label.textContent = this.#label.title = source?.name ?? "No picture";
+    this.#place.hidden = !source?.file || state.guest;
+    this.#back.hidden = !source || source.ofFolder || !state.current;
+    this.#needsModel.hidden = Boolean(model);
+    this.#withModel.hidden = !model;
+    offer(this.#method, model);
+    this.#ofMethod.hidden = !expert.on && !this.needsMethod(this.#tab.method);
+    this.#mismatch.textContent = mismatch;
+    this.#mismatch.hidden = !mismatch;
+    this.#runner.disabled = !source;
   }
 }
 
@@ -146,43 +154,47 @@ export function guestPanel({ state, openTab }) {
 }
 
 export class ResultPanel {
+  #tab;
+  // Elements.
+  #all; #facts; #next; #remedies; #specimens; #status;
+
   /** @param {import("./fit.js").Tab} tab */
   constructor(tab) {
     const start = (value) => {
       tab.setStart(value);
       tab.focus();
     };
-    this._status = h("div.column.tight.fit-status", { role: "status", "aria-live": "polite", testid: "fit-status" });
-    this._next = button("Next object", { icon: "right", small: true, onclick: () => tab.next() });
-    this._all = button("Fit all", {
+    this.#status = h("div.column.tight.fit-status", { role: "status", "aria-live": "polite", testid: "fit-status" });
+    this.#next = button("Next object", { icon: "right", small: true, onclick: () => tab.next() });
+    this.#all = button("Fit all", {
       icon: "target", small: true, testid: "fit-all", title: "Fit all specimens of the picture", onclick: () => tab.runAll(),
     });
-    this._specimens = h("div.column.tight", { role: "group", "aria-label": "Specimens", testid: "fit-specimens" });
-    this._remedies = h("div.row.tight.fit-remedies", { hidden: true }, this._all, this._next,
+    this.#specimens = h("div.column.tight", { role: "group", "aria-label": "Specimens", testid: "fit-specimens" });
+    this.#remedies = h("div.row.tight.fit-remedies", { hidden: true }, this.#all, this.#next,
       button("Draw a box", { icon: "box", small: true, onclick: () => start("box") }),
       button("Drag the mean shape", { icon: "target", small: true, onclick: () => start("mean") }));
-    this._facts = h("dl.fit-facts");
-    this.element = h("section.panel.fit-result", { "aria-label": "Result" }, this._status, this._remedies,
-      this._specimens, this._facts);
-    this._tab = tab;
+    this.#facts = h("dl.fit-facts");
+    this.element = h("section.panel.fit-result", { "aria-label": "Result" }, this.#status, this.#remedies,
+      this.#specimens, this.#facts);
+    this.#tab = tab;
   }
 
   /** Show a message in place of a fit, or nothing for ""; kind: "info" or "bad". */
   showMessage(kind, message) {
     this.element.hidden = !message;
-    this._status.replaceChildren(h(kind === "bad" ? "p.error-text" : "p.small", message));
-    this._remedies.hidden = true;
-    this._facts.replaceChildren();
-    this._specimens.replaceChildren();
+    this.#status.replaceChildren(h(kind === "bad" ? "p.error-text" : "p.small", message));
+    this.#remedies.hidden = true;
+    this.#facts.replaceChildren();
+    this.#specimens.replaceChildren();
   }
 
   /** List specimens that were fitted together: a press selects one. What is not clear about the picture comes last. */
-  _list({ fits, faults }, chosen) {
+  #list({ fits, faults }, chosen) {
     const row = (fit) => button(specimenText(fit, expert.on), {
       small: true, kind: "ghost", pressed: fit === chosen, title: fit.specimen.fault, testid: "fit-specimen",
-      onclick: () => this._tab.choose(fit),
+      onclick: () => this.#tab.choose(fit),
     });
-    this._specimens.replaceChildren(...fits.map(row), ...faults.map((fault) => h("p.small.muted", fault)));
+    this.#specimens.replaceChildren(...fits.map(row), ...faults.map((fault) => h("p.small.muted", fault)));
   }
 
   show(fit, several = false) {
@@ -194,11 +206,11 @@ export class ResultPanel {
       fit.trained_on && h("p.small.muted", "The model was trained on this picture."),
       advice && h("p.small.muted", advice),
     ];
-    this._status.replaceChildren(...lines.filter(Boolean));
-    this._remedies.hidden = !advice && !several;
-    this._next.hidden = this._all.hidden = !several;
-    this._list(this._tab.specimens, fit);
-    this._facts.replaceChildren(...entries(factsOf(fit, expert.on)));
+    this.#status.replaceChildren(...lines.filter(Boolean));
+    this.#remedies.hidden = !advice && !several;
+    this.#next.hidden = this.#all.hidden = !several;
+    this.#list(this.#tab.specimens, fit);
+    this.#facts.replaceChildren(...entries(factsOf(fit, expert.on)));
   }
 }
 
@@ -215,10 +227,14 @@ const EXPORTS = {
 const NEEDS = { flat: "flat", shading: "shading", relit: "flat" }; // a layer of the fit
 
 export class ExportMenu {
+  #tab;
+  // Elements.
+  #annotate; #button; #panel; #table;
+
   /** @param {import("./fit.js").Tab} tab */
   constructor(tab) {
-    this._tab = tab;
-    this._annotate = button("Use as annotation", {
+    this.#tab = tab;
+    this.#annotate = button("Use as annotation", {
       icon: "edit", kind: "ghost", small: true, testid: "export-annotation",
       title: "Save these landmarks beside the picture",
       onclick: () => {
@@ -226,66 +242,66 @@ export class ExportMenu {
         useAsAnnotation(tab.app, tab.fit);
       },
     });
-    this._table = this._item("table", "All specimens .csv");
+    this.#table = this.#item("table", "All specimens .csv");
     const groups = Object.entries(EXPORTS).map(([title, items]) =>
-      h("div.fit-menu-group", h("h3.small.muted", title), Object.entries(items).map((item) => this._item(...item))));
+      h("div.fit-menu-group", h("h3.small.muted", title), Object.entries(items).map((item) => this.#item(...item))));
     // The browser closes it with Escape, or by a press elsewhere.
-    this.panel = h("div.fit-menu", {
-      popover: "auto", role: "group", "aria-label": "Export", onbeforetoggle: () => this._place(),
-      ontoggle: ({ newState }) => newState === "open" && this.panel.querySelector("a").focus(),
-    }, groups, h("div.fit-menu-group", this._table, this._annotate));
-    this.button = button("Export", {
-      icon: "download", kind: "roomy", small: true, testid: "export-menu", popoverTargetElement: this.panel,
+    this.#panel = h("div.fit-menu", {
+      popover: "auto", role: "group", "aria-label": "Export", onbeforetoggle: () => this.#place(),
+      ontoggle: ({ newState }) => newState === "open" && this.#panel.querySelector("a").focus(),
+    }, groups, h("div.fit-menu-group", this.#table, this.#annotate));
+    this.#button = button("Export", {
+      icon: "download", kind: "roomy", small: true, testid: "export-menu", popoverTargetElement: this.#panel,
     });
     const onfocusout = ({ relatedTarget: to }) => to && !this.element.contains(to) && this.close();
-    this.element = h("div.fit-export", { onfocusout }, this.button, this.panel);
+    this.element = h("div.fit-export", { onfocusout }, this.#button, this.#panel);
   }
 
   show() {
-    const { fit, sources: { current }, state, mismatch } = this._tab;
-    this.button.disabled = !fit;
-    this._annotate.hidden = !current?.ofFolder || state.guest || Boolean(mismatch);
+    const { fit, sources: { current }, state, mismatch } = this.#tab;
+    this.#button.disabled = !fit;
+    this.#annotate.hidden = !current?.ofFolder || state.guest || Boolean(mismatch);
     if (!fit) this.close();
   }
 
-  close() { if (this.panel.isConnected) this.panel.hidePopover(); }
+  close() { if (this.#panel.isConnected) this.#panel.hidePopover(); }
 
-  _item(what, label) {
+  #item(what, label) {
     const onclick = (event) => {
       event.preventDefault(); // a plain link would show neither progress nor errors
-      if (!event.target.ariaBusy) this._save(event.target);
+      if (!event.target.ariaBusy) this.#save(event.target);
     };
     return h("a.button.ghost.small", { download: "", dataset: { what, testid: `export-${what}` }, onclick }, label);
   }
 
-  _address(what) {
-    const { fit, view } = this._tab;
-    return api.url("fits", fit.id, "export", { what, ...(what === "relit" && lightQuery(view.light)) });
+  #address(what) {
+    const { fit, lights } = this.#tab;
+    return api.url("fits", fit.id, "export", { what, ...(what === "relit" && lightQuery(lights)) });
   }
 
   /** Save a file of the fit without the menu. */
-  async save(what) { saveFile(...(await api.file(this._address(what)))); }
+  async save(what) { saveFile(...(await api.file(this.#address(what)))); }
 
-  async _save(link) {
+  async #save(link) {
     link.ariaBusy = "true";
     const file = await api.file(link.getAttribute("href")).finally(() => { link.ariaBusy = null; });
     saveFile(...file);
     this.close();
   }
 
-  _place() {
-    const { right, bottom } = this.button.getBoundingClientRect();
-    Object.assign(this.panel.style, { right: `${innerWidth - right}px`, top: `${bottom + 6}px` });
-    const { fit } = this._tab;
-    const { fits } = this._tab.specimens;
-    for (const link of fit ? this.panel.querySelectorAll("a") : []) {
+  #place() {
+    const { right, bottom } = this.#button.getBoundingClientRect();
+    Object.assign(this.#panel.style, { right: `${innerWidth - right}px`, top: `${bottom + 6}px` });
+    const { fit } = this.#tab;
+    const { fits } = this.#tab.specimens;
+    for (const link of fit ? this.#panel.querySelectorAll("a") : []) {
       const { what } = link.dataset;
-      if (link === this._table) {
+      if (link === this.#table) {
         link.href = api.url("fits", "table", { fits: fits.map(({ id }) => id).join() });
         link.hidden = !fits.length;
         continue;
       }
-      link.href = this._address(what);
+      link.href = this.#address(what);
       link.hidden = what in NEEDS && !fit.layers.includes(NEEDS[what]);
     }
   }

@@ -36,52 +36,52 @@ async function decoded(file) {
 
 /** The last few pictures, which are fetched at a higher resolution for zooming in. */
 export class PictureStore {
-  constructor(state) {
-    this.state = state;
-    this.pictures = new Map(); // name -> {bitmap, sharp, width, height, tag: of the file}
-  }
+  #state;
+  #pictures = new Map(); // name -> {bitmap, sharp, width, height, tag: of the file}
+
+  constructor(state) { this.#state = state; }
 
   /** Fetch a picture: {bitmap, width, height}, with the size of landmark coordinates. */
   async fetch(name) {
-    const known = this.pictures.get(name);
-    return known && known.tag === this.state.picture(name)?.tag ? known : this.load(name, SHOWN_SIZE);
+    const known = this.#pictures.get(name);
+    return known && known.tag === this.#state.picture(name)?.tag ? known : this.#load(name, SHOWN_SIZE);
   }
 
   /** Fetch a sharper bitmap if `scale` (screen pixels per picture pixel) needs one; null otherwise. */
   async sharper(name, scale) {
-    const picture = this.pictures.get(name);
+    const picture = this.#pictures.get(name);
     if (!picture || picture.sharp || picture.tiles) return null;
     const shown = picture.bitmap.width / picture.width; // bitmap pixels per picture pixel
     if (shown >= 1 || scale < 1.3 * shown) return null;
     picture.sharp = true; // request it once
     try {
-      return (await this.load(name, SHARP_SIZE)).bitmap;
+      return (await this.#load(name, SHARP_SIZE)).bitmap;
     } catch {
       picture.sharp = false; // the next zoom retries
       return null;
     }
   }
 
-  async load(name, size) {
-    const { tag } = this.state.picture(name);
+  async #load(name, size) {
+    const { tag } = this.#state.picture(name);
     const bitmap = await bitmapOf(api.url("pictures", name, "image", { size, tag }));
-    const { width, height } = await this.sizeOf(name, bitmap);
+    const { width, height } = await this.#sizeOf(name, bitmap);
     const tiles = tilesOf((what) => api.url("pictures", name, what, { tag }), bitmap, width, height);
     const isSharp = size > SHOWN_SIZE || tiles !== null;
     const picture = { bitmap, sharp: isSharp, width, height, tag, tiles };
-    this.pictures.get(name)?.tiles?.close();
-    this.pictures.set(name, picture);
-    for (const [other, { sharp, tiles: its }] of this.pictures) { // keep only one sharp picture, which may take a hundred megabytes
-      if (other === name || !(this.pictures.size > KEPT || (sharp && picture.sharp))) continue;
+    this.#pictures.get(name)?.tiles?.close();
+    this.#pictures.set(name, picture);
+    for (const [other, { sharp, tiles: its }] of this.#pictures) { // keep only one sharp picture, which may take a hundred megabytes
+      if (other === name || !(this.#pictures.size > KEPT || (sharp && picture.sharp))) continue;
       its?.close();
-      this.pictures.delete(other);
+      this.#pictures.delete(other);
     }
     return picture;
   }
 
   /** The picture's size, also if the project lacks it: that of the bitmap, unless it was scaled down. */
-  async sizeOf(name, bitmap) {
-    const known = this.state.picture(name);
+  async #sizeOf(name, bitmap) {
+    const known = this.#state.picture(name);
     if (known?.width) return known;
     const isWhole = Math.max(bitmap.width, bitmap.height) < SHOWN_SIZE;
     return isWhole ? bitmap : api.get(api.url("pictures", name, "landmarks"));
@@ -90,27 +90,78 @@ export class PictureStore {
 
 /** A picture to fit. `ready` resolves once the server has it; `image` is the displayed copy. */
 export class Source {
+  started = performance.now();
+  #id = null;
+  #file = null;
+  #image = null;
+  #tiles = null;
+  #width = 0;
+  #height = 0;
+  #method = null;
+  #fit = null;
+  #quality = null;
+  #ready = Promise.resolve();
+
   /** `tag` identifies the contents of the file in the folder, which may be replaced; null: the picture is not there. */
   constructor(name, tag = null) {
     this.name = name;
     this.tag = tag;
-    this.id = null;
-    this.file = null; // that was dropped or chosen, if the picture is not in the folder
-    this.image = null;
-    this.tiles = null; // of a large picture
-    this.width = this.height = 0;
-    this.method = this.fit = null; // how it is to be fitted with its upload, and that fit until it is shown
-    this.quality = null; // of that fit
-    this.ready = Promise.resolve();
-    this.started = performance.now();
     this.key = this.ofFolder ? `picture ${name} ${tag}` : `upload ${(uploads += 1)}`;
   }
 
+  get image() { return this.#image; }
+  /** Of a large picture; null for others. */
+  get tiles() { return this.#tiles; }
+  get width() { return this.#width; }
+  get height() { return this.#height; }
+  /** That was dropped or chosen, if the picture is not in the folder. */
+  get file() { return this.#file; }
+  get ready() { return this.#ready; }
+  /** Quality of the fit with the upload, or null. */
+  get quality() { return this.#quality; }
+  get isSent() { return this.#id !== null; }
+
+  /** Let the picture be fitted with its upload. */
+  fitWith(method) { this.#method = method; }
+
+  /** The fit with the upload, once. */
+  takeFit() {
+    const fit = this.#fit;
+    this.#fit = null;
+    return fit;
+  }
+
+  /** Send a file, whose picture this is. */
+  send(file) {
+    this.#file = file;
+    this.#ready = this.#upload();
+    return this.#ready;
+  }
+
+  async #upload() {
+    const asked = { name: this.name, method: this.#method };
+    const { id, width, height, fit = null } = await api.upload(api.url("uploads", asked), this.#file);
+    this.#id = id;
+    this.#width = width; // landmark coordinates refer to the server's size
+    this.#height = height;
+    this.#fit = fit;
+    this.#quality = fit?.quality ?? null;
+  }
+
+  /** Show an image; width and height: those of landmark coordinates. */
+  show(image, width, height, tiles = null) {
+    this.#image = image;
+    this.#width = width;
+    this.#height = height;
+    this.#tiles = tiles;
+  }
+
+  close() { this.#tiles?.close(); }
   get ofFolder() { return this.tag !== null; }
-  get reference() { return this.ofFolder ? { picture: this.name } : { upload: this.id }; }
+  get reference() { return this.ofFolder ? { picture: this.name } : { upload: this.#id }; }
 
   address(what, query = {}) {
-    if (!this.ofFolder) return api.url("uploads", this.id, what, query);
+    if (!this.ofFolder) return api.url("uploads", this.#id, what, query);
     return api.url("pictures", this.name, what, { ...query, tag: this.tag });
   }
 }
@@ -120,128 +171,128 @@ let uploads = 0;
 /** Holds the current source. Events: "taken" before the upload of a file starts, "change" when another source is shown,
  *  "ready" when the server has it, "failed" with the error. */
 export class Sources extends EventTarget {
+  #state;
+  #pictures;
+  #current = null;
+  #watchers = new Set(); // the open tabs that show the source
+  #chosen = false; // whether a picture of the folder was selected since a file was opened
+  #wanted = null; // the newest source, which may be still opening
+
   constructor(state, pictures) {
     super();
-    this.state = state;
-    this._pictures = pictures;
-    this.current = null;
-    this._watchers = new Set(); // the open tabs that show the source
-    this._chosen = false; // whether a picture of the folder was selected since a file was opened
-    this._wanted = null; // the newest source, which may be still opening
+    this.#state = state;
+    this.#pictures = pictures;
     state.addEventListener("select", () => {
-      this._chosen = true;
-      this._follow();
+      this.#chosen = true;
+      this.#follow();
     });
-    state.addEventListener("project", () => this._isUpload || this._follow());
+    state.addEventListener("project", () => this.#isUpload || this.#follow());
   }
 
-  get _isUpload() { return this._wanted !== null && !this._wanted.ofFolder; }
+  get current() { return this.#current; }
+
+  get #isUpload() { return this.#wanted !== null && !this.#wanted.ofFolder; }
 
   /** A tab that shows the source is opened. Pictures are loaded only while one is open. */
   watch(tab) {
-    this._watchers.add(tab);
+    this.#watchers.add(tab);
     // An opened file stays until a picture of the folder is selected in any tab.
-    if (!this._isUpload || this._chosen) this._follow();
+    if (!this.#isUpload || this.#chosen) this.#follow();
   }
 
-  leave(tab) { this._watchers.delete(tab); }
+  leave(tab) { this.#watchers.delete(tab); }
 
   backToFolder() {
-    this._leaveFile();
-    this.current = this._wanted = null;
-    this._follow();
+    this.#leaveFile();
+    this.#current = this.#wanted = null;
+    this.#follow();
   }
 
-  _follow() {
-    const name = this.state.current;
-    if (!this._watchers.size || !name) return;
-    const { tag } = this.state.picture(name);
+  #follow() {
+    const name = this.#state.current;
+    if (!this.#watchers.size || !name) return;
+    const { tag } = this.#state.picture(name);
     const isShown = (source) => source?.name === name && source.tag === tag;
-    if (isShown(this.current)) this._wanted = this.current; // another one may be opening
-    else if (!isShown(this._wanted)) this._open(name, tag);
+    if (isShown(this.#current)) this.#wanted = this.#current; // another one may be opening
+    else if (!isShown(this.#wanted)) this.#open(name, tag);
   }
 
-  async _open(name, tag) {
+  async #open(name, tag) {
     const source = new Source(name, tag);
-    this._wanted = source;
+    this.#wanted = source;
     try {
-      const known = this.state.picture(name);
+      const known = this.#state.picture(name);
       if (known.error) throw new Error(known.error);
-      const { bitmap: image, width, height, tiles } = await this._pictures.fetch(name);
-      Object.assign(source, { image, width, height, tiles });
-      if (this._wanted === source) this._show(source);
+      const { bitmap, width, height, tiles } = await this.#pictures.fetch(name);
+      source.show(bitmap, width, height, tiles);
+      if (this.#wanted === source) this.#show(source);
     } catch (error) {
-      if (this._wanted !== source) return;
-      this._wanted = null; // the next change tries it again
+      if (this.#wanted !== source) return;
+      this.#wanted = null; // the next change tries it again
       // The strip shows this picture as selected, so the previous one must not stay.
-      this._show(null);
-      this._say("failed", { error: error.message.includes(name) ? error : new Error(`${name}: ${error.message}`) });
+      this.#show(null);
+      this.#say("failed", { error: error.message.includes(name) ? error : new Error(`${name}: ${error.message}`) });
     }
   }
 
   async take(file) {
     const source = new Source(file.name || "pasted picture.png");
-    const limit = this.state.project.limits.upload_bytes;
+    const limit = this.#state.project.limits.upload_bytes;
     const what = `${source.name} has ${megabytes(file.size)}, more than the limit of ${megabytes(limit)}`;
     if (file.size > limit)
-      return this._say("failed", { error: new Error(`${what}: put it into the folder, or make it smaller.`) });
-    const before = this.current;
-    source.file = file;
-    this._wanted = source;
-    this._chosen = false;
-    this._say("taken", { source });
-    source.ready = this._send(source, file);
+      return this.#say("failed", { error: new Error(`${what}: put it into the folder, or make it smaller.`) });
+    const before = this.#current;
+    this.#wanted = source;
+    this.#chosen = false;
+    this.#say("taken", { source });
+    source.send(file).then(() => this.#current === source && this.#say("ready"), () => {}); // errors are shown below
     const seen = decoded(file).then((image) => {
-      if (this._wanted !== source || !image) return;
-      source.image = image;
-      if (!source.id) Object.assign(source, { width: image.width, height: image.height }); // until the server answers
-      this._show(source);
+      if (this.#wanted !== source || !image) return;
+      const { width, height } = source.isSent ? source : image; // that of the image until the server answers
+      source.show(image, width, height);
+      this.#show(source);
     }, () => {}); // formats that the browser cannot decode are shown after the upload
     try {
       await source.ready;
       await seen;
-      if (this._wanted !== source || source.image) return;
-      await this._fetch(source);
-      if (this._wanted === source) this._show(source);
+      if (this.#wanted !== source || source.image) return;
+      await this.#fetch(source);
+      if (this.#wanted === source) this.#show(source);
     } catch (error) {
-      if (this._wanted !== source) return;
-      this._wanted = before;
-      if (this.current === source) this._show(before); // the browser can show what the server refuses
-      this._say("failed", { error });
+      if (this.#wanted !== source) return;
+      this.#wanted = before;
+      if (this.#current === source) this.#show(before); // the browser can show what the server refuses
+      this.#say("failed", { error });
     }
   }
 
   /** Fetch what is shown of an uploaded picture: a copy, and tiles if it is large. */
-  async _fetch(source) {
+  async #fetch(source) {
     const { width, height } = source;
     const isTiled = width * height >= TILED_FROM;
-    source.image = await bitmapOf(source.address("image", { size: isTiled ? SHOWN_SIZE : SHARP_SIZE }));
-    source.tiles = tilesOf((what) => source.address(what), source.image, width, height);
+    const image = await bitmapOf(source.address("image", { size: isTiled ? SHOWN_SIZE : SHARP_SIZE }));
+    source.show(image, width, height, tilesOf((what) => source.address(what), image, width, height));
   }
 
-  async _send(source, file) {
-    const { name, method } = source;
-    Object.assign(source, await api.upload(api.url("uploads", { name, method }), file)); // id, width, height and fit
-    source.quality = source.fit?.quality ?? null;
-    // Landmark coordinates refer to the server's size.
-    if (this.current === source) this._say("ready");
-  }
-
-  _show(source) {
-    if (source !== this.current) this._leaveFile();
-    this.current = source;
-    this._say("change");
+  #show(source) {
+    if (source !== this.#current) this.#leaveFile();
+    this.#current = source;
+    this.#say("change");
   }
 
   /** Free the tiles of a file that is shown; those of the folder's pictures are kept with these. */
-  _leaveFile() { if (this.current?.file) this.current.tiles?.close(); }
+  #leaveFile() { if (this.#current?.file) this.#current.close(); }
 
-  _say(type, detail = {}) { this.dispatchEvent(new CustomEvent(type, { detail })); }
+  #say(type, detail = {}) { this.dispatchEvent(new CustomEvent(type, { detail })); }
 }
 
 /** A tab that fits the current source: Fit and Compare. */
 export class SourceTab {
-  visible = false;
+  #visible = false;
+  #seen; // the source that was shown last
+  #number; // of the model that was used last
+  /** What is drawn over the picture; a tab makes it. @type {import("./fit-draw.js").Overlays} */
+  overlays;
 
   /** @param {App} app */
   constructor(app) {
@@ -250,41 +301,58 @@ export class SourceTab {
     this.sources = app.sources;
   }
 
-  /** Follow the source and the model, once the page is built. @this {any} */
+  /** Whether the tab is open. */
+  get visible() { return this.#visible; }
+
+  // What a tab does:
+  /** There is another source, or none. */
+  useSource(_source) {}
+  /** Show the fit of a source, while the tab is open. */
+  showFit(_source) {}
+  /** There is another model, or none: earlier fits are out of date. */
+  useModel(_model) {}
+  /** Show what can be done with the present source and model. */
+  offer() {}
+  /** The source cannot be shown. */
+  refuse(_error) {}
+
+  /** Follow the source and the model, once the page is built. */
   follow() {
-    this.sources.addEventListener("change", () => this._source());
-    this.sources.addEventListener("failed", ({ detail }) => this.visible && this._refused(detail.error));
-    this.state.addEventListener("project", () => this._project());
-    this._project();
+    this.sources.addEventListener("change", () => this.followSource());
+    this.sources.addEventListener("failed", (/** @type {any} */ { detail }) => this.#visible && this.refuse(detail.error));
+    this.state.addEventListener("project", () => this.#followProject());
+    this.#followProject();
   }
 
-  show() {
-    this.visible = true;
+  show(_options = {}) {
+    this.#visible = true;
     this.sources.watch(this);
-    this._source();
+    this.followSource();
   }
 
   hide() {
-    this.visible = false;
+    this.#visible = false;
     this.sources.leave(this);
   }
 
-  /** There may be another source: show it, and its fit if the tab is open. @this {any} */
-  _source() {
+  /** There may be another source: show it, and its fit if the tab is open. */
+  followSource() {
     const source = this.sources.current;
-    if (this._seen !== source) this._another((this._seen = source));
-    this._emptiness();
-    if (source && this.visible) this._showFit(source);
+    if (this.#seen !== source) {
+      this.#seen = source;
+      this.useSource(source);
+    }
+    this.offer();
+    if (source && this.#visible) this.showFit(source);
   }
 
-  /** The project has changed, perhaps its model; then earlier fits are out of date. @this {any} */
-  _project() {
+  #followProject() {
     const { model } = this.state.project;
-    const isAnother = this._number !== (model?.number ?? null);
-    this._number = model?.number ?? null;
-    this.overlays.hasContours = Boolean(model?.contours.length);
-    this._emptiness();
-    if (isAnother) this._anotherModel(model);
+    const isAnother = this.#number !== (model?.number ?? null);
+    this.#number = model?.number ?? null;
+    this.overlays.allowContours(Boolean(model?.contours.length));
+    this.offer();
+    if (isAnother) this.useModel(model);
   }
 }
 

@@ -43,64 +43,68 @@ export function boxMoved([x0, y0, x1, y1], /** @type {number[]} */ [dx, dy], wid
 
 /** A box around the object; `ready` is called when it has been drawn. */
 export class BoxTool {
-  box = null;
-  _drag = null;
+  #viewer;
+  #box = null;
+  #drag = null;
+  #ready;
 
   constructor(viewer, ready) {
-    this.viewer = viewer;
-    this._ready = ready;
+    this.#viewer = viewer;
+    this.#ready = ready;
   }
 
-  get start() { return this.box && isDrawn(this.box) ? { box: this.box } : null; }
+  get box() { return this.#box; }
+  get start() { return this.#box && isDrawn(this.#box) ? { box: this.#box } : null; }
 
   clear() {
-    this.box = null;
-    this._drag = null;
+    this.#box = null;
+    this.#drag = null;
   }
 
-  _show(box) {
-    this.box = box;
-    this.viewer.redraw();
+  #show(box) {
+    this.#box = box;
+    this.#viewer.redraw();
   }
 
   down(event, xy) {
-    const { box: before, viewer: { width, height, scale } } = this;
+    const before = this.#box;
+    const { width, height, scale } = this.#viewer;
     const corners = before ? cornersOf(before) : [];
     const near = nearest(corners, xy, handleReach(event) / scale);
     const from = near < 0 ? xy : corners[(near + 2) % 4]; // while a corner is dragged, the opposite one stays
     const moves = near < 0 && before !== null && isInside(before, xy);
     const to = ([x, y]) => (moves ? boxMoved(before, [x - xy[0], y - xy[1]], width, height)
       : boxBetween(from, [x, y], width, height));
-    this._drag = { before, to };
+    this.#drag = { before, to };
     return true;
   }
 
-  move(_event, xy) { if (this._drag) this._show(this._drag.to(xy)); }
+  move(_event, xy) { if (this.#drag) this.#show(this.#drag.to(xy)); }
 
   up() {
-    if (!this._drag) return;
-    const { before } = this._drag;
-    this._drag = null;
-    this._show(this.start ? this.box : before); // otherwise it was a click, or a very short drag
-    if (this.start && this.box !== before) this._ready();
+    if (!this.#drag) return;
+    const { before } = this.#drag;
+    this.#drag = null;
+    this.#show(this.start ? this.#box : before); // otherwise it was a click, or a very short drag
+    if (this.start && this.#box !== before) this.#ready();
   }
 
   cancel() {
-    this._show(this._drag ? this._drag.before : this.box);
-    this._drag = null;
+    this.#show(this.#drag ? this.#drag.before : this.#box);
+    this.#drag = null;
   }
 
   cursor() { return "crosshair"; }
 
   key(event) {
-    const box = boxAfterKey(this.box, event, this.viewer.width, this.viewer.height);
-    if (box) this._show(box);
+    const box = boxAfterKey(this.#box, event, this.#viewer.width, this.#viewer.height);
+    if (box) this.#show(box);
     return box !== null;
   }
 
   draw(ctx, viewer) {
-    if (!this.box) return;
-    const corners = cornersOf(this.box).map((corner) => viewer.toScreen(corner));
+    if (!this.#box) return;
+    const corners = cornersOf(this.#box).map((corner) => viewer.toScreen(corner));
     lines(ctx, [[...corners, corners[0]]]);
     stroked(ctx, COLOUR, 1.6);
     for (const at of corners) drawHandle(ctx, "scale", at);
@@ -109,52 +113,59 @@ export class BoxTool {
 
 /** The mean shape, which gestures edit by its frame. */
 export class MeanTool extends Editable {
-  fitted = false; // whether the fit from this start is shown; then only the frame is drawn until it is moved
+  #viewer;
+  #model = null;
+  #placed = null; // the points
+  #isFitted = false; // whether the fit from this start is shown; then only the frame is drawn until it is moved
+  #gesture = null;
 
   constructor(viewer) {
     super();
-    this.viewer = viewer;
+    this.#viewer = viewer;
     this.use(null);
   }
 
   use(model) {
-    this.model = model;
+    this.#model = model;
     this.clear();
   }
 
   clear() {
-    const { width, height } = this.viewer;
-    this.shown = null; // points during a gesture
-    this.placed = this.model && width ? fitInto(this.model.mean, width, height) : null;
-    this._gesture = null;
-    this.viewer.redraw();
+    const { width, height } = this.#viewer;
+    this.setShown(null);
+    this.#placed = this.#model && width ? fitInto(this.#model.mean, width, height) : null;
+    this.#gesture = null;
+    this.#viewer.redraw();
   }
 
-  get start() { return this.placed && { shape: this.placed }; }
+  get start() { return this.#placed && { shape: this.#placed }; }
 
-  get hidesFit() { return !this.fitted && this.placed !== null; }
-  get points() { return this.shown ?? this.placed ?? []; }
+  /** Its fit is shown, or no longer. */
+  showFit(on) { this.#isFitted = on; }
+
+  get hidesFit() { return !this.#isFitted && this.#placed !== null; }
+  get points() { return this.shown ?? this.#placed ?? []; }
   framed() { return indicesOf(this.points); }
 
   preview(points) {
-    this.shown = points;
-    if (points) this.fitted = false; // null: a click, or a gesture that was cancelled
-    this.viewer.redraw();
+    this.setShown(points);
+    if (points) this.#isFitted = false; // null: a click, or a gesture that was cancelled
+    this.#viewer.redraw();
   }
 
   commit(points) {
     const [x0, y0, x1, y1] = bounds(points);
     // Points are rounded, so a smaller shape would not keep its form.
     if (Math.max(x1 - x0, y1 - y0) >= SMALLEST) {
-      this.placed = points;
-      this.fitted = false;
+      this.#placed = points;
+      this.#isFitted = false;
     }
     this.preview(null);
   }
 
   /** The handle under the pointer, or the frame itself, which moves the shape; null: neither. */
-  _grasped(event) {
-    const { viewer } = this;
+  #grasped(event) {
+    const viewer = this.#viewer;
     const at = viewer.place(event);
     const handle = handleAt(viewer, this, event);
     const frame = frameOf(viewer, this.points, this.framed());
@@ -162,17 +173,17 @@ export class MeanTool extends Editable {
   }
 
   down(event, xy) {
-    const handle = this._grasped(event);
+    const handle = this.#grasped(event);
     const all = this.framed();
-    if (handle?.kind === "move") this._gesture = dragging(this, -1, all, xy);
-    else this._gesture = handle && turning(this.viewer, this, handle, all);
+    if (handle?.kind === "move") this.#gesture = dragging(this, -1, all, xy);
+    else this.#gesture = handle && turning(this.#viewer, this, handle, all);
     return handle !== null;
   }
 
-  move(event, xy) { this._gesture?.move(xy, event); }
-  up() { this._gesture?.up(); }
-  cancel() { this._gesture?.cancel(); }
-  cursor(event) { return CURSORS[this._grasped(event)?.kind] ?? ""; }
+  move(event, xy) { this.#gesture?.move(xy, event); }
+  up() { this.#gesture?.up(); }
+  cancel() { this.#gesture?.cancel(); }
+  cursor(event) { return CURSORS[this.#grasped(event)?.kind] ?? ""; }
 
   /** Arrows move the shape, comma and full stop scale it, brackets rotate it. */
   key({ key, shiftKey }) {
@@ -180,7 +191,7 @@ export class MeanTool extends Editable {
     const [dx, dy] = ARROWS[key] ?? [0, 0];
     const degrees = { "[": -step, "{": -step, "]": step, "}": step }[key] ?? 0;
     const growth = step * (GROWTH[key] ?? 0);
-    if (!this.placed || !(dx || dy || degrees || growth)) return false;
+    if (!this.#placed || !(dx || dy || degrees || growth)) return false;
     const all = this.framed();
     const centre = middleOf(bounds(this.points));
     const turned = turn(this.points, all, centre, (degrees * Math.PI) / 180, 1 + 0.01 * growth);
@@ -189,9 +200,10 @@ export class MeanTool extends Editable {
   }
 
   draw(ctx, viewer) {
-    const { points, model } = this;
+    const { points } = this;
+    const model = this.#model;
     if (!points.length) return;
-    if (!this.fitted) {
+    if (!this.#isFitted) {
       if (model.contours.length) drawContours(ctx, viewer, points, model.contours, { colour: COLOUR });
       else drawMesh(ctx, viewer, points, model.triangles, { colour: "rgb(90 209 255 / 55%)" });
       drawPoints(ctx, viewer, points, { colour: COLOUR, radius: 2.5 });

@@ -120,146 +120,165 @@ const USUAL = 118; // typical angle of real cameras in degrees, for pictures wit
 const PAUSE = 350; // milliseconds after the last key until the contrast is adapted, as at the end of a drag
 
 export class InvariantView {
-  meter = new FrameMeter();
-  theta = USUAL;
-  marks = { model: null, fit: null };
-  canvas = document.createElement("canvas");
-  colours = "grey";
-  _chroma = null;
-  _dirty = false; // whether the canvas is out of date
-  _held = null; // range of the colours while theta is dragged
-  _chosen = false; // whether theta was chosen for the picture
+  #viewer;
+  #meter = new FrameMeter();
+  #theta = USUAL;
+  #angles = { model: null, fit: null }; // that are marked, degrees
+  #canvas = document.createElement("canvas");
+  #colours = "grey";
+  #chroma = null;
+  #dirty = false; // whether the canvas is out of date
+  #held = null; // range of the colours while theta is dragged
+  #chosen = false; // whether theta was chosen for the picture
+  #asked = null; // the source whose chroma was asked for
+  #sample = null; // pixels of the chroma that the range is taken from
+  #range = null;
+  #image = null; // that is painted, and its pixels
+  #pixels = null;
+  #timer = null; // until the contrast is adapted
+  #marked = null; // the angles whose marks are shown
+  // Elements.
+  #marks; #note; #slider; #text;
 
   constructor(viewer) {
-    this.viewer = viewer;
-    this.controls = this._controls();
-    this._show();
+    this.#viewer = viewer;
+    this.controls = this.#controls();
+    this.#show();
   }
 
+  /** Frames of a dragged slider. */
+  get meter() { return this.#meter; }
+  /** The angle, in degrees. */
+  get theta() { return this.#theta; }
+  get isShown() { return !this.controls.hidden; }
+  /** Show the controls, or not. */
+  show(on) { this.controls.hidden = !on; }
+
   get image() {
-    if (!this._chroma || !this._dirty) return this._chroma && this.canvas;
-    const range = this._held ? steadyRange(this._sample, this._radians, this._held) : this._range;
-    paintInvariant(this._chroma, this._radians, range, COLOURS[this.colours], this._pixels);
-    this.canvas.getContext("2d").putImageData(this._image, 0, 0);
-    this._dirty = false;
-    if (this._held) this.meter.tick();
-    return this.canvas;
+    if (!this.#chroma || !this.#dirty) return this.#chroma && this.#canvas;
+    const range = this.#held ? steadyRange(this.#sample, this.#radians, this.#held) : this.#range;
+    paintInvariant(this.#chroma, this.#radians, range, COLOURS[this.#colours], this.#pixels);
+    this.#canvas.getContext("2d").putImageData(this.#image, 0, 0);
+    this.#dirty = false;
+    if (this.#held) this.#meter.tick();
+    return this.#canvas;
   }
 
   /** Part of the picture that the image covers, in its pixels; null: all. */
-  get covered() { return this._chroma?.covered ?? null; }
+  get covered() { return this.#chroma?.covered ?? null; }
 
   /** Drop the picture; its chroma is fetched when the view is opened. */
   clear() {
-    this._chroma = null;
-    this._chosen = false;
-    this._note.textContent = "";
-    this._asked = null;
+    this.#chroma = null;
+    this.#chosen = false;
+    this.#note.textContent = "";
+    this.#asked = null;
   }
 
   async load(source) {
-    if (this._asked === source) return;
-    this._asked = source;
+    if (this.#asked === source) return;
+    this.#asked = source;
     await source.ready;
     try {
       const chroma = parseChroma(await api.buffer(source.address("chroma", { size: SIZE })));
-      if (this._asked === source) this._take(chroma);
+      if (this.#asked === source) this.#take(chroma);
     } catch (error) {
-      if (this._asked !== source) return;
-      this._asked = null;
+      if (this.#asked !== source) return;
+      this.#asked = null;
       throw error;
     }
   }
 
-  _take(chroma) {
-    this._chroma = chroma;
-    this._sample = sampleChroma(chroma);
-    Object.assign(this.canvas, { width: chroma.width, height: chroma.height });
-    this._image = new ImageData(chroma.width, chroma.height);
-    this._pixels = new Uint32Array(this._image.data.buffer);
+  #take(chroma) {
+    this.#chroma = chroma;
+    this.#sample = sampleChroma(chroma);
+    Object.assign(this.#canvas, { width: chroma.width, height: chroma.height });
+    this.#image = new ImageData(chroma.width, chroma.height);
+    this.#pixels = new Uint32Array(this.#image.data.buffer);
     const lost = 1 - measurable(chroma);
-    this._note.textContent = lost > 0.5 ? `${Math.round(100 * lost)} % too dark or overexposed (hatched)` : "";
-    this._adaptContrast();
+    this.#note.textContent = lost > 0.5 ? `${Math.round(100 * lost)} % too dark or overexposed (hatched)` : "";
+    this.#adaptContrast();
   }
 
   /** Mark the angles of the model and the fit, in degrees. The fit's, or else the model's, is the initial value. */
   mark({ model = null, fit = null }) {
-    this.marks = { model: model == null ? null : foldedTheta(model), fit: fit == null ? null : foldedTheta(fit) };
-    this._use(this._chosen ? this.theta : this._default, this._chosen);
+    this.#angles = { model: model == null ? null : foldedTheta(model), fit: fit == null ? null : foldedTheta(fit) };
+    this.#use(this.#chosen ? this.#theta : this.#default, this.#chosen);
   }
 
-  _use(theta, chosen = false) {
-    Object.assign(this, { theta, _chosen: chosen });
-    this._show();
-    this._adaptContrast();
+  #use(theta, chosen = false) {
+    this.#theta = theta;
+    this.#chosen = chosen;
+    this.#show();
+    this.#adaptContrast();
   }
 
-  get _default() { return Math.round(10 * (this.marks.fit ?? this.marks.model ?? USUAL)) / 10; }
+  get #default() { return Math.round(10 * (this.#angles.fit ?? this.#angles.model ?? USUAL)) / 10; }
 
   key(event) {
-    const next = thetaAfterKey(this.theta, event);
+    const next = thetaAfterKey(this.#theta, event);
     if (next === null) return false;
-    this._move(next);
-    clearTimeout(this._timer);
-    this._timer = setTimeout(() => this._adaptContrast(), PAUSE);
+    this.#move(next);
+    clearTimeout(this.#timer);
+    this.#timer = setTimeout(() => this.#adaptContrast(), PAUSE);
     return true;
   }
 
-  _move(theta) {
-    this._chosen = true;
-    this.theta = theta;
-    if (this._chroma) this._held ??= this._range;
-    this._dirty = true;
-    this._show();
-    this.viewer.redraw();
+  #move(theta) {
+    this.#chosen = true;
+    this.#theta = theta;
+    if (this.#chroma) this.#held ??= this.#range;
+    this.#dirty = true;
+    this.#show();
+    this.#viewer.redraw();
   }
 
-  _adaptContrast() {
-    this._held = null;
-    if (!this._chroma) return;
-    this._range = robustRange(this._sample, this._radians);
-    this._dirty = true;
-    this.viewer.redraw();
+  #adaptContrast() {
+    this.#held = null;
+    if (!this.#chroma) return;
+    this.#range = robustRange(this.#sample, this.#radians);
+    this.#dirty = true;
+    this.#viewer.redraw();
   }
 
-  get _radians() { return (this.theta * Math.PI) / 180; }
+  get #radians() { return (this.#theta * Math.PI) / 180; }
 
-  _controls() {
-    this._slider = slider({
+  #controls() {
+    this.#slider = slider({
       min: "0", max: "180", step: "0.1", testid: "theta-slider",
       "aria-label": "Angle θ of the invariant image in degrees",
-      oninput: () => this._move(Number(this._slider.value)), onchange: () => this._adaptContrast(),
+      oninput: () => this.#move(Number(this.#slider.value)), onchange: () => this.#adaptContrast(),
       onkeydown: (event) => this.key(event) && consume(event),
     });
-    this._text = h("output.number.fit-theta-text", { testid: "theta-value" });
-    this._marks = h("div.fit-theta-marks", { "aria-hidden": "true" });
-    this._note = h("span.small.muted");
+    this.#text = h("output.number.fit-theta-text", { testid: "theta-value" });
+    this.#marks = h("div.fit-theta-marks", { "aria-hidden": "true" });
+    this.#note = h("span.small.muted");
     const reset = button("Reset", {
       small: true, testid: "theta-reset", title: "Reset to the angle of the fit or the model",
-      onclick: () => this._use(this._default),
+      onclick: () => this.#use(this.#default),
     });
     const choices = [{ value: "grey", label: "Grey" }, { value: "viridis", label: "Viridis" }];
-    const colours = segmented("Colours", choices, this.colours, (value) => {
-      this.colours = value;
-      this._dirty = true;
-      this.viewer.redraw();
+    const colours = segmented("Colours", choices, this.#colours, (value) => {
+      this.#colours = value;
+      this.#dirty = true;
+      this.#viewer.redraw();
     });
     return h("div.fit-controls",
-      h("span.fit-theta-name", "θ"), h("div.fit-theta", this._slider, this._marks),
-      this._text, reset, colours.element, this._note);
+      h("span.fit-theta-name", "θ"), h("div.fit-theta", this.#slider, this.#marks),
+      this.#text, reset, colours.element, this.#note);
   }
 
-  _show() {
-    this._slider.value = String(this.theta);
-    this._text.textContent = `${this.theta.toFixed(1)}°`;
-    this._slider.setAttribute("aria-valuetext", `${this.theta.toFixed(1)} degrees`);
-    const { model, fit } = this.marks;
-    if (this._marked === this.marks) return;
-    this._marked = this.marks;
+  #show() {
+    this.#slider.value = String(this.#theta);
+    this.#text.textContent = `${this.#theta.toFixed(1)}°`;
+    this.#slider.setAttribute("aria-valuetext", `${this.#theta.toFixed(1)} degrees`);
+    const { model, fit } = this.#angles;
+    if (this.#marked === this.#angles) return;
+    this.#marked = this.#angles;
     const mark = (name, at) => h("span.mark", { class: name, title: name, style: `--at: ${at / 180}` }, name);
     const [from, to] = PHYSICAL.map((degrees) => degrees / 180);
     const isApart = fit != null && (model == null || Math.abs(fit - model) > 0.05);
-    this._marks.replaceChildren(...[
+    this.#marks.replaceChildren(...[
       h("span.range", { title: "Angles of real cameras: between 90° and 135°", style: `--from: ${from}; --to: ${to}` }),
       model != null && mark("model", model), isApart && mark("fit", fit),
     ].filter(Boolean));

@@ -31,50 +31,71 @@ const LAYER_SIZE = 1600;
 const REST = 150; // milliseconds after the last move of a lamp until the exact picture is fetched
 
 export class FitView {
-  source = null;
-  fit = null;
-  others = []; // fits of the other specimens
-  name = "picture";
-  iteration = null; // {shape, final} of the slider, null for the result
-  opacity = Object.fromEntries(VIEWS.map(({ name }) => [name, 1])); // of views and overlays
-  meter = new FrameMeter(); // of a dragged lamp
+  #source = null;
+  #fit = null;
+  #others = []; // fits of the other specimens
+  #name = "picture";
+  #iteration = null; // {shape, final} of the slider, null for the result
+  #opacity = Object.fromEntries(VIEWS.map(({ name }) => [name, 1])); // of views and overlays
+  #meter = new FrameMeter();
+  #divider;
   // Each view has its own overlays, since those of the picture would hide the others.
-  _drawn = new Map(VIEWS.map(({ name }) => [name, new Set(name === "picture" ? ["contours", "landmarks"] : [])]));
-  _images = new Map();
-  _faults = new Map(); // view -> error message of the server
-  _scales = new Map(); // view -> {limit, what} of its colours
-  _split = new Set(["flat", "relit"]); // views that are shown beside the picture
+  #drawn = new Map(VIEWS.map(({ name }) => [name, new Set(name === "picture" ? ["contours", "landmarks"] : [])]));
+  #images = new Map();
+  #faults = new Map(); // view -> error message of the server
+  #scales = new Map(); // view -> {limit, what} of its colours
+  #split = new Set(["flat", "relit"]); // views that are shown beside the picture
+  #tab;
+  #rough = null; // computes the relit picture in the browser
+  #moved = false; // whether it has not been painted since a lamp moved
+  #isRough = false; // whether it is shown
+  #awaited = null; // timer of the exact relit picture; null once it is shown
+  // Elements.
+  #choice; #hint; #layerName; #layerText; #legend; #slider;
 
   /** @param {import("./fit.js").Tab} tab */
   constructor(tab) {
-    this._tab = tab;
+    this.#tab = tab;
     this.container = h("div.fit-viewer", { testid: "fit-viewer" });
     this.viewer = new Viewer(this.container, { label: "Picture to fit" });
-    this.divider = new Divider(this.viewer, () => this.viewer.redraw());
+    this.#divider = new Divider(this.viewer, () => this.viewer.redraw());
     this.invariant = new InvariantView(this.viewer);
-    this.light = new Light(tab.state.project.default_ambient);
+    this.light = new Light(tab.state.project.default_ambient, () => tab.saveRelit());
     this.container.append(this.light.stage);
-    this.light.addEventListener("change", () => this._relight());
+    this.light.addEventListener("change", () => this.#relight());
     const choices = VIEWS.map(({ name, label, hint }) => ({ value: name, label, title: hint }));
-    this._choice = segmented("View", choices, this.name, (name) => this.show(name), "layer");
-    this.chooser = this._choice.element;
+    this.#choice = segmented("View", choices, this.#name, (name) => this.show(name), "layer");
+    this.chooser = this.#choice.element;
     this.splitter = button("Before | after", {
       icon: "compare", kind: "roomy", small: true, pressed: false, shortcut: "S", testid: "fit-split",
       title: "Show the picture on the left of a line and the view on its right", onclick: () => this.toggleSplit(),
     });
     this.overlays = new Overlays([], () => this.viewer.redraw(), "layer");
-    this.layers = this._layers();
-    this._hint = h("p.small.muted.fit-hint");
-    this._legend = h("div.fit-legend.small.muted");
-    this.bar = h("div.fit-bar", this._hint, this._legend, this.invariant.controls);
-    this.viewer.addLayer((ctx, viewer) => this._draw(ctx, viewer));
+    this.layers = this.#layers();
+    this.#hint = h("p.small.muted.fit-hint");
+    this.#legend = h("div.fit-legend.small.muted");
+    this.bar = h("div.fit-bar", this.#hint, this.#legend, this.invariant.controls);
+    this.viewer.addLayer((ctx, viewer) => this.#draw(ctx, viewer));
+    this.setSource(null);
     this.show("picture");
-    expert.follow(() => this._offer());
+    expert.follow(() => this.#offer());
   }
 
+  /** Name of the view. */
+  get name() { return this.#name; }
+  /** Frames of a dragged lamp. */
+  get meter() { return this.#meter; }
+  /** Whether the view's own image has come, and whether the exact relit picture is awaited. */
+  get hasImage() { return this.#image() !== null; }
+  get isRelighting() { return this.#awaited !== null; }
+  /** The shape that is drawn: that of an iteration, or of the fit. */
+  get shownShape() { return this.#iteration?.shape ?? this.#fit?.shape ?? null; }
+
   setSource(source) {
-    const another = source?.key !== this.source?.key;
-    this.source = source;
+    const another = source?.key !== this.#source?.key;
+    this.#source = source;
+    this.container.classList.toggle("without", !source);
+    this.bar.hidden = !source;
     this.viewer.setPicture(source?.image ?? null, source?.width ?? 0, source?.height ?? 0, source?.tiles ?? null);
     if (!another) return;
     if (source) this.viewer.fit();
@@ -82,237 +103,239 @@ export class FitView {
     this.setFit(null);
   }
 
-  setFit(fit) {
-    this.fit = fit;
-    this.iteration = null;
-    for (const known of [this._images, this._faults, this._scales]) known.clear();
-    this._rough = null; // computes the relit picture in the browser
-    this._moved = this._isRough = false; // whether it has not been painted since a lamp moved, and whether it is shown
-    this._dropRelit();
-    this.show(this.name);
+  /** Show a fit, and those of the other specimens that were fitted with it. */
+  setFit(fit, others = []) {
+    this.#fit = fit;
+    this.#others = others;
+    this.#iteration = null;
+    for (const known of [this.#images, this.#faults, this.#scales]) known.clear();
+    this.#rough = null;
+    this.#moved = this.#isRough = false;
+    this.#dropRelit();
+    this.show(this.#name);
   }
 
   setIteration(iteration) {
-    this.iteration = iteration;
+    this.#iteration = iteration;
     this.viewer.redraw();
   }
 
   show(name) {
-    this.name = name;
-    this._faults.delete(name); // retry a view that has failed
-    this._choice.value = name;
-    this.overlays.show(this._drawn.get(name));
-    this._load();
-    this._changed();
+    this.#name = name;
+    this.#faults.delete(name); // retry a view that has failed
+    this.#choice.value = name;
+    this.overlays.show(this.#drawn.get(name));
+    this.#load();
+    this.#changed();
   }
 
   /** Names of the views that may be chosen. */
-  get _offered() { return VIEWS.filter((view) => expert.on || !view.expert).map(({ name }) => name); }
+  get #offered() { return VIEWS.filter((view) => expert.on || !view.expert).map(({ name }) => name); }
 
-  _offer() {
-    const offered = this._offered;
-    for (const each of this._choice.element.children) each.hidden = !offered.includes(each.value);
-    if (!offered.includes(this.name)) this.show("picture");
+  #offer() {
+    const offered = this.#offered;
+    for (const each of this.#choice.element.children) each.hidden = !offered.includes(each.value);
+    if (!offered.includes(this.#name)) this.show("picture");
   }
 
   cycle(by) {
-    const can = this._offered.filter((name) => !this._why(name));
-    this.show(can[(can.indexOf(this.name) + by + can.length) % can.length] ?? "picture");
+    const can = this.#offered.filter((name) => !this.#why(name));
+    this.show(can[(can.indexOf(this.#name) + by + can.length) % can.length] ?? "picture");
   }
 
   toggleSplit() {
-    if (!this.source) return;
+    if (!this.#source) return;
     // The picture has no counterpart: switch to the most useful view.
-    const isSplit = this._split.has(this.name);
-    if (this.name === "picture") this.show(this._offered.find((name) => ["flat", "invariant"].includes(name) && !this._why(name)) ?? "picture");
-    if (isSplit) this._split.delete(this.name);
-    else if (this.name !== "picture") this._split.add(this.name);
-    this._changed();
+    const isSplit = this.#split.has(this.#name);
+    if (this.#name === "picture") this.show(this.#offered.find((name) => ["flat", "invariant"].includes(name) && !this.#why(name)) ?? "picture");
+    if (isSplit) this.#split.delete(this.#name);
+    else if (this.#name !== "picture") this.#split.add(this.#name);
+    this.#changed();
   }
 
   key(event) {
-    if (this.name === "invariant" && event.key.startsWith("Arrow")) return this.invariant.key(event);
-    if (!this.light.hidden && event.key.startsWith("Arrow")) return this.light.key(event);
+    if (this.#name === "invariant" && event.key.startsWith("Arrow")) return this.invariant.key(event);
+    if (this.light.isShown && event.key.startsWith("Arrow")) return this.light.key(event);
     return this.overlays.key(event) || this.viewer.key(event);
   }
 
   // Why a view is unavailable, or "".
 
-  _why(name) {
+  #why(name) {
     if (name === "picture") return "";
-    if (this._faults.has(name)) return this._faults.get(name);
-    if (!this.source) return "Open a picture first.";
+    if (this.#faults.has(name)) return this.#faults.get(name);
+    if (!this.#source) return "Open a picture first.";
     if (name === "invariant") return "";
-    if (!this.fit) return "This picture has not been fitted yet.";
+    if (!this.#fit) return "This picture has not been fitted yet.";
     const layer = name === "relit" ? "flat" : name;
-    if (this.fit.layers.includes(layer)) return "";
-    return `${this.fit.no_flat[0].toUpperCase()}${this.fit.no_flat.slice(1)}.`;
+    if (this.#fit.layers.includes(layer)) return "";
+    return `${this.#fit.no_flat[0].toUpperCase()}${this.#fit.no_flat.slice(1)}.`;
   }
 
-  async _load() {
-    if (this._why(this.name)) return;
-    if (this.name === "relit" && !this._images.has("relit")) this._relight(0);
-    await Promise.all((FETCHED[this.name] ?? []).map((layer) => this._fetch(layer)));
-    if (this.name !== "invariant") return;
-    const { source } = this;
+  async #load() {
+    if (this.#why(this.#name)) return;
+    if (this.#name === "relit" && !this.#images.has("relit")) this.#relight(0);
+    await Promise.all((FETCHED[this.#name] ?? []).map((layer) => this.#fetch(layer)));
+    if (this.#name !== "invariant") return;
+    const source = this.#source;
     try {
       await this.invariant.load(source);
     } catch (error) {
-      if (this.source === source) this._failed("invariant", error);
+      if (this.#source === source) this.#failed("invariant", error);
     }
   }
 
-  async _fetch(layer) {
-    const { fit } = this;
-    if (this._images.has(layer)) return;
-    this._images.set(layer, null); // requested
+  async #fetch(layer) {
+    const fit = this.#fit;
+    if (this.#images.has(layer)) return;
+    this.#images.set(layer, null); // requested
     try {
       const { image, scale } = await api.layer(api.url("fits", fit.id, "layers", layer, { size: LAYER_SIZE }));
-      if (this.fit !== fit) return;
-      this._images.set(layer, image);
-      this._scales.set(layer, scale);
-      this._changed();
+      if (this.#fit !== fit) return;
+      this.#images.set(layer, image);
+      this.#scales.set(layer, scale);
+      this.#changed();
     } catch (error) {
-      if (this.fit === fit) this._images.delete(layer);
-      this._failed(layer, error, fit);
+      if (this.#fit === fit) this.#images.delete(layer);
+      this.#failed(layer, error, fit);
     }
   }
 
   /** Show the error of a view. If the server no longer has the fit, it is fitted again. */
-  _failed(name, error, fit = null) {
-    if (fit && fit !== this.fit) return;
-    if (fit && error.status === 404) return this._tab.forgotten(fit);
-    this._faults.set(name, error.message);
-    return this._changed();
+  #failed(name, error, fit = null) {
+    if (fit && fit !== this.#fit) return;
+    if (fit && error.status === 404) return this.#tab.forgotten(fit);
+    this.#faults.set(name, error.message);
+    return this.#changed();
   }
 
   /** Show the object under the lamps: what the browser can compute at once, and the exact picture when they rest. */
-  _relight(wait = REST) {
-    this._dropRelit();
-    if (this.name !== "relit" || this._why("relit")) return;
-    const layers = FETCHED.relit.map((layer) => this._images.get(layer));
-    if (this._images.has("relit") && layers.every(Boolean)) {
-      this._rough ??= new RoughLight(...layers, this._scales.get("normals").box);
-      this._moved = true;
+  #relight(wait = REST) {
+    this.#dropRelit();
+    if (this.#name !== "relit" || this.#why("relit")) return;
+    const layers = FETCHED.relit.map((layer) => this.#images.get(layer));
+    if (this.#images.has("relit") && layers.every(Boolean)) {
+      this.#rough ??= new RoughLight(...layers, this.#scales.get("normals").box);
+      this.#moved = true;
     }
-    this._awaited = setTimeout(() => this._fetchRelit(this._awaited), wait);
+    this.#awaited = setTimeout(() => this.#fetchRelit(this.#awaited), wait);
     this.viewer.redraw();
   }
 
-  _dropRelit() {
-    clearTimeout(this._awaited);
-    this._awaited = null;
+  #dropRelit() {
+    clearTimeout(this.#awaited);
+    this.#awaited = null;
   }
 
-  async _fetchRelit(turn) {
-    const { fit } = this;
+  async #fetchRelit(turn) {
+    const fit = this.#fit;
     try {
       const size = Math.min(Math.max(fit.width, fit.height), LAYER_SIZE);
       const { image } = await api.layer(api.url("fits", fit.id, "relit", lightQuery(this.light, size)));
-      if (turn !== this._awaited) return;
-      this._images.get("relit")?.close();
-      this._images.set("relit", image);
-      this._moved = this._isRough = false;
+      if (turn !== this.#awaited) return;
+      this.#images.get("relit")?.close();
+      this.#images.set("relit", image);
+      this.#moved = this.#isRough = false;
     } catch (error) {
-      if (turn === this._awaited) this._failed("relit", error, fit);
+      if (turn === this.#awaited) this.#failed("relit", error, fit);
     }
-    if (turn === this._awaited) this._awaited = null;
+    if (turn === this.#awaited) this.#awaited = null;
     this.viewer.redraw();
   }
 
   /** The rough relit picture while lamps are moved, or else the exact one. */
-  _relitImage() {
-    if (this._moved) {
-      this._rough.draw(numbersOf(this.light));
-      this.meter.tick();
-      this._isRough = true;
+  #relitImage() {
+    if (this.#moved) {
+      this.#rough.draw(numbersOf(this.light));
+      this.#meter.tick();
+      this.#isRough = true;
     }
-    this._moved = false;
-    return this._isRough ? this._rough.canvas : this._images.get("relit");
+    this.#moved = false;
+    return this.#isRough ? this.#rough.canvas : this.#images.get("relit");
   }
 
-  _layers() {
+  #layers() {
     const opacity = (label, of, testid) => slider({
       min: "0", max: "1", step: "0.05", value: "1", "aria-label": `Opacity: ${label}`, testid: `opacity-${testid}`,
-      oninput: ({ target }) => this._setOpacity(of(), Number(target.value)),
+      oninput: ({ target }) => this.#setOpacity(of(), Number(target.value)),
     });
-    this._slider = opacity("view", () => this.name, "view");
-    this._layerName = h("span");
-    this._layerText = h("span.number");
+    this.#slider = opacity("view", () => this.#name, "view");
+    this.#layerName = h("span");
+    this.#layerText = h("span.number");
     const overlays = this.overlays.buttons.map((each) => {
       const { name } = each.dataset;
       return [each, opacity(each.textContent, () => name, name)];
     });
-    return h("div.fit-layers.small", h("label.fit-layer", this._layerName, this._slider, this._layerText), overlays);
+    return h("div.fit-layers.small", h("label.fit-layer", this.#layerName, this.#slider, this.#layerText), overlays);
   }
 
-  _setOpacity(layer, opacity) {
-    this.opacity[layer] = opacity;
-    this._changed();
+  #setOpacity(layer, opacity) {
+    this.#opacity[layer] = opacity;
+    this.#changed();
   }
 
   /** Make the view more transparent in steps, then opaque again. */
   fade() {
-    const opacity = this.opacity[this.name];
-    if (this.name !== "picture") this._setOpacity(this.name, opacity > 0.25 ? opacity - 0.25 : 1);
+    const opacity = this.#opacity[this.#name];
+    if (this.#name !== "picture") this.#setOpacity(this.#name, opacity > 0.25 ? opacity - 0.25 : 1);
   }
 
-  _changed() {
-    const view = VIEWS.find(({ name }) => name === this.name);
-    const why = this._why(this.name);
-    for (const each of this._choice.element.children)
-      each.classList.toggle("unavailable", Boolean(this._why(each.value)));
-    this._layerName.textContent = view.label;
-    this._slider.disabled = this.name === "picture";
-    this._slider.value = String(this.opacity[this.name]);
-    this._layerText.textContent = `${Math.round(100 * this.opacity[this.name])} %`;
-    this.invariant.controls.hidden = this.name !== "invariant" || Boolean(why);
-    this._hint.textContent = this.source ? why || view.hint || "" : "";
-    this._hint.classList.toggle("error-text", this._faults.has(this.name));
-    this._hint.hidden = !this.invariant.controls.hidden;
-    this.splitter.disabled = !this.source;
-    this._explain(why ? null : this._scales.get(this.name));
-    this.light.hidden = this.name !== "relit" || Boolean(why);
-    const isSplit = this._split.has(this.name);
+  #changed() {
+    const view = VIEWS.find(({ name }) => name === this.#name);
+    const why = this.#why(this.#name);
+    for (const each of this.#choice.element.children)
+      each.classList.toggle("unavailable", Boolean(this.#why(each.value)));
+    this.#layerName.textContent = view.label;
+    this.#slider.disabled = this.#name === "picture";
+    this.#slider.value = String(this.#opacity[this.#name]);
+    this.#layerText.textContent = `${Math.round(100 * this.#opacity[this.#name])} %`;
+    this.invariant.show(this.#name === "invariant" && !why);
+    this.#hint.textContent = this.#source ? why || view.hint || "" : "";
+    this.#hint.classList.toggle("error-text", this.#faults.has(this.#name));
+    this.#hint.hidden = this.invariant.isShown;
+    this.splitter.disabled = !this.#source;
+    this.#explain(why ? null : this.#scales.get(this.#name));
+    this.light.show(this.#name === "relit" && !why);
+    const isSplit = this.#split.has(this.#name);
     press(this.splitter, isSplit);
-    if (isSplit) this.divider.label("Picture", view.after);
+    if (isSplit) this.#divider.label("Picture", view.after);
     this.viewer.redraw();
   }
 
-  _explain(scale) {
-    this._legend.hidden = !scale;
+  #explain(scale) {
+    this.#legend.hidden = !scale;
     if (!scale) return;
-    const shading = this.name === "shading";
+    const shading = this.#name === "shading";
     // Shading is a logarithm; show it as a multiple of the training light.
     const most = shading ? significant(Math.exp(scale.limit)) : significant(scale.limit, 2);
     const [low, high] = shading ? [`1/${most}`, `${most}×`] : [`−${most}`, `+${most}`];
-    this._legend.replaceChildren(
+    this.#legend.replaceChildren(
       h("span", scale.what), h("span.number", low),
-      h("span.fit-ramp", { class: this.name, role: "img", "aria-label": `Colours from ${low} to ${high}` }),
+      h("span.fit-ramp", { class: this.#name, role: "img", "aria-label": `Colours from ${low} to ${high}` }),
       h("span.number", high),
     );
   }
 
-  _image() {
-    if (this._why(this.name)) return null;
-    if (this.name === "invariant") return this.invariant.image;
-    return (this.name === "relit" ? this._relitImage() : this._images.get(this.name)) ?? null;
+  #image() {
+    if (this.#why(this.#name)) return null;
+    if (this.#name === "invariant") return this.invariant.image;
+    return (this.#name === "relit" ? this.#relitImage() : this.#images.get(this.#name)) ?? null;
   }
 
-  _draw(ctx, viewer) {
-    const image = this._image();
-    const isSplit = this._split.has(this.name);
-    this.divider.element.hidden = !isSplit || !image; // no label for what is not drawn
+  #draw(ctx, viewer) {
+    const image = this.#image();
+    const isSplit = this.#split.has(this.#name);
+    this.#divider.show(isSplit && image !== null); // no label for what is not drawn
     if (image) {
       drawOver(ctx, viewer, image, {
-        from: isSplit ? this.divider.x : null, opacity: this.opacity[this.name],
-        covered: this.name === "invariant" ? this.invariant.covered : null,
-        filter: LIKE_PICTURES.includes(this.name) ? look.filter : "none",
+        from: isSplit ? this.#divider.x : null, opacity: this.#opacity[this.#name],
+        covered: this.#name === "invariant" ? this.invariant.covered : null,
+        filter: LIKE_PICTURES.includes(this.#name) ? look.filter : "none",
       });
     }
-    const { fit, opacity, overlays } = this;
-    if (!viewer.tool?.hidesFit) drawSpecimens(ctx, viewer, fit, this.others, overlays.shown, opacity);
-    if (fit && !viewer.tool?.hidesFit) drawFit(ctx, viewer, fit, overlays.shown, { ...this.iteration, opacity });
+    const [fit, opacity, { overlays }] = [this.#fit, this.#opacity, this];
+    if (!viewer.tool?.hidesFit) drawSpecimens(ctx, viewer, fit, this.#others, overlays.shown, opacity);
+    if (fit && !viewer.tool?.hidesFit) drawFit(ctx, viewer, fit, overlays.shown, { ...this.#iteration, opacity });
     viewer.tool?.draw(ctx, viewer);
     if (fit) this.light.place(viewer, fit.shape);
   }

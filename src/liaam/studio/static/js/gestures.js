@@ -19,14 +19,15 @@ const ANGLE_STEP = Math.PI / 36; // of a rotation with Shift: 5 degrees
 const SMALLEST = 0.02; // factor of one gesture that scales, so that points do not fall together
 export const NOTHING = { loupe: null, move() {}, up() {}, cancel() {} };
 
+const NONE = new Set();
+
 /** What gestures edit: the marks of a picture, what is being drawn over it, or a template. It has `points` and a
  *  `history`, and adding(xy) -> gesture | null, for a press on an empty place. */
 export class Editable {
-  selection = new Set(); // indices of points
-  active = -1; // the one that was selected last
-  invisible = new Set();
-  shown = null; // points during a gesture
-  began = null; // the context when the gesture in progress began
+  #selection = new Set();
+  #active = -1;
+  #shown = null;
+  #began = null; // the context when the gesture in progress began
 
   /** handlers: what to call when points are selected, during a gesture, and when the state has changed. */
   constructor(handlers = {}) { Object.assign(this, handlers); }
@@ -34,12 +35,22 @@ export class Editable {
   onpreview() {}
   onchange() {}
 
+  /** Indices of the selected points. */
+  get selection() { return this.#selection; }
+  /** The one that was selected last; -1 for none. */
+  get active() { return this.#active; }
+  get invisible() { return NONE; }
+  /** Points during a gesture; null without. */
+  get shown() { return this.#shown; }
   get editable() { return true; }
 
   /** What the next click depends on besides the state: undo and redo restore it, too. */
   get context() { return { selection: [...this.selection], active: this.active }; }
   /** The context before a step: a press that selects the point which it moves belongs to the step. */
-  get contextBefore() { return this.began ?? this.context; }
+  get contextBefore() { return this.#began ?? this.context; }
+  /** A gesture begins, before it selects a point; and it has ended. */
+  beginGesture() { this.#began = this.context; }
+  endGesture() { this.#began = null; }
 
   /** Indices of the points with a frame and handles. */
   framed() { return []; }
@@ -52,15 +63,24 @@ export class Editable {
   changed() { this.onchange(); }
 
   select(indices, active = indices.at(-1) ?? -1) {
-    Object.assign(this, { selection: new Set(indices), active });
+    this.restore({ selection: indices, active });
     this.onselect();
+  }
+
+  /** Select what a context says, without telling. @param {{selection?: Iterable<number>, active?: number}} context */
+  restore({ selection = [], active = -1 } = {}) {
+    this.#selection = new Set(selection);
+    this.#active = active;
   }
 
   /** Show points during a gesture; null: restore them. */
   preview(points) {
-    this.shown = points;
+    this.setShown(points);
     this.onpreview();
   }
+
+  /** The same without telling. */
+  setShown(points) { this.#shown = points; }
 
   /** Undo or redo a step, "undo" or "redo"; return its description, or null if there is none. @this {any} */
   travel(way) {
@@ -68,8 +88,8 @@ export class Editable {
     const what = way === "undo" ? history?.undoes : history?.redoes;
     const isDone = history?.[way](this.context);
     if (!isDone) return null;
-    const { selection = [], active = -1 } = history.context ?? {}; // that to which the step has led
-    Object.assign(this, { shown: null, selection: new Set(selection), active });
+    this.setShown(null);
+    this.restore(history.context ?? {}); // that to which the step has led
     this.changed();
     this.onselect();
     return what;
@@ -194,68 +214,85 @@ function boxing(doc, start, adds) {
   };
 }
 
-/** The viewer's tool that edits the document `current()`.
- *  options.boxes() -> whether a drag on an empty place selects with a box; options.onend(): after every gesture. */
+/** The viewer's tool that edits the document `current()`. */
 export class PointTool {
-  gesture = null;
-  hovered = -1;
-  pointer = null; // {at: css pixels, xy, type} of the last pointer that hovered, or of a point moved by keys
-  magnifies = true; // whether the loupe shows where a click would place a point
-  pressed = null; // position on the page of a press that started no gesture
-  doc = null; // what the gesture in progress edits
+  #viewer;
+  #current;
+  #onend;
+  #gesture = null;
+  #hovered = -1;
+  #pointer = null;
+  #boxes = false; // whether a drag on an empty place selects with a box
+  #magnifies = true; // whether the loupe shows where a click would place a point
+  #pressed = null; // position on the page of a press that started no gesture
+  #doc = null; // what the gesture in progress edits
+  #loupeTimer = null;
 
-  /** @param {any} viewer; @param {() => any} current; @param {{boxes?: () => boolean, onend?: () => void}} options */
-  constructor(viewer, current, { boxes = () => false, onend = () => {} } = {}) {
-    this.viewer = viewer;
-    this.current = current;
-    this.boxes = boxes;
-    this.onend = onend;
-    viewer.canvas.addEventListener("pointerup", (event) => this._deselectByClick(event));
+  /** onend(): after every gesture.
+   *  @param {any} viewer; @param {() => any} current; @param {{onend?: () => void}} options */
+  constructor(viewer, current, { onend = () => {} } = {}) {
+    this.#viewer = viewer;
+    this.#current = current;
+    this.#onend = onend;
+    viewer.canvas.addEventListener("pointerup", (event) => this.#deselectByClick(event));
     viewer.canvas.addEventListener("blur", () => this.leave());
   }
 
+  /** The gesture in progress, or null. */
+  get gesture() { return this.#gesture; }
+  /** Index of the point under the pointer, or -1. */
+  get hovered() { return this.#hovered; }
+  /** {at: css pixels, xy, type} of the last pointer that hovered, or of a point moved by keys; null without. */
+  get pointer() { return this.#pointer; }
+
+  /** Let a drag on an empty place select with a box, or no longer; return which. */
+  toggleBoxes() { return (this.#boxes = !this.#boxes); }
+
+  /** Show where a click would place a point under a loupe, or no longer. */
+  toggleLoupe() { this.#magnifies = !this.#magnifies; }
+
   /** Index of the point that an event hits; -1 for none. */
   find(event, xy) {
-    const doc = this.current();
+    const doc = this.#current();
     const reach = (doc.placing ? REACH_PLACING : REACH)[event.pointerType] ?? REACH.mouse;
-    return nearest(doc.points, xy, reach / this.viewer.scale, doc.selection);
+    return nearest(doc.points, xy, reach / this.#viewer.scale, doc.selection);
   }
 
   down(event, xy) {
-    this.pressed = null;
+    this.#pressed = null;
     if (event.button > 0) return false;
-    const doc = this.current();
-    doc.began = doc.context; // before the press selects a point
-    this.gesture = this._begin(doc, event, xy);
-    this._notePointer(event, xy);
-    this.viewer.redraw();
-    if (this.gesture === null) {
-      doc.began = null;
-      this.pressed = [event.clientX, event.clientY];
+    const doc = this.#current();
+    doc.beginGesture(); // before the press selects a point
+    this.#gesture = this.#begin(doc, event, xy);
+    this.#notePointer(event, xy);
+    this.#viewer.redraw();
+    if (this.#gesture === null) {
+      doc.endGesture();
+      this.#pressed = [event.clientX, event.clientY];
       return false;
     }
-    this.doc = doc;
+    this.#doc = doc;
     return true;
   }
 
   /** The gesture that a press begins; null for none. */
-  _begin(doc, event, xy) {
+  #begin(doc, event, xy) {
     if (!doc.editable) return null;
     const adds = event.shiftKey || event.ctrlKey || event.metaKey;
     const index = this.find(event, xy);
     if (index >= 0) {
       if (doc.press(index, event)) return { ...NOTHING };
-      return this._grab(doc, index, adds, xy, SLIP[event.pointerType] ?? SLIP.mouse);
+      return this.#grab(doc, index, adds, xy, SLIP[event.pointerType] ?? SLIP.mouse);
     }
-    const handle = handleAt(this.viewer, doc, event);
+    const handle = handleAt(this.#viewer, doc, event);
     if (handle?.kind === "move") return dragging(doc, -1, doc.framed(), xy);
-    if (handle) return turning(this.viewer, doc, handle, doc.framed());
-    if (adds || this.boxes()) return boxing(doc, xy, adds);
+    if (handle) return turning(this.#viewer, doc, handle, doc.framed());
+    if (adds || this.#boxes) return boxing(doc, xy, adds);
     return doc.adding(xy);
   }
 
   /** A press on a point selects it, or adds it to the selection or takes it out; then the selected points are dragged. */
-  _grab(doc, index, adds, xy, slip) {
+  #grab(doc, index, adds, xy, slip) {
     const isSelected = doc.selection.has(index);
     if (adds && isSelected) {
       doc.select([...doc.selection].filter((each) => each !== index), -1);
@@ -264,7 +301,7 @@ export class PointTool {
     if (adds) doc.select([...doc.selection, index], index);
     else doc.select(isSelected ? [...doc.selection] : [index], index);
 
-    const at = this.viewer.toScreen(xy);
+    const at = this.#viewer.toScreen(xy);
     const isFar = (to) => distance(to, at) > slip;
     const onclick = () => {
       if (!adds && doc.selection.size > 1) doc.select([index], index); // a click on one of several
@@ -273,86 +310,86 @@ export class PointTool {
   }
 
   move(event, xy) {
-    if (!this.gesture) return;
-    this._notePointer(event, xy);
-    this.gesture.move(xy, { shiftKey: event.shiftKey, at: this.viewer.place(event) });
-    this.viewer.redraw();
+    if (!this.#gesture) return;
+    this.#notePointer(event, xy);
+    this.#gesture.move(xy, { shiftKey: event.shiftKey, at: this.#viewer.place(event) });
+    this.#viewer.redraw();
   }
 
   up(event, xy) {
-    if (!this.gesture) return;
-    this._notePointer(event, xy);
-    const { gesture } = this;
-    this.gesture = null; // what it does below may begin another
+    if (!this.#gesture) return;
+    this.#notePointer(event, xy);
+    const gesture = this.#gesture;
+    this.#gesture = null; // what it does below may begin another
     gesture.up();
-    this._forgetDocument();
-    this.onend();
-    this.viewer.redraw();
+    this.#forgetDocument();
+    this.#onend();
+    this.#viewer.redraw();
   }
 
   cancel() {
-    this.gesture?.cancel();
-    this._forgetDocument();
-    this.gesture = null;
-    this.pressed = null;
-    this.viewer.redraw();
+    this.#gesture?.cancel();
+    this.#forgetDocument();
+    this.#gesture = null;
+    this.#pressed = null;
+    this.#viewer.redraw();
   }
 
   /** The gesture has ended. */
-  _forgetDocument() {
-    if (this.doc) this.doc.began = null;
-    this.doc = null;
+  #forgetDocument() {
+    this.#doc?.endGesture();
+    this.#doc = null;
   }
 
-  _deselectByClick(event) {
-    const { pressed } = this;
-    this.pressed = null;
-    if (pressed && distance(pressed, [event.clientX, event.clientY]) <= CLICK) this.current().select([], -1);
+  #deselectByClick(event) {
+    const pressed = this.#pressed;
+    this.#pressed = null;
+    if (pressed && distance(pressed, [event.clientX, event.clientY]) <= CLICK) this.#current().select([], -1);
   }
 
   hover(event, xy) {
-    this._notePointer(event, xy);
-    const doc = this.current();
+    this.#notePointer(event, xy);
+    const doc = this.#current();
     const index = this.find(event, xy);
-    const isDrawnAnew = index !== this.hovered || doc.placing || doc.followsPointer;
-    this.hovered = index;
-    if (isDrawnAnew) this.viewer.redraw();
+    const isDrawnAnew = index !== this.#hovered || doc.placing || doc.followsPointer;
+    this.#hovered = index;
+    if (isDrawnAnew) this.#viewer.redraw();
   }
 
-  _notePointer(event, xy) { this.pointer = { at: this.viewer.place(event), xy, type: event.pointerType }; }
+  #notePointer(event, xy) { this.#pointer = { at: this.#viewer.place(event), xy, type: event.pointerType }; }
 
   /** What the loupe shows: the point of a gesture or of keys, or the place for a click; null without a loupe. */
   get loupe() {
-    const { pointer, gesture } = this;
+    const [pointer, gesture] = [this.#pointer, this.#gesture];
     if (!pointer) return null;
     if (gesture) return gesture.loupe;
     if (pointer.type === "keys") return pointer.xy;
-    const wouldPlace = this.current().placing && this.hovered < 0;
-    return this.magnifies && wouldPlace ? pointer.xy : null;
+    const wouldPlace = this.#current().placing && this.#hovered < 0;
+    return this.#magnifies && wouldPlace ? pointer.xy : null;
   }
 
   /** Show the loupe over a point that was moved by keys, for a moment. */
   nudged(xy) {
-    this.pointer = { at: this.viewer.toScreen(xy), xy, type: "keys" };
-    clearTimeout(this._loupeTimer);
-    this._loupeTimer = setTimeout(() => {
-      if (this.pointer?.type === "keys") this.leave();
+    this.#pointer = { at: this.#viewer.toScreen(xy), xy, type: "keys" };
+    clearTimeout(this.#loupeTimer);
+    this.#loupeTimer = setTimeout(() => {
+      if (this.#pointer?.type === "keys") this.leave();
     }, LOUPE_AFTER_KEY);
   }
 
   leave() {
-    this.pointer = null;
-    this.hovered = -1;
-    this.viewer.redraw();
+    this.#pointer = null;
+    this.#hovered = -1;
+    this.#viewer.redraw();
   }
 
   cursor(event, xy) {
-    const doc = this.current();
+    const doc = this.#current();
     if (!doc.editable) return "";
     if (this.find(event, xy) >= 0) return "move";
-    const handle = handleAt(this.viewer, doc, event);
+    const handle = handleAt(this.#viewer, doc, event);
     if (handle) return CURSORS[handle.kind];
-    return doc.placing || this.boxes() || event.shiftKey ? "crosshair" : "";
+    return doc.placing || this.#boxes || event.shiftKey ? "crosshair" : "";
   }
 }
 

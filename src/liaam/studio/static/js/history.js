@@ -5,48 +5,58 @@ const LIMIT = 500; // maximum number of steps
 const BURST = 800; // milliseconds within which steps with the same key are merged
 
 export class History {
+  #state;
+  #context = null; // of the state that was undone or redone last
+  #past = [];
+  #future = [];
+  #last = { key: null, time: 0 };
+  #limit;
+  #burst;
+  #now;
+
   /** @param {any} state the first state
    *  @param {{limit?: number, burst?: number, now?: () => number}} options */
   constructor(state, { limit = LIMIT, burst = BURST, now = () => performance.now() } = {}) {
-    this.state = state;
-    this.context = null; // of the state that was undone or redone last
-    this.limit = limit;
-    this.burst = burst;
-    this.now = now;
-    this.past = [];
-    this.future = [];
-    this.last = { key: null, time: 0 };
+    this.#state = state;
+    this.#limit = limit;
+    this.#burst = burst;
+    this.#now = now;
   }
+
+  get state() { return this.#state; }
+  get context() { return this.#context; }
+  /** The number of steps that can be undone. */
+  get steps() { return this.#past.length; }
 
   /** Add a state. Steps with the same `key` in quick succession (held arrow keys) are merged. context: of the state
    *  before the step. */
   push(state, what = "", key = null, context = null) {
-    if (state === this.state) return;
-    const time = this.now();
-    const joins = key !== null && key === this.last.key && time - this.last.time < this.burst && this.past.length > 0;
-    if (!joins) this.past.push({ state: this.state, what, context });
-    if (this.past.length > this.limit) this.past.shift();
-    this.state = state;
-    this.future = [];
-    this.last = { key, time };
+    if (state === this.#state) return;
+    const time = this.#now();
+    const joins = key !== null && key === this.#last.key && time - this.#last.time < this.#burst && this.#past.length > 0;
+    if (!joins) this.#past.push({ state: this.#state, what, context });
+    if (this.#past.length > this.#limit) this.#past.shift();
+    this.#state = state;
+    this.#future = [];
+    this.#last = { key, time };
   }
 
-  get canUndo() { return this.past.length > 0; }
-  get canRedo() { return this.future.length > 0; }
+  get canUndo() { return this.#past.length > 0; }
+  get canRedo() { return this.#future.length > 0; }
 
-  get undoes() { return this.past.at(-1)?.what ?? ""; }
-  get redoes() { return this.future.at(-1)?.what ?? ""; }
+  get undoes() { return this.#past.at(-1)?.what ?? ""; }
+  get redoes() { return this.#future.at(-1)?.what ?? ""; }
   /** context: of the present state. */
-  undo(context = null) { return this.travel(this.past, this.future, context); }
-  redo(context = null) { return this.travel(this.future, this.past, context); }
+  undo(context = null) { return this.#travel(this.#past, this.#future, context); }
+  redo(context = null) { return this.#travel(this.#future, this.#past, context); }
 
-  travel(from, to, now) {
+  #travel(from, to, now) {
     if (!from.length) return null;
     const { state, what, context } = from.pop();
-    to.push({ state: this.state, what, context: now });
-    this.state = state;
-    this.context = context;
-    this.last = { key: null, time: 0 };
+    to.push({ state: this.#state, what, context: now });
+    this.#state = state;
+    this.#context = context;
+    this.#last = { key: null, time: 0 };
     return state;
   }
 }

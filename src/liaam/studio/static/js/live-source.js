@@ -14,16 +14,18 @@ const FAULTS = {
 const HELD = 4; // frames that are shown or sent at a time
 
 export class LiveSource {
+  #name = "";
+  #isFile = false;
+  #isFront = false;
+  #camera = "";
+  #cameras = {};
+  #canvases;
+
   /** onframe is called with the time in seconds of each frame that is shown. */
   constructor(onframe) {
     /** @type {HTMLVideoElement} */
     this.video = h("video", { muted: true, playsInline: true });
-    this.name = "";
-    this.isFile = false;
-    this.isFront = false; // whether it is a camera that looks at the person who sees its picture
-    this.camera = ""; // id of the open camera
-    this.cameras = {}; // names by id, known once one was open
-    this._canvases = Array.from({ length: HELD }, () => h("canvas"));
+    this.#canvases = Array.from({ length: HELD }, () => h("canvas"));
     const follow = () => this.video.requestVideoFrameCallback((_, { mediaTime }) => {
       onframe(mediaTime);
       follow();
@@ -31,7 +33,30 @@ export class LiveSource {
     follow();
   }
 
+  get name() { return this.#name; }
+  get isFile() { return this.#isFile; }
+  /** Whether it is a camera that looks at the person who sees its picture. */
+  get isFront() { return this.#isFront; }
+  /** Id of the open camera. */
+  get camera() { return this.#camera; }
+  /** Names of the cameras by id, known once one was open. */
+  get cameras() { return this.#cameras; }
+  get isPaused() { return this.video.paused; }
   get isOpen() { return Boolean(this.video.srcObject || this.video.src); }
+
+  pause() { this.video.pause(); }
+
+  /** Play, or pause. */
+  toggle() {
+    if (this.video.paused) this.video.play().catch(() => {});
+    else this.pause();
+  }
+
+  /** Show the frame at a time in seconds. */
+  seek(time) {
+    this.video.currentTime = time;
+    this.pause();
+  }
 
   /** Show a camera, by default the one that was chosen last; errors have a message for the user. */
   async openCamera(chosen = localStorage.getItem(KEY)) {
@@ -46,14 +71,17 @@ export class LiveSource {
     }
     const { facingMode, deviceId } = /** @type {any} */ (this.video.srcObject).getVideoTracks()[0].getSettings();
     const all = (await navigator.mediaDevices.enumerateDevices()).filter(({ kind }) => kind === "videoinput");
-    this.cameras = Object.fromEntries(all.map((each, i) => [each.deviceId, each.label || `Camera ${i + 1}`]));
-    Object.assign(this, { name: "camera", camera: deviceId, isFront: facingMode !== "environment" });
+    this.#cameras = Object.fromEntries(all.map((each, i) => [each.deviceId, each.label || `Camera ${i + 1}`]));
+    this.#name = "camera";
+    this.#camera = deviceId;
+    this.#isFront = facingMode !== "environment";
     await this.video.play();
   }
 
   /** Show a video file; errors have a message for the user. */
   async openFile(file) {
-    Object.assign(this, { name: file.name.replace(/\.[^.]*$/, ""), isFile: true });
+    this.#name = file.name.replace(/\.[^.]*$/, "");
+    this.#isFile = true;
     this.video.src = URL.createObjectURL(file);
     try {
       await this.video.play();
@@ -69,13 +97,13 @@ export class LiveSource {
     if (this.video.src) URL.revokeObjectURL(this.video.src);
     this.video.srcObject = null;
     this.video.removeAttribute("src");
-    this.isFile = this.isFront = false;
+    this.#isFile = this.#isFront = false;
   }
 
   /** The current frame in a canvas, which is used again for the fourth frame after it. */
   grab({ width, height }) {
-    const canvas = this._canvases.shift();
-    this._canvases.push(canvas);
+    const canvas = this.#canvases.shift();
+    this.#canvases.push(canvas);
     if (canvas.width !== width || canvas.height !== height) Object.assign(canvas, { width, height });
     // The pixels are read at once, which is slow from the memory of a graphics card.
     canvas.getContext("2d", { willReadFrequently: true }).drawImage(this.video, 0, 0, width, height);

@@ -50,43 +50,49 @@ export function verdictOfFrame({ fit, flat, asked }, { isFile, isFlat, rate }) {
 
 /** Rows of a table with a header, by their time in seconds. */
 export class Track {
-  constructor(header = "") {
-    this.header = header;
-    this.rows = new Map(); // by milliseconds: {row, time, and what graphs show of it}
-  }
+  #header;
+  #rows = new Map();
+  #end = 0;
 
-  get lost() { return [...this.rows.values()].filter(({ shape }) => !shape.length).length; }
+  constructor(header = "") { this.#header = header; }
+
+  get header() { return this.#header; }
+  /** By milliseconds: {row, time, and what graphs show of it}. */
+  get rows() { return this.#rows; }
+  /** Time of the row that was added last, in seconds. */
+  get end() { return this.#end; }
+  get lost() { return [...this.#rows.values()].filter(({ shape }) => !shape.length).length; }
 
   /** Add the row of a frame; returns it as a fit. */
   set(time, row) {
     const fit = parseRow(row);
-    this.end = time;
+    this.#end = time;
     const { fitStatus, quality, roll, size, shape } = fit;
-    this.rows.set(key(time), { row, time, fitStatus, quality, roll, size, shape: Float32Array.from(shape.flat()) });
+    this.#rows.set(key(time), { row, time, fitStatus, quality, roll, size, shape: Float32Array.from(shape.flat()) });
     return fit;
   }
 
-  at(time) { return this.rows.get(key(time))?.row ?? null; }
+  at(time) { return this.#rows.get(key(time))?.row ?? null; }
 
   /** Time in seconds and kind of each frame: that of its fit, and "bad" where the object is lost. */
   marks() {
     const kind = ({ shape, fitStatus }) => (shape.length ? kindOf(fitStatus) : "bad");
-    return [...this.rows.values()].map((frame) => [frame.time, kind(frame)]);
+    return [...this.#rows.values()].map((frame) => [frame.time, kind(frame)]);
   }
 
   /** Times, and values of each of some functions of a frame, from a time on, for graphs. A lost frame has none. */
   graphs(values, since = -Infinity) {
-    const frames = [...this.rows.values()].filter(({ time }) => time >= since).sort((a, b) => a.time - b.time);
+    const frames = [...this.#rows.values()].filter(({ time }) => time >= since).sort((a, b) => a.time - b.time);
     const seen = (of) => frames.map((frame) => (frame.shape.length ? of(frame) : null));
     return [frames.map(({ time }) => time), ...values.map(seen)];
   }
 
   /** The table in the order of time. Frames are counted by the shortest interval, since some may have been skipped. */
   csv() {
-    const times = [...this.rows.keys()].sort((a, b) => a - b);
+    const times = [...this.#rows.keys()].sort((a, b) => a - b);
     const shortest = times.slice(1).reduce((least, time, i) => Math.min(least, time - times[i]), Infinity);
     const number = (time) => Math.round((time - times[0]) / shortest);
-    return this.header + times.map((time) => this.rows.get(time).row.replace(/^\d+/, number(time))).join("");
+    return this.#header + times.map((time) => this.#rows.get(time).row.replace(/^\d+/, number(time))).join("");
   }
 }
 

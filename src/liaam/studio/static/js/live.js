@@ -5,14 +5,14 @@ import { api } from "./api.js";
 import { LiveSource } from "./live-source.js";
 import { isJump, sentSize, Track, verdictOfFrame } from "./live-track.js";
 import { LiveView } from "./live-view.js";
-import { isPlain, press, saveFile } from "./ui.js";
+import { isPlain, saveFile } from "./ui.js";
 
 const AT_ONCE = 3; // frames that the server works on
 const GRAPHS = 125; // milliseconds between two drawings of the graphs
 
 export class Tab {
-  isFlat = false;
-  recorded = new Blob();
+  #isFlat = false; // whether the shading is removed
+  #recorded = new Blob();
   shortcuts = [
     { keys: "P", what: "Play, pause" },
     { keys: "F", what: "Remove the shading" },
@@ -20,172 +20,188 @@ export class Tab {
     { keys: "R", what: "Record" },
     { keys: "C L M E", what: "Show contours, points, mesh, ellipses" },
   ];
+  #app;
+  #source;
+  #view;
+  #track;
+  #message = ""; // what is wrong
+  #recorder = null;
+  /** @type {Promise<{id: string, header: string}> | null} */
+  #video = null; // the server's work on the video
+  #number = 0; // of the next frame
+  #inFlight = 0; // frames that the server works on
+  #before = null; // time of the frame that was sent last
+  #missed = null; // time of the newest frame that waits, or null
 
   constructor(root, app) {
-    this.app = app;
-    this.source = new LiveSource((time) => this._frame(time));
-    this.view = new LiveView(root, app, {
-      camera: (id) => this._start(() => this.source.openCamera(id)), file: (file) => this.show({ file }),
-      stop: () => this._stop(), play: () => (video.paused ? video.play().catch(() => {}) : video.pause()),
-      record: () => this._record(), mirror: () => this._dress({ mirrored: !this.view.mirrored }),
+    this.#app = app;
+    this.#source = new LiveSource((time) => this.#frame(time));
+    this.#view = new LiveView(root, app, {
+      camera: (id) => this.#start(() => this.#source.openCamera(id)), file: (file) => this.show({ file }),
+      stop: () => this.#stop(), play: () => this.#source.toggle(),
+      record: () => this.#record(), mirror: () => this.#mirror(!this.#view.mirrored),
       flat: () => {
-        this.isFlat = !this.isFlat;
-        press(this.view.tools.flat, this.isFlat);
-        if (video.paused && this.view.shown) this._frame(this.view.shown.time);
+        this.#isFlat = !this.#isFlat;
+        this.#view.press("flat", this.#isFlat);
+        if (video.paused && this.#view.shown) this.#frame(this.#view.shown.time);
       },
-      save: () => saveFile(new Blob([this.track.csv()], { type: "text/csv" }), `${this.source.name}_track.csv`),
-      seek: (time) => Object.assign(video, { currentTime: time }).pause(),
+      save: () => saveFile(new Blob([this.#track.csv()], { type: "text/csv" }), `${this.#source.name}_track.csv`),
+      seek: (time) => this.#source.seek(time),
     });
-    this._stop();
-    const { source: { video }, view } = this;
+    this.#stop();
+    const [view, { video }] = [this.#view, this.#source];
     video.addEventListener("play", () => view.meter.reset());
-    for (const type of ["play", "pause", "ended"]) video.addEventListener(type, () => this._dress());
+    for (const type of ["play", "pause", "ended"]) video.addEventListener(type, () => this.#dress());
     video.addEventListener("resize", () => view.viewer.setPicture(null, video.videoWidth, video.videoHeight));
-    app.state.addEventListener("project", () => this._dress());
-    addEventListener("pagehide", () => this._end());
-    setInterval(() => this.source.isOpen && this._tell(), 250);
-    setInterval(() => this.source.isOpen && view.graphs.draw(this.source, this.track), GRAPHS);
+    app.state.addEventListener("project", () => this.#dress());
+    addEventListener("pagehide", () => this.#end());
+    setInterval(() => this.#source.isOpen && this.#tell(), 250);
+    setInterval(() => this.#source.isOpen && view.graphs.draw(this.#source, this.#track), GRAPHS);
     window.liaamStudio.live = {
       viewer: view.viewer, shown: () => view.shown, rate: () => view.meter.rate(), delays: () => view.delays,
-      track: () => this.track, recorded: () => this.recorded.size, video: () => video, isOpen: () => this.source.isOpen,
-      mirrored: () => view.mirrored, camera: () => this.source.camera, pair: () => view.graphs.pair,
-      isIdle: () => this._inFlight === 0 && this._missed === null,
+      track: () => this.#track, recorded: () => this.#recorded.size, video: () => video, isOpen: () => this.#source.isOpen,
+      mirrored: () => view.mirrored, camera: () => this.#source.camera, pair: () => view.graphs.pair,
+      isIdle: () => this.#inFlight === 0 && this.#missed === null,
     };
   }
 
   /** @param {{file?: File, camera?: boolean}} options file: a video to follow; camera: whether to follow that */
   show({ file, camera } = {}) {
-    if (camera) this._start(() => this.source.openCamera());
-    else if (file) this._start(() => this.source.openFile(file));
-    else if (this.source.isFile) this.view.drawTime(this.source.video, this.track);
+    if (camera) this.#start(() => this.#source.openCamera());
+    else if (file) this.#start(() => this.#source.openFile(file));
+    else if (this.#source.isFile) this.#view.drawTime(this.#source.video, this.#track);
   }
 
   hide() {
-    if (this.source.isFile) return this.source.video.pause();
-    const lost = several(this.track.rows.size, "frame");
-    if (this.track.rows.size)
-      this.app.toast(`The camera is off, and its track of ${lost} has ended. Next time, export it before you leave Live.`);
-    this._stop(); // the camera is on only while the tab is open
+    if (this.#source.isFile) return this.#source.pause();
+    const lost = several(this.#track.rows.size, "frame");
+    if (this.#track.rows.size)
+      this.#app.toast(`The camera is off, and its track of ${lost} has ended. Next time, export it before you leave Live.`);
+    this.#stop(); // the camera is on only while the tab is open
   }
 
-  key(event) { return isPlain(event) && this.view.key(event); }
+  key(event) { return isPlain(event) && this.#view.key(event); }
 
-  async _start(open) {
-    this._stop();
-    await open().catch((error) => { this._message = error.message; });
-    this._dress({ mirrored: this.source.isFront });
+  async #start(open) {
+    this.#stop();
+    await open().catch((error) => { this.#message = error.message; });
+    this.#mirror(this.#source.isFront);
   }
 
-  _stop() {
-    this._recorder?.stop();
-    this._end();
-    this.source.close();
-    this.view.show(null);
-    this.track = new Track();
-    this._message = "";
-    this._dress();
+  #stop() {
+    this.#recorder?.stop();
+    this.#end();
+    this.#source.close();
+    this.#view.show(null);
+    this.#track = new Track();
+    this.#message = "";
+    this.#dress();
   }
 
   /** End the server's work on the video; a next frame begins it again. */
-  _end() {
+  #end() {
     const end = ({ id }) => api.delete(api.url("live", id), {}, { quiet: true, keepalive: true });
-    this._video?.then(end).catch(() => {});
-    /** @type {Promise<{id: string, header: string}>} */
-    this._video = null;
-    this._inFlight = this._number = 0;
-    this._before = this._missed = null;
+    this.#video?.then(end).catch(() => {});
+    this.#video = null;
+    this.#inFlight = this.#number = 0;
+    this.#before = this.#missed = null;
   }
 
-  async _begin() {
+  async #begin() {
     const video = await api.post(api.url("live"), {}, { quiet: true });
-    if (this.track.header !== video.header) this.track = new Track(video.header); // at first, or with another model
+    if (this.#track.header !== video.header) this.#track = new Track(video.header); // at first, or with another model
     return video;
   }
 
   /** A frame is shown: show its fit too if it is known, or else send it. */
-  _frame(time) {
-    const { video, isFile } = this.source;
-    if (!this.app.state.project.model || !video.videoWidth) return;
-    const known = isFile && !this.isFlat ? this.track.at(time) : null;
-    const waits = !known && this._inFlight >= AT_ONCE;
-    this._missed = waits ? time : null;
+  #frame(time) {
+    const { video, isFile } = this.#source;
+    if (!this.#app.state.project.model || !video.videoWidth) return;
+    const known = isFile && !this.#isFlat ? this.#track.at(time) : null;
+    const waits = !known && this.#inFlight >= AT_ONCE;
+    this.#missed = waits ? time : null;
     if (waits) return;
-    const canvas = this.source.grab(sentSize(video.videoWidth, video.videoHeight));
-    const frame = { time, grabbed: performance.now(), canvas, asked: this.isFlat };
-    if (known) this._take(frame, known, null);
-    else this._send(frame);
+    const canvas = this.#source.grab(sentSize(video.videoWidth, video.videoHeight));
+    const frame = { time, grabbed: performance.now(), canvas, asked: this.#isFlat };
+    if (known) this.#take(frame, known, null);
+    else this.#send(frame);
   }
 
-  async _send(frame) {
+  async #send(frame) {
     const { canvas: { width, height }, time } = frame;
-    const { videoWidth: of_width, videoHeight: of_height } = this.source.video;
+    const { videoWidth: of_width, videoHeight: of_height } = this.#source.video;
     const { data } = frame.canvas.getContext("2d").getImageData(0, 0, width, height);
-    const flags = { flat: Number(frame.asked), fresh: Number(isJump(this._before, time)) };
-    const query = { width, height, of_width, of_height, number: this._number, time, ...flags };
-    this._before = time;
-    this._number += 1;
-    this._inFlight += 1;
-    const asked = (this._video ??= this._begin());
+    const flags = { flat: Number(frame.asked), fresh: Number(isJump(this.#before, time)) };
+    const query = { width, height, of_width, of_height, number: this.#number, time, ...flags };
+    this.#before = time;
+    this.#number += 1;
+    this.#inFlight += 1;
+    const asked = (this.#video ??= this.#begin());
     let answer = null;
     try {
       const address = api.url("live", (await asked).id, "frames", query);
       // A blob is handed over faster than an array.
       answer = await parts(await api.buffer(address, { method: "POST", body: new Blob([data]), quiet: true }));
-      this._message = "";
+      this.#message = "";
     } catch (error) {
-      if (this._video === asked) this._end();
-      if (error.status !== 404) this._message = error.message; // 404: ended for other videos, or by a new model
+      if (this.#video === asked) this.#end();
+      if (error.status !== 404) this.#message = error.message; // 404: ended for other videos, or by a new model
     }
-    if (this._video === asked) this._inFlight -= 1;
-    if (this._video === asked && answer) this._take(frame, ...answer);
-    if (this._missed !== null && this.source.video.paused) this._frame(this._missed);
+    if (this.#video === asked) this.#inFlight -= 1;
+    if (this.#video === asked && answer) this.#take(frame, ...answer);
+    if (this.#missed !== null && this.#source.video.paused) this.#frame(this.#missed);
   }
 
-  _take(frame, row, flat) {
-    const fit = this.track.set(frame.time, row);
-    if (frame.grabbed < this.view.shown?.grabbed) return; // overtaken by a newer one
-    const { triangles, contours } = this.app.state.project.model;
-    this.view.show({ ...frame, flat, fit: { ...fit, triangles, contours } });
-    if (this.source.isFile) this.view.drawTime(this.source.video, this.track);
+  #take(frame, row, flat) {
+    const fit = this.#track.set(frame.time, row);
+    if (frame.grabbed < this.#view.shown?.grabbed) return; // overtaken by a newer one
+    const { triangles, contours } = this.#app.state.project.model;
+    this.#view.show({ ...frame, flat, fit: { ...fit, triangles, contours } });
+    if (this.#source.isFile) this.#view.drawTime(this.#source.video, this.#track);
   }
 
   /** Record the picture with what is drawn over it, until the next call. */
-  _record() {
-    if (this._recorder) return this._recorder.stop();
-    const [name, recorded] = [`${this.source.name}_fit.webm`, []];
-    this.recorded = new Blob();
-    const recorder = new MediaRecorder(this.view.film(this.source.video), { mimeType: "video/webm" });
+  #record() {
+    if (this.#recorder) return this.#recorder.stop();
+    const [name, recorded] = [`${this.#source.name}_fit.webm`, []];
+    this.#recorded = new Blob();
+    const recorder = new MediaRecorder(this.#view.film(this.#source.video), { mimeType: "video/webm" });
     const use = (now) => {
-      this._recorder = now;
-      press(this.view.tools.record, Boolean(now));
+      this.#recorder = now;
+      this.#view.press("record", Boolean(now));
     };
     recorder.ondataavailable = ({ data }) => {
       recorded.push(data);
-      this.recorded = new Blob(recorded, { type: "video/webm" });
+      this.#recorded = new Blob(recorded, { type: "video/webm" });
     };
     recorder.onstop = async () => {
       use(null);
       // The server adds the duration and an index, so that players can seek; a recording too large for it has none.
-      const whole = this.recorded.size && api.blob(api.url("recordings"), { method: "POST", body: this.recorded });
-      if (whole) saveFile(await whole.catch(() => this.recorded), name);
-      else this.app.toast("Nothing was recorded: record for a second or longer.");
+      const whole = this.#recorded.size && api.blob(api.url("recordings"), { method: "POST", body: this.#recorded });
+      if (whole) saveFile(await whole.catch(() => this.#recorded), name);
+      else this.#app.toast("Nothing was recorded: record for a second or longer.");
     };
     recorder.start(1000);
     return use(recorder);
   }
 
-  _dress(change = {}) {
-    Object.assign(this.view, change);
-    this.view.dress(this.source, this.app.state.project?.model);
-    this._tell();
+  #mirror(on) {
+    this.#view.mirror(on);
+    this.#dress();
   }
 
-  _tell() {
-    const { view: { shown, meter }, source: { isOpen, isFile, video }, isFlat, _message: fault } = this;
-    const rate = meter.isFull && !video.paused ? meter.rate() : null;
+  #dress() {
+    this.#view.dress(this.#source, this.#app.state.project?.model);
+    this.#tell();
+  }
+
+  #tell() {
+    const [{ shown, meter }, { isOpen, isFile, isPaused }] = [this.#view, this.#source];
+    const [isFlat, fault] = [this.#isFlat, this.#message];
+    const rate = meter.isFull && !isPaused ? meter.rate() : null;
     const said = shown ? verdictOfFrame(shown, { isFile, isFlat, rate })
       : { kind: "", text: isOpen ? "Searching…" : "No video." };
-    this.view.tell(fault ? { kind: "bad", text: fault } : said, this.track);
+    this.#view.tell(fault ? { kind: "bad", text: fault } : said, this.#track);
   }
 }
 

@@ -17,19 +17,22 @@ export function shownValue(value, { brightness, contrast, gamma }) {
 
 /** The settings of the page. Tells listeners of "change" that pictures have to be drawn again. */
 class Look extends EventTarget {
-  values = NEUTRAL;
-  _holder = null; // element that holds the filter, an SVG element that has to be part of the page
+  #values = NEUTRAL;
+  #holder = null; // element that holds the filter, an SVG element that has to be part of the page
+  #key = "";
+
+  get values() { return this.#values; }
 
   /** Take the settings that were used last for a folder, by its id. */
   open(folder) {
-    this._key = `liaam-look:${folder}`;
-    this.set({ ...NEUTRAL, ...attempt(() => JSON.parse(localStorage.getItem(this._key))) });
+    this.#key = `liaam-look:${folder}`;
+    this.set({ ...NEUTRAL, ...attempt(() => JSON.parse(localStorage.getItem(this.#key))) });
   }
 
   set(values) {
-    this.values = values;
-    this._paint();
-    attempt(() => localStorage.setItem(this._key, JSON.stringify(values)));
+    this.#values = values;
+    this.#paint();
+    attempt(() => localStorage.setItem(this.#key, JSON.stringify(values)));
     this.dispatchEvent(new Event("change"));
   }
 
@@ -39,16 +42,16 @@ class Look extends EventTarget {
   get filter() { return this.isNeutral ? "none" : "url(#look)"; }
 
   /** Write the filter: a table of the 256 values of each channel, which are not converted to linear light. */
-  _paint() {
+  #paint() {
     const table = Array.from({ length: 256 }, (_, i) => shownValue(i / 255, this.values).toFixed(4)).join(" ");
     const curves = ["R", "G", "B"].map((channel) => `<feFunc${channel} type="table" tableValues="${table}"/>`).join("");
-    this._holder ??= document.body.appendChild(h("div.visually-hidden", { "aria-hidden": "true" }));
-    this._holder.innerHTML = `<svg><filter id="look" color-interpolation-filters="sRGB">
+    this.#holder ??= document.body.appendChild(h("div.visually-hidden", { "aria-hidden": "true" }));
+    this.#holder.innerHTML = `<svg><filter id="look" color-interpolation-filters="sRGB">
       <feComponentTransfer>${curves}</feComponentTransfer></filter></svg>`;
   }
 
   /** Call `show` now, and after each change. */
-  _follow(show) {
+  #follow(show) {
     this.addEventListener("change", show);
     show();
   }
@@ -59,7 +62,7 @@ class Look extends EventTarget {
       const { element, show } = labelledSlider(label, (value) => this.set({ ...this.values, [name]: value }), {
         min: String(-LIMIT), max: String(LIMIT), step: "0.05", "aria-label": label, testid: `look-${name}`,
       });
-      this._follow(() => show(this.values[name], `×${(2 ** this.values[name]).toFixed(2)}`));
+      this.#follow(() => show(this.values[name], `×${(2 ** this.values[name]).toFixed(2)}`));
       return element;
     });
     const reset = button("Reset", { small: true, testid: "look-reset", onclick: () => this.set(NEUTRAL) });
@@ -67,7 +70,7 @@ class Look extends EventTarget {
       "aria-label": "Brightness and contrast", "aria-keyshortcuts": "A", title: "Brightness, contrast, gamma (A)",
       testid: "look",
     }, icon("adjust"));
-    this._follow(() => face.classList.toggle("on", !this.isNeutral));
+    this.#follow(() => face.classList.toggle("on", !this.isNeutral));
     const foot = h("div.row", h("p.small.muted.grow", "Only for looking"), reset);
     const onkeydown = (event) => {
       // Arrows move a slider, and Escape closes the box. The page must not move or deselect points as well.

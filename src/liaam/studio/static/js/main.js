@@ -47,8 +47,9 @@ const app = {
   state, api, ui, toast, confirm: ui.confirm, openTab, pictures,
   /** Whether the open tab shows a picture that is not in the folder. */
   showsPictures: () => ["fit", "compare"].includes(open) || state.guest || state.readOnly, sources: new Sources(state, pictures),
-  fits: new FitStore(state), adding: null, bulk: null, selection: () => [],
-  saved: async () => {},
+  fits: new FitStore(state), adding: null, list: null,
+  saved: async () => tabs.get("annotate")?.tab.saved?.(),
+  points: () => tabs.get("annotate")?.tab.points ?? [],
 };
 app.adding = createAdding(app);
 
@@ -72,7 +73,7 @@ async function start() {
   if (state.readOnly) document.getElementById("folder").after(h("span.badge.warn", { title: READ_ONLY, testid: "read-only" }, "Read only"));
   document.title = `${[state.project.folder, state.project.set].filter(Boolean).join(" – ")} – liaam studio`;
   look.open(state.project.id);
-  mountStrip(document.getElementById("strip"), app);
+  app.list = mountStrip(document.getElementById("strip"), app);
   status();
   connection();
   actions();
@@ -135,7 +136,7 @@ function followTabs() {
 }
 
 function openTab(name, options = {}) {
-  state.wall?.open(false);
+  app.list?.wall.open(false);
   wanted = name;
   if (!tabs.size) return;
   if (!tabs.has(name)) name = "annotate";
@@ -165,7 +166,7 @@ function commonKey(event) {
   const [back, on] = [() => state.step(-1), () => state.step(1)];
   return runKey(event, {
     ...Object.fromEntries([...byNumber, ...panels]), "?": showKeys, "[": back, pageup: back, "]": on, pagedown: on,
-    g: () => state.wall.open(!state.wall.on), w: () => state.wall.openWorst(),
+    g: () => app.list.wall.toggle(), w: () => app.list.wall.openWorst(),
   });
 }
 

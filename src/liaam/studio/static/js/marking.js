@@ -14,31 +14,42 @@ import {
 } from "./points.js";
 
 export class Marking extends Editable {
-  book = null;
-  locked = false; // whether the folder can only be read
-  hidden = false; // whether all marks are hidden for a moment
-  mirrored = false; // whether mirrored points (twins) move together
+  #book = null;
+  #invisible = new Set();
+  #hidden = false;
+  #mirrored = false;
+  #locked;
+  #template;
 
-  /** template() -> template of the project, or null; handlers: those of Editable, and onplaced(index): a click placed a
-   *  missing point. */
-  constructor({ template, ...handlers }) {
+  /** template() -> template of the project, or null; locked: whether the folder can only be read; handlers: those of
+   *  Editable, and onplaced(index): a click placed a missing point. */
+  constructor({ template, locked = false, ...handlers }) {
     super(handlers);
-    this.templateOf = template;
+    this.#template = template;
+    this.#locked = locked;
   }
 
   onplaced(_index) {}
-  get template() { return this.templateOf(); }
+  get book() { return this.#book; }
+  /** Whether the folder can only be read. */
+  get locked() { return this.#locked; }
+  /** Whether all marks are hidden for a moment. */
+  get hidden() { return this.#hidden; }
+  /** Whether mirrored points (twins) move together. */
+  get mirrored() { return this.#mirrored; }
+  get invisible() { return this.#invisible; }
+  get template() { return this.#template(); }
   get names() { return this.template?.names ?? []; }
-  get history() { return this.book?.history ?? null; }
+  get history() { return this.#book?.history ?? null; }
   get state() { return this.history?.state ?? null; }
   get points() { return this.shown ?? this.state?.points ?? []; }
-  get editable() { return this.book !== null && !this.hidden && !this.locked; }
+  get editable() { return this.#book !== null && !this.#hidden && !this.#locked; }
   /** Whether the points are from the model or from other pictures, and not accepted yet. */
   get suggested() {
     return this.state !== null && (this.state.source === "proposal" || this.state.source === "layout");
   }
   get placing() {
-    return this.book !== null && this.active >= 0 && this.active < this.points.length && !this.points[this.active];
+    return this.#book !== null && this.active >= 0 && this.active < this.points.length && !this.points[this.active];
   }
   get chosen() { return [...this.selection].sort((a, b) => a - b); }
   get chosenPlaced() { return this.chosen.filter((i) => this.points[i]); }
@@ -64,10 +75,20 @@ export class Marking extends Editable {
     return isOwn(origin) ? "placed" : origin;
   }
 
+  /** Edit the marks of a book; null: of none. */
   open(book) {
-    this.book = book;
-    this.invisible = new Set(this.state?.invisible);
+    this.setShown(null);
+    this.#book = book;
+    this.#invisible = new Set(this.state?.invisible);
   }
+
+  /** Whether the marks are as they were when the picture was opened. */
+  get isAsOpened() { return this.state === this.#book?.seen; }
+
+  hide(on) { this.#hidden = on; }
+
+  /** Let mirrored points move together, or no longer; return which. */
+  toggleMirrored() { return (this.#mirrored = !this.#mirrored); }
 
   /** @typedef {{alone?: number, fresh?: string, changed?: string | null, accepts?: boolean, context?: any}} Options
    *  Those of originsAfter, and what the next click depended on before the step, if that is not the present. */
@@ -78,10 +99,10 @@ export class Marking extends Editable {
   /** One undo step. It accepts a proposal, unless it changes the scale bar, and the mean shape if a point moves.
    *  @param {any} change; @param {string} what; @param {string | null} key; @param {Options} options */
   change(change, what, key = null, { context = this.contextBefore, ...options } = {}) {
-    if (this.locked) return;
+    if (this.#locked) return;
     const before = this.state;
     const { points, invisible, absent = [], bar = null } = { ...before, ...change };
-    this.shown = null;
+    this.setShown(null);
     // One that is moved alone is a person's own afterwards. The twin that moves along is not, nor are several.
     const alone = this.selection.size === 1 ? this.active : -1;
     const origins = change.origins ?? originsAfter(before, points, { alone, ...options });
@@ -101,12 +122,12 @@ export class Marking extends Editable {
   }
 
   changed() {
-    this.invisible = new Set(this.state.invisible);
+    this.#invisible = new Set(this.state.invisible);
     this.onchange();
   }
 
   follow(before, after, indices) {
-    return this.mirrored ? withTwins(before, after, indices, this.template.mirror) : after;
+    return this.#mirrored ? withTwins(before, after, indices, this.template.mirror) : after;
   }
 
   adding(xy) {

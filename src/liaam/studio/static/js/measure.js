@@ -26,223 +26,230 @@ export class Tab {
     { keys: "Enter", what: "Open the chosen picture for annotation" },
     { keys: "M S", what: "Measures, shapes" },
   ];
-  visible = false;
+  #visible = false;
   /** @type {Shapes | null} */
-  data = null; // what the server has measured
-  column = null; // name of the column that the histogram shows
-  order = { name: "", down: false }; // of the table: the name of a column, "group", or "" for the pictures'
-  _isStale = true; // whether something has changed since the data were fetched
-  _newest = 0; // number of the newest request; answers to earlier ones are ignored
-  _timer = null;
+  #data = null;
+  #by; // a key of GROUPED_BY
+  #space;
+  #shownColumn = null; // name of the column that the histogram shows
+  #order = { name: "", down: false }; // of the table: the name of a column, "group", or "" for the pictures'
+  #isStale = true; // whether something has changed since the data were fetched
+  #newest = 0; // number of the newest request; answers to earlier ones are ignored
+  #timer = null;
+  #key; // of what the browser keeps
+  // Elements.
+  #builder; #chart; #chosen; #content; #empty; #estimate; #fault; #groupList; #legend; #measures; #table; #tableFile; #views;
 
   /** @param {HTMLElement} root; @param {App} app */
   constructor(root, app) {
     this.app = app;
     this.state = app.state;
     const { id } = this.state.project;
-    this._key = `liaam-studio:measure-view:${id}`;
-    this.by = attempt(() => JSON.parse(localStorage.getItem(this._key)).by) ?? ""; // a key of GROUPED_BY
-    this.space = createShapeSpace(this);
-    this._build(root);
-    this.state.addEventListener("select", () => this._draw());
-    for (const event of ["project", "landmarks"]) this.state.addEventListener(event, () => this._fetchSoon());
-    measured.addEventListener("change", () => this._fetchSoon(0));
-    window.liaamStudio.measure = { data: () => this.data, space: this.space, tab: this };
+    this.#key = `liaam-studio:measure-view:${id}`;
+    this.#by = attempt(() => JSON.parse(localStorage.getItem(this.#key)).by) ?? "";
+    this.#space = createShapeSpace(this);
+    this.#build(root);
+    this.state.addEventListener("select", () => this.#draw());
+    for (const event of ["project", "landmarks"]) this.state.addEventListener(event, () => this.#fetchSoon());
+    measured.addEventListener("change", () => this.#fetchSoon(0));
+    window.liaamStudio.measure = { data: () => this.#data };
   }
 
+  /** What the server has measured, or null. */
+  get data() { return this.#data; }
   get names() { return this.state.project.template?.names ?? []; }
   get contours() { return this.state.project.template?.contours ?? []; }
   /** The measures and the scale that are wanted, as text. */
   get wanted() { return wantedIn(this.state.project.id); }
   /** Index of the selected picture in the data; -1 if it has no landmarks. */
-  get chosen() { return this.data?.pictures.indexOf(this.state.current) ?? -1; }
+  get chosen() { return this.#data?.pictures.indexOf(this.state.current) ?? -1; }
   /** The groups' names in the order of their colours, and the group of each picture as an index; -1 for none. */
   get groups() {
-    const names = [...new Set(this.data.groups.filter(Boolean))].sort();
-    return { names, of: this.data.groups.map((group) => names.indexOf(group)) };
+    const names = [...new Set(this.#data.groups.filter(Boolean))].sort();
+    return { names, of: this.#data.groups.map((group) => names.indexOf(group)) };
   }
 
   show() {
-    this.visible = true;
-    if (this._isStale) this._fetch();
+    this.#visible = true;
+    if (this.#isStale) this.#fetch();
   }
 
-  hide() { this.visible = false; }
+  hide() { this.#visible = false; }
 
   key(event) {
     return isPlain(event) && runKey(event, {
-      enter: () => this.open(), m: () => this._showView("measures"), s: () => this._showView("shapes"),
+      enter: () => this.#open(), m: () => this.#showView("measures"), s: () => this.#showView("shapes"),
     });
   }
 
   /** Open the selected picture for annotation. */
-  open() { this.app.openTab("annotate"); }
+  #open() { this.app.openTab("annotate"); }
 
   /** Select a picture of the data. */
   choose(index) {
-    const name = this.data.pictures[index];
+    const name = this.#data.pictures[index];
     if (name) this.state.select(name);
   }
 
   /** Fetch once the changes pause, or when the tab is shown. */
-  _fetchSoon(after = MEASURE_AFTER) {
-    this._isStale = true;
-    clearTimeout(this._timer);
-    this._timer = setTimeout(() => {
-      if (this.visible) this._fetch();
+  #fetchSoon(after = MEASURE_AFTER) {
+    this.#isStale = true;
+    clearTimeout(this.#timer);
+    this.#timer = setTimeout(() => {
+      if (this.#visible) this.#fetch();
     }, after);
   }
 
   /** Parameters of the requests for measures and shapes. */
-  get query() {
+  get #query() {
     const { measures, scale } = this.wanted;
-    const estimate = this.estimate.checked ? "1" : null;
-    return { measures: measures || null, scale: scale || null, by: this.by || null, estimate };
+    const estimate = this.#estimate.checked ? "1" : null;
+    return { measures: measures || null, scale: scale || null, by: this.#by || null, estimate };
   }
 
-  async _fetch() {
-    this._isStale = false;
-    this._newest += 1;
-    const request = this._newest;
+  async #fetch() {
+    this.#isStale = false;
+    this.#newest += 1;
+    const request = this.#newest;
     const { api } = this.app;
     try {
-      const data = await api.get(api.url("shapes", this.query), { quiet: Boolean(this.data) });
-      if (request !== this._newest) return;
-      this.data = data;
-      this._showFault("");
+      const data = await api.get(api.url("shapes", this.#query), { quiet: Boolean(this.#data) });
+      if (request !== this.#newest) return;
+      this.#data = data;
+      this.#showFault("");
     } catch (error) {
-      if (request !== this._newest) return;
+      if (request !== this.#newest) return;
       const hasLandmarks = this.state.pictures.some(({ placed }) => placed);
-      if (!hasLandmarks) this.data = null; // else what was measured stays below the fault
-      this._showFault(error.message);
+      if (!hasLandmarks) this.#data = null; // else what was measured stays below the fault
+      this.#showFault(error.message);
     }
-    this._draw();
+    this.#draw();
   }
 
   /** Without data, the tab says what to do instead. */
-  _showFault(text) {
-    this._fault.textContent = text;
-    this._fault.hidden = !text || !this.data;
+  #showFault(text) {
+    this.#fault.textContent = text;
+    this.#fault.hidden = !text || !this.#data;
   }
 
-  _showView(name) {
-    this.views.value = name; // "measures" or "shapes"
-    this._measures.hidden = name !== "measures";
-    this.space.element.hidden = name !== "shapes";
-    this._draw();
+  #showView(name) {
+    this.#views.value = name; // "measures" or "shapes"
+    this.#measures.hidden = name !== "measures";
+    this.#space.show(name === "shapes");
+    this.#draw();
   }
 
-  _build(root) {
-    this.views = segmented("Measures or shapes", VIEWS, "measures", (name) => this._showView(name), "measure-view");
-    this._fault = h("p.error-text.small", { role: "alert", hidden: true, testid: "measure-fault" });
-    this._builder = new MeasureBuilder(this);
-    this._chart = h("section.panel.measure-card", { "aria-label": "Histogram" });
-    this._table = h("div.measure-table", { tabindex: "0", role: "region", "aria-label": "Table of all pictures" });
-    this._measures = h("div.measure-view",
-      h("div.measure-cards", this._builder.element, h("div.measure-results", this._chart, this._table)));
-    this.space.element.hidden = true;
-    this._empty = h("div.empty.big", { hidden: true });
-    this._chosen = h("div.row.measure-chosen", { role: "status", testid: "measure-chosen" });
-    this._content = h("div.measure-content.glass", this._fault, this._measures, this.space.element);
-    root.append(h("div.workspace.measure-tab", this._toolbar(), this._content, this._empty, this._chosen));
+  #build(root) {
+    this.#views = segmented("Measures or shapes", VIEWS, "measures", (name) => this.#showView(name), "measure-view");
+    this.#fault = h("p.error-text.small", { role: "alert", hidden: true, testid: "measure-fault" });
+    this.#builder = new MeasureBuilder(this);
+    this.#chart = h("section.panel.measure-card", { "aria-label": "Histogram" });
+    this.#table = h("div.measure-table", { tabindex: "0", role: "region", "aria-label": "Table of all pictures" });
+    this.#measures = h("div.measure-view",
+      h("div.measure-cards", this.#builder.element, h("div.measure-results", this.#chart, this.#table)));
+    this.#space.show(false);
+    this.#empty = h("div.empty.big", { hidden: true });
+    this.#chosen = h("div.row.measure-chosen", { role: "status", testid: "measure-chosen" });
+    this.#content = h("div.measure-content.glass", this.#fault, this.#measures, this.#space.element);
+    root.append(h("div.workspace.measure-tab", this.#toolbar(), this.#content, this.#empty, this.#chosen));
   }
 
-  _toolbar() {
+  #toolbar() {
     const groupings = Object.entries(GROUPED_BY).map(([value, label]) => h("option", { value }, label));
-    this.groupList = h("select.text.measure-by", {
-      "aria-label": "Groups", title: ABOUT_GROUPS, testid: "measure-by", onchange: () => this._chooseGroups(this.groupList.value),
+    this.#groupList = h("select.text.measure-by", {
+      "aria-label": "Groups", title: ABOUT_GROUPS, testid: "measure-by", onchange: () => this.#chooseGroups(this.#groupList.value),
     }, groupings);
-    this.groupList.value = this.by;
-    this._tableFile = fileField((file) => this._takeTable(file), {
+    this.#groupList.value = this.#by;
+    this.#tableFile = fileField((file) => this.#takeTable(file), {
       accept: ".csv,text/csv", "aria-label": "Table of groups", testid: "measure-table-file",
     });
-    this._legend = h("span.row.tight.small", { testid: "measure-legend" });
-    this.estimate = h("input", { type: "checkbox", testid: "measure-estimate", onchange: () => this._fetch() });
-    const estimate = h("label.check.small", { title: ABOUT_ESTIMATES }, this.estimate, "Estimate missing points");
-    const save = menu("Save…", EXPORTS, (kind) => this._save(kind), { "aria-label": "Save", testid: "measure-save" });
+    this.#legend = h("span.row.tight.small", { testid: "measure-legend" });
+    this.#estimate = h("input", { type: "checkbox", testid: "measure-estimate", onchange: () => this.#fetch() });
+    const estimate = h("label.check.small", { title: ABOUT_ESTIMATES }, this.#estimate, "Estimate missing points");
+    const save = menu("Save…", EXPORTS, (kind) => this.#save(kind), { "aria-label": "Save", testid: "measure-save" });
     return h("div.toolbar", { role: "toolbar", "aria-label": "Measure" },
-      this.views.element, this.groupList, this._tableFile, this._legend, h("span.grow"), estimate, save);
+      this.#views.element, this.#groupList, this.#tableFile, this.#legend, h("span.grow"), estimate, save);
   }
 
   /** Group the pictures in another way. "By a table" asks for a file if there is none, or if it is chosen once more. */
-  async _chooseGroups(by) {
-    const needsFile = by === "table" && (!this.data?.has_table || this.by === "table");
+  async #chooseGroups(by) {
+    const needsFile = by === "table" && (!this.#data?.has_table || this.#by === "table");
     if (needsFile) {
-      this.groupList.value = this.by; // until a file is chosen
-      this._tableFile.click();
+      this.#groupList.value = this.#by; // until a file is chosen
+      this.#tableFile.click();
       return undefined;
     }
-    return this._group(by);
+    return this.#group(by);
   }
 
-  async _group(by) {
-    this.by = by;
-    this.groupList.value = by;
-    attempt(() => localStorage.setItem(this._key, JSON.stringify({ by })));
-    return this._fetch();
+  async #group(by) {
+    this.#by = by;
+    this.#groupList.value = by;
+    attempt(() => localStorage.setItem(this.#key, JSON.stringify({ by })));
+    return this.#fetch();
   }
 
-  async _takeTable(file) {
+  async #takeTable(file) {
     const { api, toast } = this.app;
     const text = await file.text();
     const { specimens } = await this.state.send((folder) => api.put(api.url("groups"), { text, name: file.name, folder }));
     toast(`Groups of ${several(specimens, "specimen")} read.`, "good");
-    await this._group("table");
+    await this.#group("table");
   }
 
-  async _save(kind) {
-    if (kind === "csv") return this._saveTable();
-    const shown = this.views.value === "shapes" ? this.space.element : this._measures;
-    const name = `${this.state.project.folder}-${this.views.value}`;
+  async #save(kind) {
+    if (kind === "csv") return this.#saveTable();
+    const shown = this.#views.value === "shapes" ? this.#space.element : this.#measures;
+    const name = `${this.state.project.folder}-${this.#views.value}`;
     plotFiles(shown).forEach((file, i) => saveFile(file, `${name}-${i + 1}.svg`));
     return undefined;
   }
 
-  async _saveTable() {
+  async #saveTable() {
     const { api } = this.app;
-    const [blob, name] = await api.file(api.url("measurements", this.query));
+    const [blob, name] = await api.file(api.url("measurements", this.#query));
     saveFile(blob, name);
   }
 
-  _draw() {
-    if (!this.visible) return;
-    const { data } = this;
-    this._content.hidden = !data;
-    this._empty.hidden = Boolean(data);
-    this._chosen.hidden = !data;
-    if (!data) return this._drawEmpty();
-    this._drawLegend();
-    this._drawChosen();
-    if (this.views.value === "shapes") return this.space.draw();
-    this._builder.draw();
-    this._drawChart();
-    this._drawTable();
+  #draw() {
+    if (!this.#visible) return;
+    const data = this.#data;
+    this.#content.hidden = !data;
+    this.#empty.hidden = Boolean(data);
+    this.#chosen.hidden = !data;
+    if (!data) return this.#drawEmpty();
+    this.#drawLegend();
+    this.#drawChosen();
+    if (this.#views.value === "shapes") return this.#space.draw();
+    this.#builder.draw();
+    this.#drawChart();
+    this.#drawTable();
   }
 
-  _drawEmpty() {
+  #drawEmpty() {
     const go = button("Place landmarks", { kind: "primary", onclick: () => this.app.openTab("annotate") });
-    this._empty.replaceChildren(
+    this.#empty.replaceChildren(
       icon("ruler", 56),
       h("h2", "Measures and shapes of all pictures"),
       h("p", "Place the landmarks of a picture. Its measures are then here, and from three pictures on their shapes."),
       h("div.row", go));
   }
 
-  _drawLegend() {
+  #drawLegend() {
     const { names } = this.groups;
     const marks = names.slice(0, MOST_GROUPS).map((name, i) => h("span.row.tight", groupMark(i), name));
-    this._legend.replaceChildren(...marks, names.length > MOST_GROUPS ? `+ ${names.length - MOST_GROUPS}` : "");
+    this.#legend.replaceChildren(...marks, names.length > MOST_GROUPS ? `+ ${names.length - MOST_GROUPS}` : "");
   }
 
-  _drawChosen() {
-    const open = button("Open its points", { small: true, shortcut: "Enter", testid: "measure-open", onclick: () => this.open() });
-    this._chosen.replaceChildren(h("strong", this.state.current ?? ""), h("span.muted.grow", this._aboutChosen()), open);
+  #drawChosen() {
+    const open = button("Open its points", { small: true, shortcut: "Enter", testid: "measure-open", onclick: () => this.#open() });
+    this.#chosen.replaceChildren(h("strong", this.state.current ?? ""), h("span.muted.grow", this.#aboutChosen()), open);
   }
 
-  _aboutChosen() {
+  #aboutChosen() {
     const { chosen } = this;
     if (chosen < 0) return "has no landmarks yet";
-    const { space } = this.data;
+    const { space } = this.#data;
     const shape = space ? space.of.indexOf(chosen) : -1;
     if (shape < 0) return "";
     const distance = space.distances[shape];
@@ -250,90 +257,90 @@ export class Tab {
   }
 
   /** Title of a column for people. */
-  title({ measure, unit }) {
+  #title({ measure, unit }) {
     const text = measure === null ? "Centroid size" : measureText(measure, this.names);
     return `${text}, ${unit}`;
   }
 
   /** The column that the histogram shows. */
-  get _column() {
-    const { columns } = this.data;
-    return columns.find(({ name }) => name === this.column) ?? columns[0];
+  get #column() {
+    const { columns } = this.#data;
+    return columns.find(({ name }) => name === this.#shownColumn) ?? columns[0];
   }
 
-  _drawChart() {
-    const column = this._column;
+  #drawChart() {
+    const column = this.#column;
     const plot = histogram(bins(column.values), {
-      title: this.title(column), lit: this.chosen, onbin: (indices) => this._chooseNextOf(indices),
+      title: this.#title(column), lit: this.chosen, onbin: (indices) => this.#chooseNextOf(indices),
     });
-    this._chart.replaceChildren(
-      h("h2.panel-title", this.title(column)),
+    this.#chart.replaceChildren(
+      h("h2.panel-title", this.#title(column)),
       h("p.small.muted", { testid: "measure-facts" }, summaryText(column)),
       h("div.measure-plot", plot));
   }
 
   /** Select the picture of a bin that follows the selected one, or else its first. */
-  _chooseNextOf(indices) {
+  #chooseNextOf(indices) {
     const position = indices.indexOf(this.chosen);
     this.choose(indices[(position + 1) % indices.length]);
   }
 
   /** Indices of the pictures in the order of the table. */
-  _sorted() {
-    const { data, order } = this;
+  #sorted() {
+    const [data, order] = [this.#data, this.#order];
     const indices = data.pictures.map((_, i) => i);
-    const values = this._valuesFor(order.name);
+    const values = this.#valuesFor(order.name);
     if (values) return indices.sort((i, j) => compared(values[i], values[j], order.down));
     return order.down ? indices.reverse() : indices;
   }
 
   /** What the table is sorted by; null for the order of the pictures. */
-  _valuesFor(name) {
-    if (name === "group") return this.data.groups;
-    return this.data.columns.find((column) => column.name === name)?.values ?? null;
+  #valuesFor(name) {
+    if (name === "group") return this.#data.groups;
+    return this.#data.columns.find((column) => column.name === name)?.values ?? null;
   }
 
   /** Sort by a column, and once more the other way round. The histogram shows it, if it has values. */
-  _sort(name) {
-    const isSorted = this.order.name === name;
-    this.order = { name, down: isSorted && !this.order.down };
-    if (this.data.columns.some((column) => column.name === name)) this.column = name;
-    this._draw();
+  #sort(name) {
+    const isSorted = this.#order.name === name;
+    this.#order = { name, down: isSorted && !this.#order.down };
+    if (this.#data.columns.some((column) => column.name === name)) this.#shownColumn = name;
+    this.#draw();
   }
 
-  _drawTable() {
-    const sorted = this._sorted();
+  #drawTable() {
+    const sorted = this.#sorted();
     const { groups } = this;
-    const rows = sorted.slice(0, MOST_ROWS).map((i) => this._row(i, groups));
-    const table = h("table", { testid: "measure-table" }, h("thead", this._headRow(groups)), h("tbody", rows));
+    const rows = sorted.slice(0, MOST_ROWS).map((i) => this.#row(i, groups));
+    const table = h("table", { testid: "measure-table" }, h("thead", this.#headRow(groups)), h("tbody", rows));
     const more = sorted.length > MOST_ROWS
       ? h("p.small.muted", `${MOST_ROWS} of ${sorted.length} pictures. The saved table has all.`) : "";
-    this._table.replaceChildren(table, more);
+    this.#table.replaceChildren(table, more);
   }
 
-  _headRow(groups) {
-    const group = groups.names.length > 0 && this._head("group", "Group");
-    const columns = this.data.columns.map((column) => this._head(column.name, this.title(column)));
-    return h("tr", this._head("", "Picture"), group, columns);
+  #headRow(groups) {
+    const group = groups.names.length > 0 && this.#head("group", "Group");
+    const columns = this.#data.columns.map((column) => this.#head(column.name, this.#title(column)));
+    return h("tr", this.#head("", "Picture"), group, columns);
   }
 
-  _head(name, label) {
-    const { order } = this;
+  #head(name, label) {
+    const order = this.#order;
     const direction = order.down ? "descending" : "ascending";
     return h("th", { scope: "col", "aria-sort": order.name === name ? direction : null }, button(label, {
-      kind: "ghost", small: true, pressed: name === this._column.name || null, testid: `sort-${name || "picture"}`,
-      onclick: () => this._sort(name),
+      kind: "ghost", small: true, pressed: name === this.#column.name || null, testid: `sort-${name || "picture"}`,
+      onclick: () => this.#sort(name),
     }));
   }
 
-  _row(i, groups) {
-    const { data } = this;
+  #row(i, groups) {
+    const data = this.#data;
     const choose = () => this.choose(i);
     const estimated = data.estimated[i] > 0 && h("span.muted.small", ` ${data.estimated[i]} estimated`);
     const name = button(data.pictures[i], { kind: "ghost", small: true, onclick: choose });
     const group = groups.of[i];
     const groupCell = groups.names.length > 0 && h("td", group >= 0 && groupMark(group), " ", data.groups[i]);
-    return h("tr", { class: i === this.chosen && "chosen", "data-index": String(i), onclick: choose, ondblclick: () => this.open() },
+    return h("tr", { class: i === this.chosen && "chosen", "data-index": String(i), onclick: choose, ondblclick: () => this.#open() },
       h("th", { scope: "row" }, name, estimated),
       groupCell,
       data.columns.map(({ values }) => h("td.number", numberText(values[i]))));

@@ -31,7 +31,7 @@ export function createMeasured(tab) {
 
   return {
     draw(ctx) {
-      if (tab.drawn.measures && !viewer.isLoupe) for (const each of measures) drawOne(ctx, each);
+      if (tab.shown.drawn.measures && !viewer.isLoupe) for (const each of measures) drawOne(ctx, each);
     },
 
     /** Measure points in all pictures, as many as there are: a distance, an angle or an area; return it in words. */
@@ -39,8 +39,7 @@ export function createMeasured(tab) {
       const { id, template } = state.project;
       const measure = measureOf(kindFor(indices.length), indices);
       const wanted = wantedIn(id);
-      tab.drawn.measures = true;
-      tab.toolbar.press("measures", true);
+      tab.shown.draw("measures");
       keepWanted(id, { ...wanted, measures: joined([...measuresIn(wanted.measures), measure]) });
       return measureText(measure, template.names);
     },

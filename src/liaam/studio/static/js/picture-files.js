@@ -38,10 +38,7 @@ async function renameTo(app, name, wanted) {
   const { state, api, saved } = app;
   await saved();
   const { name: now } = await state.send((folder) => api.post(api.url("renamed"), { picture: name, to: wanted, folder }));
-  const isShown = state.current === name;
-  if (isShown) state.current = null; // it is not gone
-  await state.refresh();
-  if (isShown) state.select(now);
+  await state.renamed(name, now);
   return now;
 }
 

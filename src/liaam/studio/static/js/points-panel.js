@@ -1,5 +1,6 @@
 // The panel beside the picture: its points with their states, actions on the selected ones, and the start of pictures.
 
+import { tallyOf } from "./annotate-words.js";
 import { makeSet } from "./sets.js";
 import { createSideList } from "./sides.js";
 import { button, consume, h, iconButton, segmented } from "./ui.js";
@@ -42,14 +43,19 @@ export function createPointsPanel(tab) {
     space.disabled = selection.size === 0 || !tab.template?.contours.length;
   };
   return {
-    list: list.element, tally, edit, mark,
+    mark,
+    /** Whether an element is the list of the points. */
+    isList: (element) => element === list.element,
     points: h("section.panel.grow.point-panel",
       h("div.row.point-head", h("h2.panel-title", "Points"), tally, confirm, space, hide, absent, remove), list.element),
     foot: h("section.panel.side-foot",
       h("div.row.begin-with", h("span.small.muted.grow", "Start with"), start.element), createSideList(tab), h("div.row", edit, more)),
     /** Start of pictures without points: "layout" or "click". */
     get start() { return start.value; },
-    render(marking) {
+    /** mayEdit: whether the template may be edited. */
+    render(marking, mayEdit) {
+      edit.disabled = !mayEdit;
+      tally.textContent = marking.book ? tallyOf(marking) : "";
       list.render(marking.book ? marking.names : [], (i) => marking.stateOf(i));
       mark(marking);
     },

@@ -107,37 +107,58 @@ export function lampHandle({ onmove, middle = [0.5, 0.5], ...attributes }) {
     if (next) onmove(next);
     return next !== null;
   }
-  return { element, at, show, key };
+
+  /** Show the lamp's colour and whether it is selected; and how much of it is seen, from 0 to 1. */
+  function dress({ colour, isSelected, label }) {
+    element.style.backgroundColor = colour;
+    element.classList.toggle("selected", isSelected);
+    element.setAttribute("aria-label", label);
+  }
+
+  const fade = (opacity) => { element.style.opacity = String(opacity); };
+  return { element, at, show, dress, fade, key };
 }
 
 /** The lamps over the picture, in `stage`, and the panel with their values. Event: "change". */
 export class Light extends EventTarget {
-  /** ambient: initial fraction of ambient light. */
-  constructor(ambient) {
+  /** @type {Lamp[]} */
+  #lamps = [];
+  #ambient = 0;
+  #selected = 0;
+  #handles = [];
+  // Elements.
+  #add; #colour; #remove; #sliders; #words;
+
+  /** ambient: initial fraction of ambient light; onsave(): save the picture under the lights. */
+  constructor(ambient, onsave) {
     super();
-    this.first = { lamps: [lampAt([-0.55, -0.5])], ambient };
-    this.element = this._build();
-    this.set(this.first);
+    const first = { lamps: [lampAt([-0.55, -0.5])], ambient };
+    this.element = this.#build(first, onsave);
+    this.set(first);
   }
 
-  get lamp() { return this.lamps[this.selected]; }
+  get lamps() { return this.#lamps; }
+  get ambient() { return this.#ambient; }
+  /** Index of the lamp whose values the panel shows. */
+  get selected() { return this.#selected; }
+  get #lamp() { return this.#lamps[this.#selected]; }
 
   /** Replace all lights. @param {Lights} lights */
   set({ lamps, ambient }) {
-    this.lamps = lamps.map((lamp) => ({ ...lamp }));
-    this.ambient = ambient;
-    this.selected = 0;
-    this._changed();
+    this.#lamps = lamps.map((lamp) => ({ ...lamp }));
+    this.#ambient = ambient;
+    this.#selected = 0;
+    this.#changed();
   }
 
-  key(event) { return this._handles[this.selected].key(event); }
-  get hidden() { return this.element.hidden; }
-  set hidden(on) { this.element.hidden = this.stage.hidden = on; }
+  key(event) { return this.#handles[this.#selected].key(event); }
+  get isShown() { return !this.element.hidden; }
+  show(on) { this.element.hidden = this.stage.hidden = !on; }
 
   /** Lay the lamps over the object, inside the view where possible. */
   place(viewer, shape) {
     const box = bounds(shape);
-    if (!box || this.hidden) return;
+    if (!box || !this.isShown) return;
     const { clientWidth: w, clientHeight: high } = viewer.container;
     const [x, y] = viewer.toScreen(middleOf(box));
     const room = 2 * (Math.min(x, y, w - x, high - y) - EDGE);
@@ -146,87 +167,87 @@ export class Light extends EventTarget {
     for (const [side, value] of Object.entries(css)) this.stage.style[side] = `${value}px`;
   }
 
-  _build() {
-    this._handles = [];
+  #build(first, onsave) {
     this.stage = h("div.light-stage", { role: "group", "aria-label": "Lamps", hidden: true, testid: "light-stage" });
-    this._words = h("p.small", { "aria-live": "polite", testid: "light-words" });
-    this._add = button("Add", {
+    this.#words = h("p.small", { "aria-live": "polite", testid: "light-words" });
+    this.#add = button("Add", {
       icon: "plus", small: true, testid: "lamp-add", title: "Add a lamp",
-      onclick: () => this._put([...this.lamps, lampAt([-this.lamp.direction[0] || 0.5, -0.2])], this.lamps.length),
+      onclick: () => this.#put([...this.#lamps, lampAt([-this.#lamp.direction[0] || 0.5, -0.2])], this.#lamps.length),
     });
-    this._remove = button("Remove", {
+    this.#remove = button("Remove", {
       icon: "trash", small: true, testid: "lamp-remove", title: "Remove the selected lamp",
-      onclick: () => this._put(this.lamps.filter((lamp) => lamp !== this.lamp), 0),
+      onclick: () => this.#put(this.#lamps.filter((lamp) => lamp !== this.#lamp), 0),
     });
-    this._colour = h("input.light-colour", {
+    this.#colour = h("input.light-colour", {
       type: "color", "aria-label": "Colour of the lamp", testid: "lamp-colour",
-      oninput: () => this._edit("colour", this._colour.value),
+      oninput: () => this.#edit("colour", this.#colour.value),
     });
-    const lights = { "One lamp": this.first, ...PRESETS };
+    const lights = { "One lamp": first, ...PRESETS };
     const labels = Object.fromEntries(Object.keys(lights).map((name) => [name, name]));
     const presets = menu("Presets…", labels, (name) => this.set(lights[name]), {
       "aria-label": "Preset lights", testid: "light-presets",
     });
-    this._sliders = SLIDERS.map((of) => this._slider(of));
-    const values = h("div.column.tight", this._words, h("div.row.tight", this._colour, this._add, this._remove));
+    this.#sliders = SLIDERS.map((of) => this.#slider(of));
+    const values = h("div.column.tight", this.#words, h("div.row.tight", this.#colour, this.#add, this.#remove));
     return h("section.panel.light", { "aria-label": "Light", hidden: true, testid: "light" },
-      presets, values, this._sliders.map(({ element }) => element));
+      presets, values, this.#sliders.map(({ element }) => element), button("Save this picture", {
+        icon: "download", kind: "primary", small: true, testid: "light-save", onclick: onsave,
+      }));
   }
 
-  _slider({ key, label, max, what }) {
-    const { element, show } = labelledSlider(label, (value) => this._edit(key, value), {
+  #slider({ key, label, max, what }) {
+    const { element, show } = labelledSlider(label, (value) => this.#edit(key, value), {
       class: "light-slider small", title: what, min: "0", max, step: "0.01", "aria-label": what, testid: `light-${key}`,
     });
-    const valueOf = () => (key === "ambient" ? this.ambient : this.lamp[key]);
+    const valueOf = () => (key === "ambient" ? this.#ambient : this.#lamp[key]);
     return { element, show: () => show(valueOf(), `${Math.round(100 * valueOf())} %`) };
   }
 
-  _handle() {
+  #handle() {
     const handle = lampHandle({
       class: "light-lamp", title: "Drag the lamp; arrow keys move it", testid: "lamp",
-      onmove: (direction) => this._edit("direction", direction),
+      onmove: (direction) => this.#edit("direction", direction),
       onfocus: () => {
-        this.selected = this._handles.indexOf(handle);
-        this._show();
+        this.#selected = this.#handles.indexOf(handle);
+        this.#show();
       },
     });
     return handle;
   }
 
-  _put(lamps, selected) {
-    Object.assign(this, { lamps, selected });
-    this._changed();
-    this._handles[selected].element.focus({ preventScroll: true });
+  #put(lamps, selected) {
+    this.#lamps = lamps;
+    this.#selected = selected;
+    this.#changed();
+    this.#handles[selected].element.focus({ preventScroll: true });
   }
 
-  _edit(key, value) {
-    if (key === "ambient") this.ambient = value;
-    else this.lamp[key] = value;
-    this._changed();
+  #edit(key, value) {
+    if (key === "ambient") this.#ambient = value;
+    else this.#lamp[key] = value;
+    this.#changed();
   }
 
-  _changed() {
-    this._show();
+  #changed() {
+    this.#show();
     this.dispatchEvent(new Event("change"));
   }
 
-  _show() {
-    const { lamps, lamp, selected, _handles: handles } = this;
-    while (handles.length < lamps.length) this.stage.append(handles[handles.push(this._handle()) - 1].element);
+  #show() {
+    const [lamps, lamp, selected] = [this.#lamps, this.#lamp, this.#selected];
+    const handles = this.#handles;
+    while (handles.length < lamps.length) this.stage.append(handles[handles.push(this.#handle()) - 1].element);
     while (handles.length > lamps.length) handles.pop().element.remove();
     lamps.forEach(({ direction, colour }, i) => {
-      const { element } = handles[i];
       handles[i].show(direction);
-      element.style.backgroundColor = colour;
-      element.classList.toggle("selected", i === selected);
-      element.setAttribute("aria-label", `Lamp ${i + 1}`);
+      handles[i].dress({ colour, isSelected: i === selected, label: `Lamp ${i + 1}` });
     });
     const which = lamps.length > 1 ? `Lamp ${selected + 1} of ${lamps.length}` : "Lamp";
-    this._words.textContent = `${which} ${directionInWords(lamp.direction)}`;
-    this._colour.value = lamp.colour;
-    this._add.disabled = lamps.length >= MOST;
-    this._remove.disabled = lamps.length < 2;
-    for (const { show } of this._sliders) show();
+    this.#words.textContent = `${which} ${directionInWords(lamp.direction)}`;
+    this.#colour.value = lamp.colour;
+    this.#add.disabled = lamps.length >= MOST;
+    this.#remove.disabled = lamps.length < 2;
+    for (const { show } of this.#sliders) show();
   }
 }
 
@@ -247,51 +268,57 @@ export const pixelsOf = (image) => {
 };
 
 export class RoughLight {
+  #box; #flat; #layer;
+  #brighter; #darker;
+  #n; // pixels
+  #x; #y; #z; #share; #light; #frontal; // of each
+
   /** flat: the picture without shading; normals: x and y in red and green, the share of light in blue; box: [left, top,
    *  width, height] of these in the picture, as fractions. */
   constructor(flat, normals, box) {
     const factor = Math.min(1, LONGEST_SIDE / Math.max(flat.width, flat.height));
     const [width, height] = [flat.width, flat.height].map((side) => Math.round(factor * side));
     this.canvas = Object.assign(document.createElement("canvas"), { width, height });
-    this._flat = new OffscreenCanvas(width, height);
-    this._flat.getContext("2d").drawImage(flat, 0, 0, width, height);
-    this._box = box.map((side, i) => side * [width, height][i % 2]);
-    this._darker = pixelsOf(normals); // factors below 1, by which the picture is multiplied
-    this._brighter = pixelsOf(normals); // 1 - 1 / factor of those above 1, with which it is dodged
-    this._layer = new OffscreenCanvas(normals.width, normals.height);
+    this.#flat = new OffscreenCanvas(width, height);
+    this.#flat.getContext("2d").drawImage(flat, 0, 0, width, height);
+    this.#box = box.map((side, i) => side * [width, height][i % 2]);
+    this.#darker = pixelsOf(normals); // factors below 1, by which the picture is multiplied
+    this.#brighter = pixelsOf(normals); // 1 - 1 / factor of those above 1, with which it is dodged
+    this.#layer = new OffscreenCanvas(normals.width, normals.height);
     const { data } = pixelsOf(normals);
-    this._n = data.length / 4;
-    const part = (of) => Float32Array.from({ length: this._n }, (_, i) => of(data.subarray(4 * i)));
-    this._x = part(([red]) => (red - 128) / 127);
-    this._y = part(([, green]) => (green - 128) / 127);
-    this._z = this._x.map((x, i) => Math.sqrt(Math.max(1 - x * x - this._y[i] ** 2, 0)));
-    this._share = part(([, , blue]) => blue / 255);
-    this._light = new Float32Array(3 * this._n);
-    this._frontal = new Float32Array(this._n);
+    this.#n = data.length / 4;
+    const part = (of) => Float32Array.from({ length: this.#n }, (_, i) => of(data.subarray(4 * i)));
+    this.#x = part(([red]) => (red - 128) / 127);
+    this.#y = part(([, green]) => (green - 128) / 127);
+    this.#z = this.#x.map((x, i) => Math.sqrt(Math.max(1 - x * x - this.#y[i] ** 2, 0)));
+    this.#share = part(([, , blue]) => blue / 255);
+    this.#light = new Float32Array(3 * this.#n);
+    this.#frontal = new Float32Array(this.#n);
   }
 
   /** Paint the object under lights with colours as numbers. */
   draw({ lamps, ambient }) {
     const ctx = this.canvas.getContext("2d");
-    this._compute(lamps, ambient);
+    this.#compute(lamps, ambient);
     ctx.globalCompositeOperation = "copy";
-    ctx.drawImage(this._flat, 0, 0);
-    this._blend(ctx, "multiply", this._darker);
-    this._blend(ctx, "color-dodge", this._brighter);
+    ctx.drawImage(this.#flat, 0, 0);
+    this.#blend(ctx, "multiply", this.#darker);
+    this.#blend(ctx, "color-dodge", this.#brighter);
   }
 
   /** @param {GlobalCompositeOperation} how */
-  _blend(ctx, how, factors) {
-    this._layer.getContext("2d").putImageData(factors, 0, 0);
+  #blend(ctx, how, factors) {
+    this.#layer.getContext("2d").putImageData(factors, 0, 0);
     ctx.globalCompositeOperation = how;
-    ctx.drawImage(this._layer, ...this._box);
+    ctx.drawImage(this.#layer, ...this.#box);
   }
 
-  _compute(lamps, ambient) {
-    const { _n: n, _x: x, _y: y, _z: z, _share: share, _light: light, _frontal: frontal } = this;
+  #compute(lamps, ambient) {
+    const [n, x, y, z] = [this.#n, this.#x, this.#y, this.#z];
+    const [share, light, frontal] = [this.#share, this.#light, this.#frontal];
     const linear = lamps.map(({ colour, strength, ...lamp }) =>
       ({ ...lamp, channels: colour.map((value) => strength * value ** GAMMA) }));
-    const [darker, brighter, sums] = [this._darker.data, this._brighter.data, { frontal: 0, light: 0 }];
+    const [darker, brighter, sums] = [this.#darker.data, this.#brighter.data, { frontal: 0, light: 0 }];
     for (let i = 0; i < n; i += 1) {
       frontal[i] = Math.max(ambient + (1 - ambient) * z[i], DARKEST);
       for (let c = 0; c < 3; c += 1) light[3 * i + c] = ambient;

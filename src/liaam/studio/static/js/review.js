@@ -25,7 +25,7 @@ export function accuracyText(versions) {
   return `${what}: ${on} held out from training.${others}`;
 }
 
-/** @param {import("./annotate.js").Tab} tab */
+/** {element, exportAll(): open the list of formats}. @param {import("./annotate.js").Tab} tab */
 export function createReview(tab) {
   const { app, app: { state, api } } = tab;
   const part = (testid, title, content, ontoggle) =>
@@ -96,5 +96,5 @@ export function createReview(tab) {
 
   for (const event of ["project", "select"]) state.addEventListener(event, show);
   show();
-  return element;
+  return { element, exportAll: () => files.showPicker() };
 }

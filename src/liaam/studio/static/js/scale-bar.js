@@ -17,9 +17,9 @@ const LENGTHS = [1e-6, 1e9]; // those that can be entered are between
 const known = () => JSON.parse(localStorage.getItem(KEY) ?? '{"length": 10, "unit": "mm"}');
 
 export class ScaleBar extends Editable {
-  on = false;
-  ends = [null, null]; // while it is drawn
-  points = []; // none that could be moved
+  #marking;
+  #on = false;
+  #ends = [null, null];
 
   /** handlers: onpreview(): an end moves; onchange(): drawing starts or stops; onshare(bar, anyway): the other pictures
    *  get it too; alone(): whether there are none; onfind({kind, length, unit}): ask the server for the scale of the
@@ -27,17 +27,23 @@ export class ScaleBar extends Editable {
    *  @param {import("./marking.js").Marking} marking; @param {any} handlers */
   constructor(marking, handlers) {
     super(handlers);
-    this.marking = marking;
+    this.#marking = marking;
   }
+
+  /** Whether a bar is being drawn, and its ends so far: [x, y] or null. */
+  get on() { return this.#on; }
+  get ends() { return this.#ends; }
+  /** None that could be moved. */
+  get points() { return []; }
 
   onshare(_bar, _anyway) {}
   /** @returns {Promise<FoundScale | null>} */
   async onfind(_asked) { return null; }
   alone() { return false; }
 
-  get bar() { return this.marking.state?.bar ?? null; }
-  get history() { return this.marking.history; }
-  get editable() { return this.marking.editable; }
+  get bar() { return this.#marking.state?.bar ?? null; }
+  get history() { return this.#marking.history; }
+  get editable() { return this.#marking.editable; }
   get placing() { return this.editable; }
   get prompt() { return `Click ${this.ends[0] ? "the other end" : "one end of a ruler, or of a known length"}`; }
 
@@ -49,12 +55,12 @@ export class ScaleBar extends Editable {
       return "an end of the scale bar";
     }
     if (this.on && this.history?.[way === "undo" ? "canUndo" : "canRedo"]) this.turn(false);
-    return this.marking.travel(way);
+    return this.#marking.travel(way);
   }
 
   turn(on) {
-    this.on = on;
-    this.ends = [null, null];
+    this.#on = on;
+    this.#ends = [null, null];
     this.onchange();
   }
 
@@ -65,14 +71,14 @@ export class ScaleBar extends Editable {
     const remove = { label: "Remove", value: "remove", testid: "scale-remove" };
     const find = { label: "Find…", value: "find", testid: "scale-find-again" };
     const [answer, change] = await this.ask(bar, [remove, find, { label: "Draw again", value: "draw" }]);
-    if (answer === "remove") this.marking.change({ bar: null }, "remove the scale bar");
+    if (answer === "remove") this.#marking.change({ bar: null }, "remove the scale bar");
     else if (answer === "draw") this.turn(true);
     else if (answer === "find") this.find();
     else if (answer) this.settle(answer, { ...bar, ...change }, "change the scale bar");
   }
 
   preview(ends) {
-    this.ends = ends;
+    this.#ends = ends;
     this.onpreview();
   }
 
@@ -84,10 +90,11 @@ export class ScaleBar extends Editable {
   }
 
   async finish() {
-    const { ends, marking: { book } } = this;
+    const { ends } = this;
+    const { book } = this.#marking;
     if (distance(ends[0], ends[1]) < LEAST) return this.preview([ends[0], null]);
     const [answer, bar] = await this.ask(known());
-    if (this.marking.book !== book) return;
+    if (this.#marking.book !== book) return;
     this.turn(false);
     if (!answer) return;
     localStorage.setItem(KEY, JSON.stringify({ length: bar.length, unit: bar.unit }));
@@ -96,17 +103,17 @@ export class ScaleBar extends Editable {
 
   /** Ask what is in the picture, let the server find it, show it, and ask whether it is right. */
   async find() {
-    const { marking: { book } } = this;
+    const { book } = this.#marking;
     const [looks, asked] = await this.askKind(JSON.parse(localStorage.getItem(FIND_KEY) ?? '{"kind": "ruler", "length": 1, "unit": "mm"}'));
-    if (!looks || this.marking.book !== book) return;
+    if (!looks || this.#marking.book !== book) return;
     localStorage.setItem(FIND_KEY, JSON.stringify(asked));
     const found = await this.onfind(asked);
-    if (!found || this.marking.book !== book) return;
-    this.on = true; // so that what was found is drawn
-    this.ends = found.bar.ends;
+    if (!found || this.#marking.book !== book) return;
+    this.#on = true; // so that what was found is drawn
+    this.#ends = found.bar.ends;
     this.onchange();
     const [answer, anyway] = await this.offer(found);
-    if (this.marking.book !== book) return;
+    if (this.#marking.book !== book) return;
     this.turn(false);
     if (answer) this.settle(answer, { ...found.bar, anyway }, "scale bar that was found");
   }
@@ -143,7 +150,7 @@ export class ScaleBar extends Editable {
   }
 
   settle(answer, { anyway, ...bar }, what) {
-    this.marking.change({ bar }, what);
+    this.#marking.change({ bar }, what);
     if (answer === "share") this.onshare(bar, anyway);
   }
 

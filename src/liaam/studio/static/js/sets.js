@@ -14,7 +14,7 @@ export const calledSet = (name) => name || "Main set";
 
 /** Open the page of a set, with the same tab and picture. @param {App} app */
 async function go(app, name) {
-  await app.saved?.();
+  await app.saved();
   location.assign(`${name ? `/set/${name}/` : "/"}${location.search}${location.hash}`);
 }
 

@@ -20,7 +20,7 @@ const pairIn = (text) => (text.includes(">") ? text.split(">").map(Number) : nul
 const deviation = (scores) =>
   Math.sqrt(scores.reduce((sum, score) => sum + score * score, 0) / Math.max(1, scores.length - 1));
 
-/** The Shapes view of a Measure tab: {element, draw()}. @param {import("./measure.js").Tab} tab */
+/** The Shapes view of a Measure tab: {element, draw(), show(on)}. @param {import("./measure.js").Tab} tab */
 export function createShapeSpace(tab) {
   const axes = { across: 0, upward: 1 }; // components that the scatter shows
   let change = "0"; // what the grid shows: a component by its index, SELECTED, or a pair of groups (pairText)
@@ -225,5 +225,6 @@ export function createShapeSpace(tab) {
     drawTests();
   }
 
-  return { element, draw };
+  const show = (on) => { element.hidden = !on; };
+  return { element, draw, show };
 }

@@ -34,102 +34,136 @@ export function remember({ tab, name }) {
   else history.replaceState(null, "", address);
 }
 
-/** The project as the server has it. Events: "project", "select", "folder", "landmarks", "training", "fitting" and
- *  "online" say what has changed. */
+/** The project as the server has it, and what the page shows of it. Events: "project", "select", "folder", "landmarks",
+ *  "training", "fitting" and "online" say what has changed. */
 export class State extends EventTarget {
   /** @type {Project | null} */
-  project = null;
-  current = null; // name of the selected picture
-  order = []; // names of the pictures as the list shows them
-  worstFirst = false; // whether that is by quality
-  folder = ""; // the subfolder that the list shows; "" for all
-  online = true;
-  wall = null; // the list as a grid; the list sets it
-  adding = null; // {done, total} of the files that are being added
-  restarted = false; // whether a new server refuses this page, which has the token of an earlier one
-  unsure = false; // whether another server, for another folder, may have taken over the port
-  _indexed = null; // the project whose pictures are in _byName
-  _byName = new Map();
-  _refreshing = null; // promise of the fetch in progress
-  _fetchAgain = false; // whether to fetch once more after it
+  #project;
+  #current = null;
+  #order = [];
+  #worstFirst = false;
+  #folder = "";
+  #adding = null;
+  #online = true;
+  #restarted = false;
+  #unsure = false; // whether another server, for another folder, may have taken over the port
+  #indexed = null; // the project whose pictures are in #byName
+  #byName = new Map();
+  #refreshing = null; // promise of the fetch in progress
+  #fetchAgain = false; // whether to fetch once more after it
+
+  /** @param {any} project what the server has already sent, if it has */
+  constructor(project = null) {
+    super();
+    this.#project = project;
+  }
+
+  get project() { return this.#project; }
+  /** Name of the selected picture. */
+  get current() { return this.#current; }
+  /** Names of the pictures as the list shows them. */
+  get order() { return this.#order; }
+  /** Whether that is by quality. */
+  get worstFirst() { return this.#worstFirst; }
+  /** The subfolder that the list shows; "" for all. */
+  get folder() { return this.#folder; }
+  /** {done, total} of the files that are being added, or null. */
+  get adding() { return this.#adding; }
+  get online() { return this.#online; }
+  /** Whether a new server refuses this page, which has the token of an earlier one. */
+  get restarted() { return this.#restarted; }
 
   async open() {
     const wanted = nameIn(location.hash); // before the first picture is selected
     await this.refresh();
-    this.select(this.picture(wanted) ? wanted : this._firstToOpen());
-    this._followEvents();
-    this._watchFolder();
+    this.select(this.picture(wanted) ? wanted : this.#firstToOpen());
+    this.#followEvents();
+    this.#watchFolder();
   }
 
   /** Whether a model was dropped on the page, which then only fits. */
-  get guest() { return this.project?.model?.source === "guest"; }
+  get guest() { return this.#project?.model?.source === "guest"; }
 
   /** Whether nothing can be written in the folder, so that its pictures are only shown, fitted and relit. */
-  get readOnly() { return this.project?.read_only ?? false; }
+  get readOnly() { return this.#project?.read_only ?? false; }
 
   /** The picture of a name, by default the selected one; null if there is none. */
-  picture(name = this.current) {
-    if (this._indexed !== this.project) {
-      this._indexed = this.project;
-      this._byName = new Map(this.project.pictures.map((picture) => [picture.name, picture]));
+  picture(name = this.#current) {
+    if (this.#indexed !== this.#project) {
+      this.#indexed = this.#project;
+      this.#byName = new Map(this.#project.pictures.map((picture) => [picture.name, picture]));
     }
-    return this._byName.get(name) ?? null;
+    return this.#byName.get(name) ?? null;
   }
 
   /** Fetch the project again. However many calls there are during a fetch, one more follows it, since it may have begun
    *  before the change that they are about. */
   refresh() {
-    if (this._refreshing) {
-      this._fetchAgain = true;
-      return this._refreshing;
+    if (this.#refreshing) {
+      this.#fetchAgain = true;
+      return this.#refreshing;
     }
-    this._refreshing = this._fetch().finally(() => {
-      const again = this._fetchAgain;
-      this._refreshing = null;
-      this._fetchAgain = false;
+    this.#refreshing = this.#fetch().finally(() => {
+      const again = this.#fetchAgain;
+      this.#refreshing = null;
+      this.#fetchAgain = false;
       if (again) this.refresh().catch(() => {});
     });
-    return this._refreshing;
+    return this.#refreshing;
   }
 
   /** Fetch the project until the states of all pictures are known. */
   async settled() {
-    await this._refreshing?.catch(() => {}); // it may have begun before the last change
+    await this.#refreshing?.catch(() => {}); // it may have begun before the last change
     do {
       await this.refresh().catch(() => {});
-    } while (this.project.pictures.some(({ state }) => state === "reading"));
+    } while (this.#project.pictures.some(({ state }) => state === "reading"));
   }
 
   select(name) {
-    if (name === this.current) return;
-    const before = this.current;
-    this.current = name;
+    if (name === this.#current) return;
+    const before = this.#current;
+    this.#current = name;
     remember({ name: name ?? "" });
-    this._emit("select", { name, before });
+    this.#emit("select", { name, before });
   }
 
   /** Select the picture `by` positions further in the list, among those that can be opened. */
   step(by) {
     const names = this.order.filter((name) => this.picture(name)?.state !== "broken");
     if (!names.length) return;
-    const position = names.indexOf(this.current) + by;
+    const position = names.indexOf(this.#current) + by;
     const last = names.length - 1;
     this.select(names[Math.min(Math.max(position, 0), last)]);
   }
 
+  /** A picture has another name: fetch the project again, and select it by that name if it was selected. */
+  async renamed(before, now) {
+    const isShown = this.#current === before;
+    if (isShown) this.#current = null; // it is not gone
+    await this.refresh();
+    if (isShown) this.select(now);
+  }
+
+  /** The list shows pictures in this order; worstFirst: whether that is by quality. */
+  setOrder(names, { worstFirst = false } = {}) {
+    this.#order = names;
+    this.#worstFirst = worstFirst;
+  }
+
   /** The pictures of the subfolder that is shown. */
-  get pictures() { return this.project.pictures.filter(({ name }) => isIn(name, this.folder)); }
+  get pictures() { return this.#project.pictures.filter(({ name }) => isIn(name, this.#folder)); }
 
   /** Let the list show a subfolder; "" for all. */
   showFolder(folder) {
-    this.folder = folder;
-    this._emit("folder");
+    this.#folder = folder;
+    this.#emit("folder");
   }
 
   /** Save the marks of a picture; options are those of api.put. */
   saveMarks(name, marks, options = {}) {
     const address = api.url("pictures", name, "landmarks");
-    return this.send((folder) => api.put(address, { ...marks, folder, who: whoAmI(this.project) }, options));
+    return this.send((folder) => api.put(address, { ...marks, folder, who: whoAmI(this.#project) }, options));
   }
 
   /** Take over what the server has answered about one picture. */
@@ -137,21 +171,40 @@ export class State extends EventTarget {
     const current = this.picture(picture.name);
     if (!current) return;
     Object.assign(current, picture);
-    this._emit("project");
+    this.#emit("project");
   }
+
+  /** Take over the template that the server has saved; its pictures follow by `refresh`. */
+  takeTemplate(template) { this.#project.template = template; }
+
+  /** Take over the state of a training, or of placing points.
+   *  @template {"training" | "fitting"} Work; @param {Work} work; @param {Events[Work]} now */
+  takeWork(work, now) {
+    Object.assign(this.#project, { [work]: now });
+    this.#emit(work, now);
+  }
+
+  /** Files are being added: {done, total}; null: no longer. */
+  setAdding(progress) {
+    this.#adding = progress;
+    this.#emit("fitting");
+  }
+
+  /** The connection was lost: another server may have taken over the port, so that the next request asks first. */
+  doubt() { this.#unsure = true; }
 
   /** Check the folder for changes by other programs, which send no events, while the page is visible. */
-  async _lookForChanges() {
-    if (document.hidden || this._refreshing || !this.project) return;
-    const project = await api.get(api.url("project", { stamp: this.project.stamp }), { quiet: true });
-    if (!project.unchanged && !this._refreshing) this._take(project);
+  async #lookForChanges() {
+    if (document.hidden || this.#refreshing || !this.#project) return;
+    const project = await api.get(api.url("project", { stamp: this.#project.stamp }), { quiet: true });
+    if (!project.unchanged && !this.#refreshing) this.#take(project);
   }
 
-  _watchFolder() {
+  #watchFolder() {
     const complain = complaints();
     const look = async () => {
       try {
-        await this._lookForChanges();
+        await this.#lookForChanges();
         complain("");
       } catch ({ status, message }) {
         if (status === 503) complain(message); // the folder is gone; a lost connection is reported by the event stream
@@ -164,9 +217,9 @@ export class State extends EventTarget {
 
   /** Send a request with the id of the page's folder. A server of another folder refuses it, and the page reloads. */
   async send(request) {
-    if (this.unsure) await this.refresh(); // otherwise send at once, since the page may be closing
+    if (this.#unsure) await this.refresh(); // otherwise send at once, since the page may be closing
     try {
-      return await request(this.project.id);
+      return await request(this.#project.id);
     } catch (error) {
       const isForAnotherFolder = Boolean(error.body?.folder);
       if (isForAnotherFolder) await this.refresh();
@@ -175,75 +228,76 @@ export class State extends EventTarget {
   }
 
   /** Take over the project that the server has sent. Of another folder or version, the page is loaded again. */
-  _take(project) {
-    const isAnother = this.project && (this.project.id !== project.id || this.project.version !== project.version);
+  #take(project) {
+    const isAnother = this.#project && (this.#project.id !== project.id || this.#project.version !== project.version);
     if (isAnother) {
       location.reload(); // unsaved marks are kept with the id of their folder
       throw new ApiError("The studio now serves another folder, or is of another version.", 0);
     }
-    this.unsure = false;
-    this.project = project;
+    this.#unsure = false;
+    this.#project = project;
     if (!this.picture()) {
-      if (this.current) toast(`${this.current} is no longer in the folder.`);
-      this.select(this._firstToOpen());
+      if (this.#current) toast(`${this.#current} is no longer in the folder.`);
+      this.select(this.#firstToOpen());
     }
-    this._emit("project");
+    this.#emit("project");
   }
 
-  async _fetch() {
-    const quiet = Boolean(this.project); // once a project is shown, a lost connection is shown beside it instead
+  async #fetch() {
+    const quiet = Boolean(this.#project); // once a project is shown, a lost connection is shown beside it instead
     try {
-      this._take(await api.get(api.url("project"), { quiet }));
-      this._setOnline(true);
+      this.#take(await api.get(api.url("project"), { quiet }));
+      this.#setOnline(true);
     } catch (error) {
       const isRefused = error.status === 401;
-      if (error.unreachable || isRefused) this._setOnline(false, isRefused);
+      if (error.unreachable || isRefused) this.#setOnline(false, isRefused);
       throw error;
     }
   }
 
   /** The first picture that is not done, or else the first; null if none can be opened. */
-  _firstToOpen() {
-    const pictures = this.project.pictures.filter(({ state }) => state !== "broken");
+  #firstToOpen() {
+    const pictures = this.#project.pictures.filter(({ state }) => state !== "broken");
     const first = pictures.find(({ state }) => state !== "done") ?? pictures[0];
     return first?.name ?? null;
   }
 
-  _followEvents() {
+  #followEvents() {
     const source = new EventSource(api.url("events"));
     let lost = false;
     source.addEventListener("open", () => {
-      this._setOnline(true);
+      this.#setOnline(true);
       if (lost) this.refresh().catch(() => {});
       lost = false;
     });
     source.addEventListener("error", () => {
       lost = true;
-      this.unsure = true;
-      this._setOnline(false, this.restarted);
+      this.doubt();
+      this.#setOnline(false, this.#restarted);
       this.refresh().catch(() => {}); // an event source does not give the status: ask whether the server was restarted
       // A browser does not reconnect after an error status, such as from a new server with another token.
-      if (source.readyState === EventSource.CLOSED) setTimeout(() => this._followEvents(), RECONNECT_AFTER);
+      if (source.readyState === EventSource.CLOSED) setTimeout(() => this.#followEvents(), RECONNECT_AFTER);
     });
     source.addEventListener("project", () => this.refresh().catch(() => {}));
-    for (const work of ["training", "fitting"]) {
+    for (const work of /** @type {("training" | "fitting")[]} */ (["training", "fitting"])) {
       source.addEventListener(work, (/** @type {any} */ { data }) => {
-        this.project[work] = JSON.parse(data);
-        this._emit(work, this.project[work]);
+        this.takeWork(work, JSON.parse(data));
       });
     }
     source.addEventListener("landmarks", ({ data }) => {
+      /** @type {Events["landmarks"]} */
       const changed = JSON.parse(data); // of one picture, or of several
-      for (const each of Array.isArray(changed) ? changed : [changed]) this._emit("landmarks", each);
+      for (const each of Array.isArray(changed) ? changed : [changed]) this.#emit("landmarks", each);
     });
     addEventListener("pagehide", () => source.close());
   }
 
-  _setOnline(online, restarted = false) {
-    if (online === this.online && restarted === this.restarted) return;
-    Object.assign(this, { online, restarted });
-    this._emit("online", online);
+  #setOnline(online, restarted = false) {
+    if (online === this.#online && restarted === this.#restarted) return;
+    this.#online = online;
+    this.#restarted = restarted;
+    this.#emit("online", online);
   }
 
-  _emit(type, detail = null) { this.dispatchEvent(new CustomEvent(type, { detail })); }
+  #emit(type, detail = null) { this.dispatchEvent(new CustomEvent(type, { detail })); }
 }

@@ -14,6 +14,7 @@ const AHEAD = 6; // items before and after the visible ones
 const THUMBNAIL = 160; // pixels of the longest side
 const REST = 90; // milliseconds without scrolling until thumbnails are fetched
 
+/** Show the list in `root`; what others may ask of it. @param {HTMLElement} root; @param {App} app */
 export function mountStrip(root, app) {
   const { api, state } = app;
   const items = new Map(); // name -> {element, key} of the items that exist
@@ -27,7 +28,7 @@ export function mountStrip(root, app) {
   const choose = (label, name, labels = {}, title = null) =>
     h("select.text", {
       "aria-label": label, title, testid: `strip-${name}`,
-      onchange: () => { state.showFolder(folders.value); wall.onWay = false; show(); },
+      onchange: () => { state.showFolder(folders.value); wall.forget(); show(); },
     }, optionsOf(labels));
   const filter = choose("Show", "filter", labelsOf(filters.FILTERS));
   const order = choose("Sort", "order", filters.ORDERS);
@@ -45,7 +46,7 @@ export function mountStrip(root, app) {
   });
   const wall = createWall({
     app, shown: () => pictures, accept: (names) => bulk.run("accepted", names), onchange: rebuild,
-    onworst: () => { wall.onWay = false; state.order = []; show(); },
+    onworst: sortAnew,
     turn: () => {
       const { at, columns, room, size } = along();
       const rows = Math.floor(room / size);
@@ -81,11 +82,17 @@ export function mountStrip(root, app) {
     render();
   }
 
+  /** Pictures keep no places. */
+  function sortAnew() {
+    pictures = [];
+    show();
+  }
+
   function rebuild() {
     if (wall.on && !wall.onWay) {
       wallTop = 0;
       order.value = "quality";
-      state.order = []; // sorted anew, and then it stays
+      pictures = []; // sorted anew, and then it stays
     }
     items.clear();
     space.replaceChildren();
@@ -111,8 +118,7 @@ export function mountStrip(root, app) {
   }
 
   function enter(name) {
-    wall.onWay = wall.on;
-    wall.open(false);
+    wall.leave();
     state.select(name);
   }
 
@@ -235,7 +241,7 @@ export function mountStrip(root, app) {
   /** While files are added or fitted, and on the way through the wall, pictures keep their places, before new ones. */
   function inPlace(found) {
     if (!state.adding && !state.project.fitting && !wall.on && !wall.onWay) return found;
-    const places = new Map(state.order.map((name, i) => [name, i]));
+    const places = new Map(pictures.map(({ name }, i) => [name, i]));
     return found.sort((a, b) => (places.get(a.name) ?? places.size) - (places.get(b.name) ?? places.size));
   }
 
@@ -253,8 +259,7 @@ export function mountStrip(root, app) {
     const [text, { folder }] = [search.value.trim().toLowerCase(), state];
     const wanted = { text, filter: filter.value, folder, order: order.value };
     pictures = inPlace(filters.matching(all, wanted, leftOut()));
-    state.order = pictures.map(({ name }) => name);
-    state.worstFirst = order.value === "quality";
+    state.setOrder(pictures.map(({ name }) => name), { worstFirst: order.value === "quality" });
     for (const name of chosen) if (!state.picture(name)) chosen.delete(name);
     const usable = all.filter((picture) => picture.state !== "broken");
     const done = usable.filter((picture) => picture.state === "done").length;
@@ -269,20 +274,25 @@ export function mountStrip(root, app) {
   document.addEventListener("keydown", ({ key: pressed }) => {
     if (pressed === "Escape") selecting ? select(false) : wall.open(false);
   });
-  state.addEventListener("to-review", () => {
-    filter.value = "review";
-    show();
-    state.step(-Infinity);
-  });
   list.addEventListener("scroll", perFrame(render), { passive: true });
   list.addEventListener("scroll", () => { if (wall.on) wallTop = list.scrollTop; }, { passive: true });
   new ResizeObserver(() => { show(); if (!wall.on) reveal(); }).observe(list);
   state.addEventListener("project", show);
   state.addEventListener("fitting", () => state.adding || state.project.fitting || show());
-  state.addEventListener("added", () => { order.value = "quality"; show(); });
   state.addEventListener("select", () => { reveal(); render(); });
-  state.wall = wall;
-  app.bulk = bulk;
   show();
   reveal();
+  return {
+    wall, bulk,
+    sortByQuality() {
+      order.value = "quality";
+      show();
+    },
+    /** Show the pictures that are done and not checked, and open the first. */
+    review() {
+      filter.value = "review";
+      show();
+      state.step(-Infinity);
+    },
+  };
 }

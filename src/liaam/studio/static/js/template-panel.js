@@ -23,9 +23,9 @@ const PRESETS = {
 };
 const OF_LANDMARKS = ["body-17", "hand-21", "wing-12"]; // sets whose lines join landmarks; none of these slides
 
-/** onload(file, kind): start with a landmark file, of points of one kind if it is given; onsliders(file); ondone();
+/** formats: suffixes of landmark files; onload(file, kind): start with a landmark file, of points of one kind if it is given; onsliders(file); ondone();
  *  onleave(). */
-export function createTemplatePanel({ drafting, onload, onsliders, ondone, onleave }) {
+export function createTemplatePanel({ drafting, formats, onload, onsliders, ondone, onleave }) {
   let busy = false;
   const heading = h("h2.panel-title");
   const intro = h("div.column.template-intro");
@@ -71,8 +71,7 @@ export function createTemplatePanel({ drafting, onload, onsliders, ondone, onlea
     if (saved) return hint(EDIT);
     if (draft.names.length) return hint(CONTINUE);
     const label = h("label.button", { for: "template-file" }, icon("upload"), "Load a landmark file");
-    const files = window.liaamStudio.state.project.formats.landmarks.join(" ");
-    const other = hint(`Or start with a common set, or with a landmark file (${files}):`);
+    const other = hint(`Or start with a common set, or with a landmark file (${formats.join(" ")}):`);
     const common = menu("Choose a common set…", PRESETS, loadPreset, {
       "aria-label": "Common sets of points", testid: "template-preset",
     });

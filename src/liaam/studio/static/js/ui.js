@@ -256,19 +256,21 @@ const GAP = 400; // milliseconds without a frame after which another drag begins
 /** Frames per second of the `most` newest frames of one drag; gap: milliseconds that end it. */
 export class FrameMeter {
   #times = [];
+  #most;
+  #gap;
 
   constructor(most = 600, gap = GAP) {
-    this.most = most;
-    this.gap = gap;
+    this.#most = most;
+    this.#gap = gap;
   }
 
-  get isFull() { return this.#times.length === this.most; }
+  get isFull() { return this.#times.length === this.#most; }
   reset() { this.#times = []; }
 
   tick(now = performance.now()) {
-    if (now - this.#times.at(-1) > this.gap) this.reset();
+    if (now - this.#times.at(-1) > this.#gap) this.reset();
     this.#times.push(now);
-    if (this.#times.length > this.most) this.#times.shift();
+    if (this.#times.length > this.#most) this.#times.shift();
   }
 
   rate() {

@@ -11,23 +11,27 @@ export function attempt(work, otherwise = null) {
 
 /** Unsaved marks of a folder. Tabs share the storage, so each entry contains the name of its `page`. */
 export class Unsaved {
+  #storage;
+  #page;
+  #prefix;
+
   /** `folder`: the project's id, since names of folders are not unique. */
   constructor(storage, folder, page = "") {
-    this.storage = storage;
-    this.page = page;
-    this.prefix = `liaam-studio:unsaved:${folder}:`;
+    this.#storage = storage;
+    this.#page = page;
+    this.#prefix = `liaam-studio:unsaved:${folder}:`;
   }
 
   set(name, entry) {
-    attempt(() => this.storage.setItem(this.prefix + name, JSON.stringify({ ...entry, page: this.page })));
+    attempt(() => this.#storage.setItem(this.#prefix + name, JSON.stringify({ ...entry, page: this.#page })));
   }
 
-  get(name) { return attempt(() => JSON.parse(this.storage.getItem(this.prefix + name))); }
-  delete(name) { attempt(() => this.storage.removeItem(this.prefix + name)); }
+  get(name) { return attempt(() => JSON.parse(this.#storage.getItem(this.#prefix + name))); }
+  delete(name) { attempt(() => this.#storage.removeItem(this.#prefix + name)); }
 
   names() {
-    const keys = attempt(() => Object.keys(this.storage), []);
-    return keys.filter((key) => key.startsWith(this.prefix)).map((key) => key.slice(this.prefix.length));
+    const keys = attempt(() => Object.keys(this.#storage), []);
+    return keys.filter((key) => key.startsWith(this.#prefix)).map((key) => key.slice(this.#prefix.length));
   }
 }
 
@@ -50,18 +54,24 @@ const LAST = "liaam-studio:last-page";
 /** The name of this page, and which other pages are open. Each page holds a lock while it is open, so that its unsaved
  *  marks are not taken for those of a closed page. */
 export class Page {
+  #locks;
+  #before;
+
   /** @param {{locks?: any, session?: Storage}} options */
   constructor({ locks = globalThis.navigator?.locks, session = sessionStorage } = {}) {
-    this.locks = locks;
+    this.#locks = locks;
     this.name = `${Date.now().toString(36)}-${Math.random().toString(36).slice(2)}`;
-    this.before = attempt(() => session.getItem(LAST)); // name of the page in this tab before a reload
+    this.#before = attempt(() => session.getItem(LAST));
     attempt(() => session.setItem(LAST, this.name));
     locks?.request(LOCK + this.name, () => new Promise(() => {})).catch(() => {});
   }
 
+  /** Name of the page in this tab before a reload. */
+  get before() { return this.#before; }
+
   async inherits(page) {
-    if (page === this.name || page === this.before || !this.locks) return true;
-    const { held } = await this.locks.query();
+    if (page === this.name || page === this.#before || !this.#locks) return true;
+    const { held } = await this.#locks.query();
     return !held.some((lock) => lock.name === LOCK + page);
   }
 }

@@ -23,76 +23,99 @@ const MOST_MARGIN = 14; // around the whole picture, css pixels
 const MARGIN_SHARE = 0.03; // of the container's shorter side, if that is less
 
 export class Viewer extends EventTarget {
-  tool = null;
-  source = null;
-  tiles = null;
-  width = 0;
-  height = 0;
-  scale = 1;
-  left = 0; // position of the picture's corner in the container, css pixels
-  top = 0;
-  mirrored = false; // whether left and right of the picture are exchanged on the screen
-  isLoupe = false; // whether the loupe is being drawn
-  look = look.control();
-  _layers = [];
-  _pointers = new Map(); // pointers that are down: id -> [x, y] on the page
-  _toolPointer = null; // id of the pointer that the tool handles
-  showsWhole = true; // whether the whole picture is shown, and stays so when the size of the container changes
-  _spaceIsDown = false; // then a drag pans whatever the tool is
-  _offsetBefore = null; // position of the container in the canvas when it was last resized
-  _scaled = null; // {canvas, settings, corner}: the scaled picture, cached
-  _glowOf = null; // the source that the glow shows
-  _glow = h("div.viewer-glow"); // shows a tiny copy of the picture, as tones around it
-  _zoomText = h("span.number", { "aria-hidden": "true" }, "100 %");
-  redraw = perFrame(() => this._draw());
+  #tool = null;
+  #source = null;
+  #tiles = null;
+  #width = 0;
+  #height = 0;
+  #scale = 1;
+  #left = 0;
+  #top = 0;
+  #mirrored = false;
+  #isLoupe = false;
+  #showsWhole = true; // and stays so when the size of the container changes
+  #look = look.control();
+  #layers = [];
+  #pointers = new Map(); // pointers that are down: id -> [x, y] on the page
+  #toolPointer = null; // id of the pointer that the tool handles
+  #spaceIsDown = false; // then a drag pans whatever the tool is
+  #offsetBefore = null; // position of the container in the canvas when it was last resized
+  #scaled = null; // {canvas, settings, corner}: the scaled picture, cached
+  #glowOf = null; // the source that the glow shows
+  #glow = h("div.viewer-glow"); // shows a tiny copy of the picture, as tones around it
+  #zoomText = h("span.number", { "aria-hidden": "true" }, "100 %");
+  redraw = perFrame(() => this.#draw());
+  #unmirrorButton;
 
   constructor(container, { label = "Picture" } = {}) {
     super();
     this.container = container;
     this.canvas = h("canvas", {
       tabindex: "0", role: "application", "aria-label": label,
-      onpointerdown: (event) => this._down(event), onpointermove: (event) => this._move(event),
-      onpointerup: (event) => this._end(event, "up"), onpointercancel: (event) => this._end(event, "cancel"),
-      onpointerleave: (event) => this._leave(event),
-      onwheel: (event) => this._wheel(event), oncontextmenu: (event) => event.preventDefault(),
-      onkeydown: (event) => this._spaceKey(event, true), onkeyup: (event) => this._spaceKey(event, false),
-      onblur: () => { this._spaceIsDown = false; },
+      onpointerdown: (event) => this.#down(event), onpointermove: (event) => this.#move(event),
+      onpointerup: (event) => this.#end(event, "up"), onpointercancel: (event) => this.#end(event, "cancel"),
+      onpointerleave: (event) => this.#leave(event),
+      onwheel: (event) => this.#wheel(event), oncontextmenu: (event) => event.preventDefault(),
+      onkeydown: (event) => this.#spaceKey(event, true), onkeyup: (event) => this.#spaceKey(event, false),
+      onblur: () => { this.#spaceIsDown = false; },
     });
     container.classList.add("viewer");
-    container.append(this._glow, this.canvas, this._viewButtons());
+    container.append(this.#glow, this.canvas, this.#viewButtons());
     look.addEventListener("change", () => this.redraw());
-    const watch = new ResizeObserver(() => this._resize());
+    const watch = new ResizeObserver(() => this.#resize());
     for (const element of [container, this.canvas]) watch.observe(element);
-    this._resize();
+    this.#resize();
   }
 
-  _viewButtons() {
+  /** What handles the pointer, or null. */
+  get tool() { return this.#tool; }
+  get source() { return this.#source; }
+  get width() { return this.#width; }
+  get height() { return this.#height; }
+  get scale() { return this.#scale; }
+  /** Position of the picture's corner in the container, css pixels. */
+  get left() { return this.#left; }
+  get top() { return this.#top; }
+  /** Whether left and right of the picture are exchanged on the screen. */
+  get mirrored() { return this.#mirrored; }
+  /** Whether the loupe is being drawn. */
+  get isLoupe() { return this.#isLoupe; }
+  /** Whether the whole picture is shown. */
+  get showsWhole() { return this.#showsWhole; }
+
+  /** Let a tool handle the pointer; null: none. */
+  use(tool) {
+    this.#tool = tool;
+    this.redraw();
+  }
+
+  #viewButtons() {
     const tool = (label, icon, shortcut, onclick) =>
       button(label, { icon, shortcut, onclick, iconOnly: true, kind: "ghost", small: true });
-    this._unmirrorButton = button("Mirrored", {
+    this.#unmirrorButton = button("Mirrored", {
       small: true, pressed: true, hidden: true, shortcut: "F", testid: "mirrored-view", title: "The picture is shown mirrored: show it as it is",
       onclick: () => this.dispatchEvent(new Event("unmirror")),
     });
     return h("div.viewer-zoom", { role: "group", "aria-label": "View" },
-      this._unmirrorButton,
+      this.#unmirrorButton,
       tool("Zoom out", "minus", "-", () => this.zoomBy(1 / ZOOM_STEP)),
-      this._zoomText,
+      this.#zoomText,
       tool("Zoom in", "plus", "+", () => this.zoomBy(ZOOM_STEP)),
       tool("Whole picture", "fit", "0", () => this.fit()),
-      this.look);
+      this.#look);
   }
 
   /** Show a picture; width and height are those of landmark coordinates, the source may have any resolution. Tiles are
    *  drawn over it. The view stays if the size does. @param {any} source; @param {import("./tiles.js").Tiles | null} tiles */
   setPicture(source, width = 0, height = 0, tiles = null) {
-    const sameSize = width === this.width && height === this.height;
-    if (sameSize && source === this.source && tiles === this.tiles) return;
-    this.source = source;
-    this.tiles?.removeEventListener("ready", this.redraw);
-    this.tiles = tiles;
+    const sameSize = width === this.#width && height === this.#height;
+    if (sameSize && source === this.#source && tiles === this.#tiles) return;
+    this.#source = source;
+    this.#tiles?.removeEventListener("ready", this.redraw);
+    this.#tiles = tiles;
     tiles?.addEventListener("ready", this.redraw);
-    this.width = width;
-    this.height = height;
+    this.#width = width;
+    this.#height = height;
     if (!sameSize) this.fit();
     this.redraw();
   }
@@ -100,56 +123,63 @@ export class Viewer extends EventTarget {
   /** Show a part of the picture, [left, top, right, bottom] from its corner, as large as it fits with a margin (css
    *  pixels). */
   fitTo(box, margin) {
-    this.showsWhole = false;
-    this._frame(box, margin);
+    this.#showsWhole = false;
+    this.#frame(box, margin);
   }
 
   /** Show the whole picture. */
   fit() {
     const { clientWidth, clientHeight } = this.container;
     const margin = Math.min(MOST_MARGIN, MARGIN_SHARE * Math.min(clientWidth, clientHeight));
-    this.showsWhole = true;
-    if (this.width && clientWidth && clientHeight) this._frame([0, 0, this.width, this.height], margin);
+    this.#showsWhole = true;
+    if (this.#width && clientWidth && clientHeight) this.#frame([0, 0, this.#width, this.#height], margin);
   }
 
-  _frame(/** @type {number[]} */ [left, top, right, bottom], margin) {
+  #frame(/** @type {number[]} */ [left, top, right, bottom], margin) {
     const { clientWidth, clientHeight } = this.container;
-    this.scale = Math.min((clientWidth - 2 * margin) / (right - left), (clientHeight - 2 * margin) / (bottom - top), LARGEST);
+    this.#scale = Math.min((clientWidth - 2 * margin) / (right - left), (clientHeight - 2 * margin) / (bottom - top), LARGEST);
     const middle = (left + right) / 2;
-    this.left = clientWidth / 2 - this.scale * (this.mirrored ? this.width - middle : middle);
-    this.top = clientHeight / 2 - (this.scale * (top + bottom)) / 2;
-    this._changed();
+    this.#left = clientWidth / 2 - this.#scale * (this.#mirrored ? this.#width - middle : middle);
+    this.#top = clientHeight / 2 - (this.#scale * (top + bottom)) / 2;
+    this.#changed();
   }
 
   /** Zoom; the place `at` of the container, or else its middle, keeps what it shows. */
   zoomBy(factor, at = null) {
-    if (!this.width) return;
+    if (!this.#width) return;
     const { clientWidth, clientHeight } = this.container;
     const [x, y] = at ?? [clientWidth / 2, clientHeight / 2];
-    const scaleOfWhole = Math.min(clientWidth / this.width, clientHeight / this.height, 1);
-    const scale = Math.min(Math.max(this.scale * factor, SMALLEST_SHARE * scaleOfWhole), LARGEST);
-    const ratio = scale / this.scale;
-    this.left = x - ratio * (x - this.left);
-    this.top = y - ratio * (y - this.top);
-    this.scale = scale;
-    this.showsWhole = false;
-    this._changed();
+    const scaleOfWhole = Math.min(clientWidth / this.#width, clientHeight / this.#height, 1);
+    const scale = Math.min(Math.max(this.#scale * factor, SMALLEST_SHARE * scaleOfWhole), LARGEST);
+    const ratio = scale / this.#scale;
+    this.#left = x - ratio * (x - this.#left);
+    this.#top = y - ratio * (y - this.#top);
+    this.#scale = scale;
+    this.#showsWhole = false;
+    this.#changed();
   }
 
   /** Pan; return by how much, since the picture stays on the grid of the screen's pixels. */
   panBy(dx, dy) {
-    const { left, top } = this;
-    this.left += dx;
-    this.top += dy;
-    this.showsWhole = false;
-    this._changed();
-    return [this.left - left, this.top - top];
+    const [left, top] = [this.#left, this.#top];
+    this.#left += dx;
+    this.#top += dy;
+    this.#showsWhole = false;
+    this.#changed();
+    return [this.#left - left, this.#top - top];
   }
 
   /** Set the view to that of another viewer with a picture of the same size, without the event "view". */
   setView(view) {
-    Object.assign(this, view);
-    this._show();
+    this.#setView(view);
+    this.#show();
+  }
+
+  #setView({ scale, left, top, showsWhole = this.#showsWhole }) {
+    this.#scale = scale;
+    this.#left = left;
+    this.#top = top;
+    this.#showsWhole = showsWhole;
   }
 
   get view() {
@@ -159,28 +189,28 @@ export class Viewer extends EventTarget {
 
   /** Show the picture mirrored, or as it is. Only what is seen changes, not the coordinates of points. */
   mirror(on) {
-    if (on === this.mirrored) return;
-    this.mirrored = on;
-    this._unmirrorButton.hidden = !on;
-    this._changed();
+    if (on === this.#mirrored) return;
+    this.#mirrored = on;
+    this.#unmirrorButton.hidden = !on;
+    this.#changed();
   }
 
   /** How far a point is from the border that is on the left of the screen, in pixels of the picture. */
-  _fromLeft(x) { return this.mirrored ? this.width - x - 0.5 : x + 0.5; }
+  #fromLeft(x) { return this.#mirrored ? this.#width - x - 0.5 : x + 0.5; }
 
   /** Screen coordinates of a landmark. */
-  toScreen([x, y]) { return [this.left + this.scale * this._fromLeft(x), this.top + this.scale * (y + 0.5)]; }
+  toScreen([x, y]) { return [this.#left + this.#scale * this.#fromLeft(x), this.#top + this.#scale * (y + 0.5)]; }
 
   /** Position {left, top} of the picture's corner that puts a landmark at a place of the screen, at a scale. */
   cornerFor([x, y], [screenX, screenY], scale) {
-    return { left: screenX - scale * this._fromLeft(x), top: screenY - scale * (y + 0.5) };
+    return { left: screenX - scale * this.#fromLeft(x), top: screenY - scale * (y + 0.5) };
   }
 
   /** Landmark coordinates of an event or of a place [x, y] of the screen. */
   toImage(place) {
     const [screenX, screenY] = Array.isArray(place) ? place : this.place(place);
-    const fromLeft = (screenX - this.left) / this.scale;
-    return [(this.mirrored ? this.width - fromLeft : fromLeft) - 0.5, (screenY - this.top) / this.scale - 0.5];
+    const fromLeft = (screenX - this.#left) / this.#scale;
+    return [(this.#mirrored ? this.#width - fromLeft : fromLeft) - 0.5, (screenY - this.#top) / this.#scale - 0.5];
   }
 
   /** Position of an event on the screen, css pixels. */
@@ -198,7 +228,7 @@ export class Viewer extends EventTarget {
 
   /** Draw draw(context, viewer) over the picture, after the layers that were added before. */
   addLayer(draw) {
-    this._layers.push(draw);
+    this.#layers.push(draw);
     this.redraw();
   }
 
@@ -210,20 +240,20 @@ export class Viewer extends EventTarget {
       "-": () => this.zoomBy(1 / ZOOM_STEP),
       0: () => this.fit(),
       a: () => { // brightness, contrast and gamma
-        this.look.open = !this.look.open;
-        (this.look.open ? this.look.querySelector("input") : this.canvas).focus();
+        this.#look.open = !this.#look.open;
+        (this.#look.open ? this.#look.querySelector("input") : this.canvas).focus();
       },
     });
   }
 
   /** Position of the container in the canvas, css pixels. */
-  _offset() {
+  #offset() {
     const canvas = this.canvas.getBoundingClientRect();
     const container = this.container.getBoundingClientRect();
     return [container.left - canvas.left, container.top - canvas.top];
   }
 
-  _resize() {
+  #resize() {
     const { canvas, container } = this;
     if (!container.clientWidth || !container.clientHeight) return;
     const ratio = window.devicePixelRatio || 1;
@@ -231,18 +261,18 @@ export class Viewer extends EventTarget {
     const height = Math.round(canvas.clientHeight * ratio);
     // Setting the size of a canvas clears it.
     if (canvas.width !== width || canvas.height !== height) Object.assign(canvas, { width, height });
-    this._keepInPlace();
+    this.#keepInPlace();
     // Draw at once, because a resized canvas is blank.
-    this._draw();
+    this.#draw();
   }
 
   /** After a change of the container: keep the whole picture whole, or else keep on the page what the user looks at,
    *  although a panel has moved the container. */
-  _keepInPlace() {
-    const offset = this._offset();
-    const before = this._offsetBefore ?? offset;
-    this._offsetBefore = offset;
-    if (this.showsWhole) return this.fit();
+  #keepInPlace() {
+    const offset = this.#offset();
+    const before = this.#offsetBefore ?? offset;
+    this.#offsetBefore = offset;
+    if (this.#showsWhole) return this.fit();
     const dx = before[0] - offset[0];
     const dy = before[1] - offset[1];
     if (dx === 0 && dy === 0) return;
@@ -250,89 +280,91 @@ export class Viewer extends EventTarget {
     // A pan is rounded. What it lacks counts as movement of the container the next time.
     const leftX = dx - pannedX;
     const leftY = dy - pannedY;
-    this._offsetBefore = [offset[0] + leftX, offset[1] + leftY];
+    this.#offsetBefore = [offset[0] + leftX, offset[1] + leftY];
   }
 
   /** Show another view, and say so by the event "view". */
-  _changed() {
-    this._show();
+  #changed() {
+    this.#show();
     this.dispatchEvent(new Event("view"));
   }
 
-  _show() {
+  #show() {
     const ratio = window.devicePixelRatio || 1;
     // On the grid of the screen's pixels, so that panning can reuse what is drawn.
-    this.left = Math.round(this.left * ratio) / ratio;
-    this.top = Math.round(this.top * ratio) / ratio;
-    this._zoomText.textContent = `${Math.round(100 * this.scale)} %`;
+    this.#left = Math.round(this.#left * ratio) / ratio;
+    this.#top = Math.round(this.#top * ratio) / ratio;
+    this.#zoomText.textContent = `${Math.round(100 * this.#scale)} %`;
     this.redraw();
   }
 
-  _draw() {
+  #draw() {
     const { canvas } = this;
     // In a hidden tab, or under the wall; drawn when it is shown again and resized.
     if (!this.container.clientWidth || !canvas.width || !canvas.clientWidth) return;
     const ctx = canvas.getContext("2d");
     const ratio = canvas.width / canvas.clientWidth; // pixels of the canvas per css pixel
-    const offset = this._offset();
+    const offset = this.#offset();
     ctx.setTransform(1, 0, 0, 1, 0, 0);
     ctx.clearRect(0, 0, canvas.width, canvas.height);
     if (!("filter" in ctx)) canvas.style.filter = look.filter; // in Safari: changes the points, too
-    if (this.source && this.width) ctx.drawImage(this._scaledPicture(ratio, offset), 0, 0);
-    else this._forgetPicture();
+    if (this.#source && this.#width) ctx.drawImage(this.#scaledPicture(ratio, offset), 0, 0);
+    else this.#forgetPicture();
     toContainer(ctx, ratio, offset);
-    this._drawLayers(ctx);
+    this.#drawLayers(ctx);
   }
 
-  _forgetPicture() {
-    this._scaled = null;
-    this._glow.hidden = true;
+  #forgetPicture() {
+    this.#scaled = null;
+    this.#glow.hidden = true;
   }
 
-  _drawLayers(ctx) {
-    for (const draw of this._layers) {
+  #drawLayers(ctx) {
+    for (const draw of this.#layers) {
       ctx.save();
       draw(ctx, this);
       ctx.restore();
     }
   }
 
-  _drawPicture(ctx) {
+  #drawPicture(ctx) {
     ctx.save();
-    if (this.mirrored) {
-      ctx.translate(2 * this.left + this.scale * this.width, 0); // mirrored at the middle of the picture
+    if (this.#mirrored) {
+      ctx.translate(2 * this.#left + this.#scale * this.#width, 0); // mirrored at the middle of the picture
       ctx.scale(-1, 1);
     }
     ctx.filter = look.filter;
-    ctx.imageSmoothingEnabled = this.scale < SHARP_FROM;
-    ctx.imageSmoothingQuality = this.tiles && this.scale * this.width > this.source.width ? "low" : "high"; // tiles follow
-    if (!this.tiles?.cover(ctx, this))
-      ctx.drawImage(this.source, this.left, this.top, this.scale * this.width, this.scale * this.height);
-    this.tiles?.draw(ctx, this);
+    ctx.imageSmoothingEnabled = this.#scale < SHARP_FROM;
+    ctx.imageSmoothingQuality = this.#tiles && this.#scale * this.#width > this.#source.width ? "low" : "high"; // tiles follow
+    if (!this.#tiles?.cover(ctx, this))
+      ctx.drawImage(this.#source, this.#left, this.#top, this.#scale * this.#width, this.#scale * this.#height);
+    this.#tiles?.draw(ctx, this);
     ctx.restore();
   }
 
   /** Draw the picture and its layers with another view {scale, left, top}, as in a loupe. */
   drawAs(ctx, view) {
     const before = this.view;
-    Object.assign(this, view, { isLoupe: true });
-    this._drawPicture(ctx);
-    this._drawLayers(ctx);
-    Object.assign(this, before, { isLoupe: false });
+    this.#setView(view);
+    this.#isLoupe = true;
+    this.#drawPicture(ctx);
+    this.#drawLayers(ctx);
+    this.#setView(before);
+    this.#isLoupe = false;
   }
 
   /** The scaled picture on a canvas of the same size. It is cached, because scaling takes longer than other drawing.
    *  After a pan by whole pixels, only the strips that came into view are drawn. */
-  _scaledPicture(ratio, offset) {
+  #scaledPicture(ratio, offset) {
     const { width, height } = this.canvas;
     const settings = [
-      this.source, this.mirrored, this.tiles?.version, this.scale, this.width, this.height, ratio, width, height, look.values,
+      this.#source, this.#mirrored, this.#tiles?.version, this.#scale, this.#width, this.#height, ratio, width, height, look.values,
     ];
-    const corner = [ratio * (this.left + offset[0]), ratio * (this.top + offset[1])]; // of the picture, pixels of the canvas
-    const pan = this._panSinceScaled(settings, corner);
-    if (pan?.every((by) => by === 0)) return this._scaled.canvas;
+    const corner = [ratio * (this.#left + offset[0]), ratio * (this.#top + offset[1])]; // of the picture, pixels of the canvas
+    const pan = this.#panSinceScaled(settings, corner);
+    if (pan?.every((by) => by === 0)) return this.#scaled.canvas;
 
-    const canvas = this._scaled?.canvas ?? document.createElement("canvas");
+    const canvas = this.#scaled?.canvas ?? document.createElement("canvas");
     const ctx = canvas.getContext("2d");
     let parts; // that are to be drawn, [x, y, width, height]
     if (pan?.every(isWhole)) parts = shifted(ctx, Math.round(pan[0]), Math.round(pan[1]));
@@ -340,46 +372,46 @@ export class Viewer extends EventTarget {
       Object.assign(canvas, { width, height }); // also clears it
       parts = [[0, 0, width, height]];
     }
-    for (const part of parts) this._drawPart(ctx, part, ratio, offset);
-    this._scaled = { canvas, settings, corner };
-    this._showGlow(canvas, [...corner, ratio * this.scale * this.width, ratio * this.scale * this.height]);
+    for (const part of parts) this.#drawPart(ctx, part, ratio, offset);
+    this.#scaled = { canvas, settings, corner };
+    this.#showGlow(canvas, [...corner, ratio * this.#scale * this.#width, ratio * this.#scale * this.#height]);
     return canvas;
   }
 
   /** How far the picture has moved since it was scaled, [x, y] in pixels of the canvas; null if all else has not stayed
    *  as it was. */
-  _panSinceScaled(settings, corner) {
-    const cached = this._scaled;
+  #panSinceScaled(settings, corner) {
+    const cached = this.#scaled;
     if (cached === null || settings.some((value, i) => value !== cached.settings[i])) return null;
     return [corner[0] - cached.corner[0], corner[1] - cached.corner[1]];
   }
 
   /** Draw the picture anew in a part [x, y, width, height] of a canvas. */
-  _drawPart(ctx, /** @type {number[]} */ [x, y, width, height], ratio, offset) {
+  #drawPart(ctx, /** @type {number[]} */ [x, y, width, height], ratio, offset) {
     ctx.save();
     ctx.beginPath();
     ctx.rect(x, y, width, height);
     ctx.clip();
     ctx.clearRect(x, y, width, height); // strips overlap, and pictures may be transparent
     toContainer(ctx, ratio, offset);
-    this._drawPicture(ctx);
+    this.#drawPicture(ctx);
     ctx.restore();
   }
 
   /** Show the tones of the picture, which is at [left, top, width, height] of a canvas, around it. */
-  _showGlow(canvas, /** @type {number[]} */ [left, top, width, height]) {
-    this._glow.hidden = false;
+  #showGlow(canvas, /** @type {number[]} */ [left, top, width, height]) {
+    this.#glow.hidden = false;
     const isInside = left >= 0 && top >= 0 && left + width <= canvas.width && top + height <= canvas.height;
-    if (this._glowOf === this.source || !isInside) return;
-    this._glowOf = this.source;
+    if (this.#glowOf === this.#source || !isInside) return;
+    this.#glowOf = this.#source;
     const tiny = Object.assign(document.createElement("canvas"), { width: GLOW_SIZE, height: GLOW_SIZE });
     tiny.getContext("2d").drawImage(canvas, left, top, width, height, 0, 0, GLOW_SIZE, GLOW_SIZE);
-    this._glow.style.backgroundImage = `url(${tiny.toDataURL()})`;
+    this.#glow.style.backgroundImage = `url(${tiny.toDataURL()})`;
   }
 
   // Pointers go to the tool first; otherwise they pan, and two fingers zoom.
 
-  _wheel(event) {
+  #wheel(event) {
     event.preventDefault();
     const pixels = event.deltaMode === WheelEvent.DOM_DELTA_LINE ? WHEEL_LINE * event.deltaY : event.deltaY;
     const clipped = Math.max(-WHEEL_MOST, Math.min(WHEEL_MOST, pixels));
@@ -387,61 +419,61 @@ export class Viewer extends EventTarget {
     this.zoomBy(Math.exp(-speed * clipped), this.place(event));
   }
 
-  _spaceKey(event, isDown) {
+  #spaceKey(event, isDown) {
     if (event.key !== " ") return;
     event.preventDefault();
-    this._spaceIsDown = isDown;
-    this._cursor = isDown ? "grab" : "";
+    this.#spaceIsDown = isDown;
+    this.#cursor = isDown ? "grab" : "";
   }
 
-  set _cursor(cursor) { this.canvas.style.cursor = cursor; }
+  set #cursor(cursor) { this.canvas.style.cursor = cursor; }
 
-  _down(event) {
+  #down(event) {
     this.canvas.focus({ preventScroll: true });
-    this._pointers.set(event.pointerId, [event.clientX, event.clientY]);
+    this.#pointers.set(event.pointerId, [event.clientX, event.clientY]);
     attempt(() => this.canvas.setPointerCapture(event.pointerId)); // it may have been released already
-    if (this._pointers.size === 2) { // a second finger ends the tool's gesture
-      if (this._toolPointer !== null) this.tool?.cancel?.(event);
-      this._toolPointer = null;
+    if (this.#pointers.size === 2) { // a second finger ends the tool's gesture
+      if (this.#toolPointer !== null) this.#tool?.cancel?.(event);
+      this.#toolPointer = null;
       return;
     }
     event.preventDefault();
-    const pans = this._spaceIsDown || event.button === MIDDLE_BUTTON || event.button === RIGHT_BUTTON;
-    const mayEdit = !pans && this._pointers.size === 1;
-    if (mayEdit && this.tool?.down?.(event, this.toImage(event))) this._toolPointer = event.pointerId;
-    else this._cursor = "grabbing";
+    const pans = this.#spaceIsDown || event.button === MIDDLE_BUTTON || event.button === RIGHT_BUTTON;
+    const mayEdit = !pans && this.#pointers.size === 1;
+    if (mayEdit && this.#tool?.down?.(event, this.toImage(event))) this.#toolPointer = event.pointerId;
+    else this.#cursor = "grabbing";
   }
 
-  _move(event) {
-    const before = this._pointers.get(event.pointerId);
-    if (!before) return this._hover(event);
-    if (this._toolPointer === event.pointerId) return this.tool?.move?.(event, this.toImage(event));
+  #move(event) {
+    const before = this.#pointers.get(event.pointerId);
+    if (!before) return this.#hover(event);
+    if (this.#toolPointer === event.pointerId) return this.#tool?.move?.(event, this.toImage(event));
     const now = [event.clientX, event.clientY];
-    if (this._pointers.size === 2) {
-      this._pinch(event.pointerId, before, now);
-      this._pointers.set(event.pointerId, now);
-    } else if (this._toolPointer === null) {
+    if (this.#pointers.size === 2) {
+      this.#pinch(event.pointerId, before, now);
+      this.#pointers.set(event.pointerId, now);
+    } else if (this.#toolPointer === null) {
       const [dx, dy] = this.panBy(now[0] - before[0], now[1] - before[1]);
-      this._pointers.set(event.pointerId, [before[0] + dx, before[1] + dy]); // what rounding has left is for the next move
+      this.#pointers.set(event.pointerId, [before[0] + dx, before[1] + dy]); // what rounding has left is for the next move
     }
   }
 
   /** A pointer leaves the canvas; one that is down goes on with what it does. */
-  _leave(event) {
-    if (this._pointers.size === 0) this.tool?.leave?.(event);
+  #leave(event) {
+    if (this.#pointers.size === 0) this.#tool?.leave?.(event);
   }
 
   /** A pointer moves that is not down. */
-  _hover(event) {
+  #hover(event) {
     const point = this.toImage(event);
-    this.tool?.hover?.(event, point);
-    this._cursor = this._spaceIsDown ? "grab" : this.tool?.cursor?.(event, point) ?? "";
+    this.#tool?.hover?.(event, point);
+    this.#cursor = this.#spaceIsDown ? "grab" : this.#tool?.cursor?.(event, point) ?? "";
   }
 
   /** One of two fingers moves from a place of the page to another: pan with their middle, zoom with their distance. */
-  _pinch(id, before, now) {
-    const otherId = [...this._pointers.keys()].find((key) => key !== id);
-    const other = this._pointers.get(otherId);
+  #pinch(id, before, now) {
+    const otherId = [...this.#pointers.keys()].find((key) => key !== id);
+    const other = this.#pointers.get(otherId);
     const box = this.container.getBoundingClientRect();
     const distanceFrom = (a) => Math.hypot(a[0] - other[0], a[1] - other[1]) || 1;
     const middleOf = (a) => [(a[0] + other[0]) / 2 - box.left, (a[1] + other[1]) / 2 - box.top];
@@ -452,12 +484,12 @@ export class Viewer extends EventTarget {
   }
 
   /** A pointer is released ("up"), or the browser takes it for something else ("cancel"). */
-  _end(event, how) {
-    if (!this._pointers.delete(event.pointerId)) return;
-    this._cursor = "";
-    if (this._toolPointer !== event.pointerId) return;
-    this._toolPointer = null;
-    this.tool?.[how]?.(event, this.toImage(event));
+  #end(event, how) {
+    if (!this.#pointers.delete(event.pointerId)) return;
+    this.#cursor = "";
+    if (this.#toolPointer !== event.pointerId) return;
+    this.#toolPointer = null;
+    this.#tool?.[how]?.(event, this.toImage(event));
   }
 }
 

@@ -12,10 +12,13 @@ export const acceptable = (pictures, least) =>
 
 const keyOf = ({ revision, quality, tag, state }) => [revision, quality, tag, state].join();
 
-/** shown() -> pictures; onworst(): the worst will be opened; turn(): go to the next page -> pictures of this one. */
+/** shown() -> pictures; onworst(): the worst will be opened; turn(): go to the next page -> pictures of this one.
+ *  @param {{app: App, shown: () => any[], accept: (names: string[]) => any, onchange: () => any, onworst: () => any, turn: () => any[]}} options */
 export function createWall({ app, shown, accept, onchange, onworst, turn }) {
   const { api, state } = app;
   const outlines = new Map(); // by name: {key, promise of the drawing} of the points that were in view last
+  let isOn = false;
+  let isOnWay = false; // whether a picture was opened from the wall, to which a person then returns
   const level = slider({
     min: "50", max: "100", value: String(FIRST), "aria-label": "Least quality to accept", testid: "wall-level", oninput: show,
   });
@@ -29,7 +32,7 @@ export function createWall({ app, shown, accept, onchange, onworst, turn }) {
     title: "Open the first that is not done, or that has a possible slip",
   });
   const element = h("div.wall-bar", { hidden: true }, level, take, page, worst);
-  const toggler = iconButton("Wall of all pictures", "wall", () => open(!wall.on), {
+  const toggler = iconButton("Wall of all pictures", "wall", () => toggle(), {
     small: true, pressed: false, shortcut: "G", testid: "wall",
   });
 
@@ -50,7 +53,7 @@ export function createWall({ app, shown, accept, onchange, onworst, turn }) {
 
   /** Return from a picture that was opened here, and accept the page; false if none was. */
   function resume() {
-    if (!wall.onWay) return false;
+    if (!isOnWay) return false;
     open(true);
     acceptPage();
     return true;
@@ -72,15 +75,27 @@ export function createWall({ app, shown, accept, onchange, onworst, turn }) {
   }
 
   function open(on) {
-    if (wall.on === on || !state.project.pictures.length) return;
-    wall.on = on;
+    if (isOn === on || !state.project.pictures.length) return;
+    isOn = on;
     document.documentElement.dataset.wall = on ? "on" : "off";
     press(toggler, on);
     element.hidden = !on;
     onchange();
   }
 
+  const toggle = () => open(!isOn);
+
+  /** Close the wall for one of its pictures. */
+  function leave() {
+    isOnWay = isOn;
+    open(false);
+  }
+
+  /** Do not return to the wall: what it shows is chosen anew. */
+  function forget() { isOnWay = false; }
+
   function openWorst() {
+    forget();
     onworst();
     const [picture] = openIn(shown());
     if (!picture) return;
@@ -106,7 +121,9 @@ export function createWall({ app, shown, accept, onchange, onworst, turn }) {
     return svg("svg", { class: "wall-points", viewBox, "stroke-width": dot, "aria-hidden": "true" }, svg("path", { d }));
   }
 
-  /** onWay: whether a picture was opened from the wall, to which a person then returns. */
-  const wall = { element, toggler, on: false, onWay: false, open, openWorst, acceptPage, resume, outline, show };
-  return wall;
+  return {
+    element, toggler, open, toggle, leave, forget, openWorst, acceptPage, resume, outline, show,
+    get on() { return isOn; },
+    get onWay() { return isOnWay; },
+  };
 }
