@@ -32,6 +32,8 @@ _OF_LONG = 0.75  # least share of longer ticks, and greatest of the others, that
 _OF_OTHERS = 0.2
 _CLEAR = 5.0  # least difference of these shares, in standard errors
 _AS_CLEAR = 0.8  # least of that of the clearest step. Every second one of its ticks has 0.7 of it
+_HEAVIER = 1.25  # least weight of a heavy line, of the usual one
+_PARTS = 5  # of the distances across ticks that are looked at: lines go on in each, and ticks do not
 _ROWS = 3  # at so many distances in turn
 
 
@@ -56,7 +58,61 @@ def longest_ticks(grey: np.ndarray, ends: np.ndarray, n_ticks: int) -> int:
     if clearness[best] < _CLEAR:
         return 0
     family = DECIMAL if best in DECIMAL else BINARY
-    return max(step for step in family if clearness[step] > max(_CLEAR, _AS_CLEAR * clearness[best]))
+    return max(step for step in family if clearness[step] >= max(_CLEAR, _AS_CLEAR * clearness[best]))
+
+
+def heaviest_lines(grey: np.ndarray, ends: np.ndarray, n_ticks: int) -> int:
+    """Return from which line to which one the heaviest are, as on graph paper, such as 10; 0 if none clearly are.
+
+    Parameters
+    ----------
+    grey : (h, w) float32
+    ends : (2, 2) float64
+        x and y of the first and the last line, pixels.
+    n_ticks : int
+    """
+    weights = np.median(_contrasts(grey, ends, n_ticks), axis=0)
+    weights *= np.sign(np.median(weights))
+    clearness = {step: _heaviness(weights, step) for step in (*DECIMAL, *BINARY)}
+    best = max(clearness, key=lambda step: clearness[step])
+    return best if clearness[best] > _CLEAR else 0
+
+
+def has_halves(grey: np.ndarray, ends: np.ndarray, n_ticks: int) -> bool:
+    """Whether shorter ticks are in the middle between all ticks, such as those of half millimetres."""
+    contrast = _contrasts(grey, ends, 2 * n_ticks - 1)
+    middle = len(contrast) // 2
+    own, between = contrast[:, ::2], contrast[:, 1::2]
+    usual = float(np.median(own[middle - 1 : middle + 2]))
+    if usual == 0:
+        return False
+    are_there = (np.mean(between / usual > _PRESENT, axis=1) >= _OF_LONG) & (
+        np.mean(own / usual > _PRESENT, axis=1) >= _OF_LONG
+    )
+    return bool(np.lib.stride_tricks.sliding_window_view(are_there, _ROWS).all(axis=1).any())
+
+
+def _heaviness(weights: np.ndarray, step: int) -> float:
+    """Return by how many standard errors every step-th line is heavier than the others."""
+    n = len(weights)
+    best = 0.0
+    for first in range(step):
+        is_heavy = np.arange(n) % step == first
+        n_heavy = int(is_heavy.sum())
+        others = weights[~is_heavy]
+        if n_heavy < _FEWEST or np.mean(weights[is_heavy] > _HEAVIER * np.median(others)) < _OF_LONG:
+            continue
+        error = float(others.std()) * math.sqrt(1 / n_heavy + 1 / len(others)) + 1e-9
+        best = max(best, float(weights[is_heavy].mean() - others.mean()) / error)
+    return best
+
+
+def goes_on(grey: np.ndarray, ends: np.ndarray, n_ticks: int) -> bool:
+    """Whether ticks go on at both sides, as the lines of graph paper and the threads of fabric do."""
+    contrast = _contrasts(grey, ends, n_ticks)
+    middle = len(contrast) // 2
+    usual = float(np.median(contrast[middle - 1 : middle + 2]))
+    return usual != 0 and all(float(np.median(part / usual)) > _PRESENT for part in np.array_split(contrast, _PARTS))
 
 
 def are_teeth(grey: np.ndarray, ends: np.ndarray, n_ticks: int) -> bool:

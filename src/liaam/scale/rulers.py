@@ -19,7 +19,7 @@ import numpy as np
 
 from liaam.errors import LiaamError
 from liaam.formatting import short_repr
-from liaam.scale.hierarchy import are_teeth, expected, longest_ticks, may_be
+from liaam.scale.hierarchy import are_teeth, expected, goes_on, has_halves, heaviest_lines, longest_ticks, may_be
 from liaam.scale.lengths import Length
 
 TILES = (96, 192, 384)
@@ -71,6 +71,11 @@ _NOT_FOUND = (
     f"no ruler with {FEWEST_TICKS} even ticks or more is found: "
     "give the scale with --scale, or crop the image to its ruler"
 )
+_WITHOUT_HEAVY = (
+    "lines are found every {:.4g} pixels, but not every {}th is heavier, as on graph paper of {}: give the scale with "
+    "--scale, or crop the image to its ruler"
+)
+_CROSSED = 5.0  # greatest difference from a right angle, degrees, of lines that cross
 _AT_ENDS = 2  # ticks at each end that are not fitted, as the ground that is subtracted changes there
 _DIVISORS = (10, 5, 4, 3, 2)  # of periods that only longer ticks have
 
@@ -146,11 +151,39 @@ def find_ruler(image: np.ndarray, tick: Length | None = None) -> Ruler:
     found = [_enlarged(ruler, 1 / factor) for ruler in found]
     marked = [ruler for ruler in found if ruler.longest]
     if marked:
-        return _only(_of_kind(marked, tick))
+        return _only(_of_kind([_with_halves(grey, factor, ruler, tick) for ruler in marked], tick))
     alike = _only([ruler for ruler in found if ruler.n_ticks >= FEWEST_ALIKE])
     if are_teeth(grey, _enlarged(alike, factor).ends, alike.n_ticks):
         raise LiaamError(_NOT_FOUND)
+    wanted = expected(tick) if tick is not None else 0
+    rows = [ruler for ruler in found if abs(ruler.period / alike.period - 1) < _SAME]
+    if wanted and _are_lines(grey, [_enlarged(row, factor) for row in rows], wanted):
+        raise LiaamError(_WITHOUT_HEAVY.format(alike.period, wanted, tick))
     return alike
+
+
+def _with_halves(grey: np.ndarray, factor: float, ruler: Ruler, tick: Length | None) -> Ruler:
+    """Return a ruler with the ticks between its ticks, if the longest should be twice as many ticks apart."""
+    wanted = expected(tick) if tick is not None else 0
+    small = _enlarged(ruler, factor)
+    is_half = wanted == 2 * ruler.longest and small.period >= 2 * SHORTEST
+    if not is_half or not has_halves(grey, small.ends, ruler.n_ticks):
+        return ruler
+    halves = {"period": ruler.period / 2, "period_se": ruler.period_se / 2}
+    return replace(ruler, **halves, n_ticks=2 * ruler.n_ticks - 1, longest=wanted)
+
+
+def _are_lines(grey: np.ndarray, rows: Sequence[Ruler], wanted: int) -> bool:
+    """Whether rows of one period are lines of a fabric or a grid, of which those so far apart are no heavier.
+
+    Lines go on at both sides of a row, or cross others of the same period. On graph paper, every fifth or tenth is
+    heavier.
+    """
+    is_crossed = any(abs(abs(row.angle - rows[0].angle) - 90) < _CROSSED for row in rows)
+    if not is_crossed and not any(goes_on(grey, row.ends, row.n_ticks) for row in rows):
+        return False
+    heaviest = [heaviest_lines(grey, row.ends, row.n_ticks) for row in rows]
+    return not any(each and may_be(each, wanted) for each in heaviest)
 
 
 def _of_kind(rulers: Sequence[Ruler], tick: Length | None) -> list[Ruler]:
