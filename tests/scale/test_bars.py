@@ -94,9 +94,7 @@ def test_marks_that_are_as_dark_as_the_bar_are_part_of_the_error(blur: float, rn
     fine = 4
     canvas = np.full((200 * fine, 500 * fine), 210, np.uint8)
     for left, top, right, bottom in ((100, 98, 400, 102), (98, 90, 102, 110), (398, 90, 402, 110)):
-        canvas[top * fine : bottom * fine, left * fine : right * fine] = (
-            15  # from the middle of a mark to that of another
-        )
+        canvas[top * fine : bottom * fine, left * fine : right * fine] = 15
     write(canvas, "5 mm", np.array([250.0, 75.0]) * fine, 0.0, 15.0)
     small = cv2.GaussianBlur(cv2.resize(canvas, (500, 200), interpolation=cv2.INTER_AREA).astype(float), (0, 0), blur)
     bar = find_bar(np.clip(small + rng.normal(0, 1, small.shape), 0, 255).astype(np.uint8))
@@ -122,7 +120,7 @@ def test_the_shadow_along_a_label_is_no_bar(rng: np.random.Generator) -> None:
 
 
 def test_a_few_blocks_beside_a_bar_of_many_are_none(rng: np.random.Generator) -> None:
-    above, below = (draw_blocks(length, n, 0.0, True, rng) for length, n in ((200.0, 10), (90.0, 3)))
+    above, below = (draw_blocks(length, n, 0.0, True, rng) for length, n in ((200.0, 10), (75.0, 3)))
     assert find_bar(np.concatenate([above, below])).length == pytest.approx(200, abs=1)
 
 

@@ -54,6 +54,7 @@ _UNCLEAR_END = (
     "a bar of blocks of {} pixels is found, but not whether a light block follows its last dark one: give the scale "
     "with --scale, or crop the image to its bar"
 )
+_MINOR = 0.4  # greatest length of blocks that are no bar beside one of more, of its length
 _IN_LINE = 3.0  # greatest distance in pixels of one half of a bar from the line of the other
 _MOST_ALIKE = 2  # strokes side by side: one bar that is printed twice
 _AROUND = 160  # pixels across a bar, to both sides, where stripes are looked for
@@ -90,10 +91,13 @@ def find_bar(image: np.ndarray) -> Bar:
     if levels is None:
         raise LiaamError(_NOT_FOUND)
     strokes = [stroke for sign in (1.0, -1.0) for stroke in _bars_in(sign * levels)]
-    blocks = _of_blocks(find_blocks(levels))
+    blocks, unclear = _of_blocks(find_blocks(levels))
     numbered = [each.bar for each in _without_faint([each for each in strokes if each.has_number])]
     # Even blocks are less often there by chance than strokes.
     bars = blocks or _joined(_without_combs(numbered, [each.bar for each in strokes]))
+    for bar in unclear:
+        if not any(abs(bar.length / other.length - 1) < _SAME or _is_far_shorter(bar, other) for other in bars):
+            raise LiaamError(_UNCLEAR_END.format(f"{bar.length:.1f}"))
     if not bars:
         lengths = sorted({f"{bar.length:.1f}" for bar, *_ in strokes})
         raise LiaamError(_WITHOUT_NUMBER.format(some_names(lengths)) if lengths else _NOT_FOUND)
@@ -105,8 +109,8 @@ def find_bar(image: np.ndarray) -> Bar:
     return bars[0]
 
 
-def _of_blocks(found: Sequence[Blocks]) -> list[Bar]:
-    """Return the bars of blocks among those that are found.
+def _of_blocks(found: Sequence[Blocks]) -> tuple[list[Bar], list[Bar]]:
+    """Return the bars of blocks among those that are found, whose ends are clear and whose ends are not.
 
     A few blocks in line, such as strokes of letters and bar codes, are more often there by chance than many, and short
     ones more often than long ones.
@@ -114,11 +118,7 @@ def _of_blocks(found: Sequence[Blocks]) -> list[Bar]:
     alone = _without_combs([each.bar for each in found])
     found = [each for each in found if any(each.bar is bar for bar in alone)]
     found = [each for each in found if not any(_is_minor(each, other) for other in found)]
-    clear = [each.bar for each in found if each.is_clear]
-    for bar in [each.bar for each in found if not each.is_clear]:
-        if not any(abs(bar.length / other.length - 1) < _SAME for other in clear):
-            raise LiaamError(_UNCLEAR_END.format(f"{bar.length:.1f}"))
-    return clear
+    return [each.bar for each in found if each.is_clear], [each.bar for each in found if not each.is_clear]
 
 
 class _Stroke(NamedTuple):
@@ -163,8 +163,12 @@ def _without_combs(bars: Sequence[Bar], among: Sequence[Bar] | None = None) -> l
 
 
 def _is_minor(blocks: Blocks, other: Blocks) -> bool:
-    """Whether a bar has at most half of the blocks of another, and half of its length."""
-    return 2 * blocks.n <= other.n and 2 * blocks.bar.length < other.bar.length
+    """Whether a bar has at most as many blocks as another, and is far shorter."""
+    return blocks.n <= other.n and _is_far_shorter(blocks.bar, other.bar)
+
+
+def _is_far_shorter(bar: Bar, other: Bar) -> bool:
+    return bar.length < _MINOR * other.length
 
 
 def _is_among_stripes(depth: np.ndarray, bar: Bar) -> bool:

@@ -45,6 +45,7 @@ _OF_USUAL = 0.35  # least part of that by which one at an end differs
 _SAME_CARD = 0.15  # greatest difference of the level of a card from one block to the next, of the contrast
 _IS_NONE = 0.3  # greatest correlation of the levels across a place with those of the light blocks, if it is none
 _IS_ONE = 0.7  # and the least if it is one; between them it is not clear
+_IS_SURE = 0.9  # and the least beyond the card, as by its level
 
 
 class Blocks(NamedTuple):
@@ -180,12 +181,16 @@ def _light_block_follows(grey: np.ndarray, chain: Chain, side: int, kinds: tuple
     is_seen = np.abs(profiles).max(axis=1) > max(_STEP_OUT * (light - dark), _NOISE)
     strength = profiles @ shape / float(shape @ shape)
     is_strong = strength > _OF_USUAL if is_shown else np.ones(2, bool)
-    is_block = is_light & is_on_card & is_seen & is_strong
+    is_block = is_seen & is_strong
     sizes = np.linalg.norm(profiles, axis=1) * np.linalg.norm(shape)
     alike = np.divide(profiles @ shape, sizes, out=np.zeros(2), where=is_block)
+    alike[~is_on_card & (alike < _IS_SURE)] = 0.0
     if alike[0] < _IS_NONE:
-        is_hidden = is_shown and is_light[0] and beside[0] + _OF_USUAL * float(usual.max()) > float(grey.max())
-        return None if is_hidden and float(usual.max()) > -float(usual.min()) else False
+        is_lighter = light - float(np.median(cards)) > max(_SHOWN, -float(usual.min()))
+        is_hidden = is_light[0] and beside[0] + _OF_USUAL * (light - float(np.median(cards))) > float(grey.max())
+        return None if is_lighter and is_hidden else False
+    if not is_light[0]:
+        return None if alike[0] > _IS_SURE else False  # it may be in a shadow, or in glare
     return True if alike[0] > _IS_ONE and alike[1] < _IS_ONE else None
 
 
@@ -204,7 +209,7 @@ def _at_sides(grey: np.ndarray, chain: Chain, middles: np.ndarray) -> tuple[np.n
     levels = np.median(levels.reshape(len(middles), -1, len(across)), axis=1)
     before, after = levels[:, :4].mean(axis=1), levels[:, -4:].mean(axis=1)
     share = (across - across[0]) / (across[-1] - across[0])
-    return levels - before[:, None] * (1 - share) - after[:, None] * share, (before + after) / 2
+    return levels - before[:, None] * (1 - share) - after[:, None] * share, np.maximum(before, after)
 
 
 def _n_blocks(chain: Chain) -> int:

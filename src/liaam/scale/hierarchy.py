@@ -30,6 +30,7 @@ _PRESENT = 0.5  # least contrast of a tick, of the usual one
 _FEWEST = 3  # longer ticks
 _OF_LONG = 0.75  # least share of longer ticks, and greatest of the others, that reach a distance
 _OF_OTHERS = 0.2
+_OF_BETWEEN = 0.4  # and greatest of the few in the middle between them
 _CLEAR = 5.0  # least difference of these shares, in standard errors
 _AS_CLEAR = 0.8  # least of that of the clearest step. Every second one of its ticks has 0.7 of it
 _HEAVIER = 1.25  # least weight of a heavy line, of the usual one
@@ -52,7 +53,7 @@ def longest_ticks(grey: np.ndarray, ends: np.ndarray, n_ticks: int) -> int:
     usual = float(np.median(contrast[middle - 1 : middle + 2]))
     if usual == 0:
         return 0
-    is_there = contrast / usual > _PRESENT
+    is_there = _as_far(contrast / usual > _PRESENT)
     clearness = {step: _clearness(is_there, step) for step in (*DECIMAL, *BINARY)}
     best = max(clearness, key=lambda step: clearness[step])
     if clearness[best] < _CLEAR:
@@ -76,6 +77,14 @@ def heaviest_lines(grey: np.ndarray, ends: np.ndarray, n_ticks: int) -> int:
     clearness = {step: _heaviness(weights, step) for step in (*DECIMAL, *BINARY)}
     best = max(clearness, key=lambda step: clearness[step])
     return best if clearness[best] > _CLEAR else 0
+
+
+def _as_far(is_there: np.ndarray) -> np.ndarray:
+    """Return which ticks go on from their middle to each distance (rows, n_ticks): numbers beyond do not count."""
+    middle = len(is_there) // 2
+    before, after = is_there[middle::-1], is_there[middle:]
+    before, after = (np.logical_and.accumulate(each, axis=0) for each in (before, after))
+    return np.concatenate([before[:0:-1], after])
 
 
 def has_halves(grey: np.ndarray, ends: np.ndarray, n_ticks: int) -> bool:
@@ -158,7 +167,11 @@ def _sampled(grey: np.ndarray, ends: np.ndarray, n_ticks: int, phases: np.ndarra
 
 
 def _clearness(is_there: np.ndarray, step: int) -> float:
-    """Return by how many standard errors every step-th tick is there more often than others, at several distances."""
+    """Return by how many standard errors every step-th tick is there more often than others, at several distances.
+
+    On decimal scales, those in the middle between them are not there, or the step would be half as long. On binary
+    ones, they may be little shorter.
+    """
     n = is_there.shape[1]
     best = 0.0
     for first in range(step):
@@ -170,7 +183,11 @@ def _clearness(is_there: np.ndarray, step: int) -> float:
         of_others = is_there[:, ~is_long].mean(axis=1)
         share = np.clip(is_there.mean(axis=1), 0.5 / n, 1 - 0.5 / n)
         errors = np.sqrt(share * (1 - share) * (1 / n_long + 1 / (n - n_long)))
-        clear = np.where((of_long >= _OF_LONG) & (of_others <= _OF_OTHERS), (of_long - of_others) / errors, 0.0)
+        is_between = 2 * ((np.arange(n) - first) % step) == step
+        is_counted = step in DECIMAL and bool(is_between.any())
+        of_between = is_there[:, is_between].mean(axis=1) if is_counted else np.zeros(len(is_there))
+        is_clear = (of_long >= _OF_LONG) & (of_others <= _OF_OTHERS) & (of_between <= _OF_BETWEEN)
+        clear = np.where(is_clear, (of_long - of_others) / errors, 0.0)
         in_turn = np.lib.stride_tricks.sliding_window_view(clear, _ROWS).min(axis=1)
         best = max(best, float(in_turn.max()))
     return best

@@ -146,7 +146,7 @@ def find_ruler(image: np.ndarray, tick: Length | None = None) -> Ruler:
         for ruler in _rulers_in(grey, zoom):
             if not any(_are_one(ruler, other) for other in found):
                 found.append(replace(ruler, longest=longest_ticks(grey, ruler.ends, ruler.n_ticks)))
-        if any(ruler.longest for ruler in found):
+        if any(ruler.longest for ruler in found) and not (zoom == 1 and _is_tenth(tick)):
             break
     found = [_enlarged(ruler, 1 / factor) for ruler in found]
     marked = [ruler for ruler in found if ruler.longest]
@@ -190,6 +190,9 @@ def _of_kind(rulers: Sequence[Ruler], tick: Length | None) -> list[Ruler]:
     """Return the rulers whose longest ticks are those of the length from tick to tick."""
     wanted = expected(tick) if tick is not None else 0
     fitting = [ruler for ruler in rulers if may_be(ruler.longest, wanted)]
+    if wanted == 10:
+        inches = [ruler for ruler in fitting if any(_is_of_inches(ruler, other) for other in fitting)]
+        fitting = [ruler for ruler in fitting if (ruler in inches) == _is_tenth(tick)] if inches else fitting
     if fitting:
         return fitting
     best = max(rulers, key=_length)
@@ -198,6 +201,22 @@ def _of_kind(rulers: Sequence[Ruler], tick: Length | None) -> list[Ruler]:
         f"every {wanted}th as where ticks are {tick} apart: give the length from one smallest tick to the next, or "
         "crop the image to the ruler; ticks of less than 4 pixels are not resolved"
     )
+
+
+def _is_tenth(tick: Length | None) -> bool:
+    """Whether ticks are tenths of an inch, or of a tenth, which have longer ones as those of millimetres have."""
+    return tick is not None and bool(tick.unit) and expected(tick) == 10 and not _is_whole(tick.within("mm").value)
+
+
+def _is_whole(value: float) -> bool:
+    """Whether a length is a power of ten."""
+    power = math.log10(value)
+    return abs(power - round(power)) < 1e-3
+
+
+def _is_of_inches(ruler: Ruler, other: Ruler) -> bool:
+    """Whether ticks are as far from each other as tenths of inches, and others as millimetres."""
+    return abs(ruler.period / (2.54 * other.period) - 1) < _SAME / 2
 
 
 def _only(rulers: Sequence[Ruler]) -> Ruler:
