@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from liaam.errors import LiaamError
-from liaam.scale import find_bar
+from liaam.scale import chains, find_bar
 
 FINE = 4
 CARD, LIGHT, DARK = 235, 235, 15
@@ -111,3 +111,14 @@ def test_squares_of_a_chessboard_are_no_bar(rng: np.random.Generator) -> None:
     board = np.kron(np.indices((8, 8)).sum(axis=0) % 2, np.ones((30, 30))) * 200 + 20
     with pytest.raises(LiaamError):
         find_bar(np.clip(board + rng.normal(0, 2, board.shape), 0, 255).astype(np.uint8))
+
+
+def test_a_fabric_of_many_threads_hides_no_bar_and_its_work_is_bounded(rng: np.random.Generator) -> None:
+    image = photograph(5, 60.0, 14.0, rng)
+    is_ground = np.abs(image.astype(int) - 90) < 12
+    down, across = np.indices(image.shape)
+    image[is_ground & (down % 10 < 5) & (across % 10 < 5)] = 40
+    grey = image.astype(np.float32)
+    assert len(chains._blocks(grey < 100, 3)) <= chains._MOST_DARK
+    found = chains.find_chains(grey)
+    assert len(found) <= chains._MOST_CHAINS and any(abs(chain.pitch - 60) < 2 for chain in found)
