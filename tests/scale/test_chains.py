@@ -78,6 +78,13 @@ def test_an_end_that_glare_hides_is_refused(rng: np.random.Generator) -> None:
         find_bar(np.clip(image + glare, 0, 255).astype(np.uint8))
 
 
+def test_a_dark_block_at_an_end_that_glare_makes_lighter_is_refused(rng: np.random.Generator) -> None:
+    image = photograph(5, 70.0, 24.0, rng, line=False, light=250).astype(float)
+    share = np.clip((227 - np.arange(image.shape[1])) / 10, 0, 1)  # of the first dark block
+    with pytest.raises(LiaamError, match="not whether a light block follows its last dark one"):
+        find_bar(np.where(image < 200, image + 130 * share, image).clip(0, 255).astype(np.uint8))
+
+
 def test_an_end_that_is_not_clear_is_refused(rng: np.random.Generator) -> None:
     image = photograph(5, 16.0, 8.0, rng)  # its outline goes on
     turn = cv2.getRotationMatrix2D((320, 180), -8, 1)

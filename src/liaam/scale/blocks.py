@@ -173,7 +173,8 @@ def _light_block_follows(grey: np.ndarray, chain: Chain, side: int, kinds: tuple
     between, cards = _at_sides(grey, chain, chain.begin + np.arange(1.5, _n_blocks(chain), 2) * chain.pitch)
     usual = np.median(between, axis=0)
     is_shown = np.abs(usual).max() > _SHOWN
-    shape = usual if is_shown else (np.abs(across) < chain.thickness / 2).astype(float)
+    box = (np.abs(across) < chain.thickness / 2).astype(float)
+    shape = usual if is_shown else box
     places = (chain.end if side > 0 else chain.begin) + side * np.array([0.5, 1.5]) * chain.pitch
     profiles, beside = _at_sides(grey, chain, places)
     is_light = np.abs(_levels_at(grey, chain, places) - light) < _LEVEL * (light - dark)
@@ -189,6 +190,8 @@ def _light_block_follows(grey: np.ndarray, chain: Chain, side: int, kinds: tuple
         is_lighter = light - float(np.median(cards)) > max(_SHOWN, -float(usual.min()))
         is_hidden = is_light[0] and beside[0] + _OF_USUAL * (light - float(np.median(cards))) > float(grey.max())
         return None if is_lighter and is_hidden else False
+    if is_seen[1] and abs(float(np.corrcoef(profiles[1], box)[0, 1])) > _IS_SURE:
+        return None  # so is what is beyond that
     if not is_light[0]:
         return None if alike[0] > _IS_SURE else False  # it may be in a shadow, or in glare
     return True if alike[0] > _IS_ONE and alike[1] < _IS_ONE else None
