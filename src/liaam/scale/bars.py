@@ -93,8 +93,10 @@ def find_bar(image: np.ndarray) -> Bar:
     strokes = [stroke for sign in (1.0, -1.0) for stroke in _bars_in(sign * levels)]
     blocks, unclear = _of_blocks(find_blocks(levels))
     numbered = [each.bar for each in _without_faint([each for each in strokes if each.has_number])]
-    # Even blocks are less often there by chance than strokes.
-    bars = blocks or _joined(_without_combs(numbered, [each.bar for each in strokes]))
+    single = _joined(_without_combs(numbered, [each.bar for each in strokes]))
+    # Even blocks are less often there by chance than strokes, but short ones are, in a fabric.
+    longer = [bar for bar in single if all(_is_far_shorter(each, bar) for each in blocks)]
+    bars = [*blocks, *longer]
     for bar in unclear:
         if not any(abs(bar.length / other.length - 1) < _SAME or _is_far_shorter(bar, other) for other in bars):
             raise LiaamError(_UNCLEAR_END.format(f"{bar.length:.1f}"))
