@@ -122,9 +122,7 @@ def test_the_shadow_along_a_label_is_no_bar(rng: np.random.Generator) -> None:
 def test_short_blocks_beside_a_long_bar_are_refused(rng: np.random.Generator) -> None:
     blocks = draw_blocks(75.0, 5, 0.0, True, rng)
     above = draw("black", rng, size=220.0, shape=(200, blocks.shape[1])).image
-    with pytest.raises(
-        LiaamError, match=r"several strokes may be the scale bar, of (219|220)\S+ and 7[456]"
-    ):
+    with pytest.raises(LiaamError, match=r"several strokes may be the scale bar, of (219|220)\S+ and 7[456]"):
         find_bar(np.concatenate([above, np.dstack([blocks] * 3)]))
 
 
