@@ -79,6 +79,66 @@ def test_strokes_of_a_comb_are_no_bar(rng: np.random.Generator) -> None:
         find_bar(np.concatenate([above] * 3))
 
 
+def test_teeth_of_a_comb_that_are_partly_covered_are_no_bar(rng: np.random.Generator) -> None:
+    scene = draw("black", rng, size=150.0, angle=-12.0, shape=(300, 640))
+    teeth = np.full((200, 640), int(scene.image[5, 5].mean()), np.uint8)
+    for i in range(24):
+        teeth[60 + 2 * i : 180 - 4 * i % 37, 40 + 20 * i : 48 + 20 * i] = 10
+    image = np.concatenate([scene.image, cv2.GaussianBlur(np.dstack([teeth] * 3), (0, 0), 0.7)])
+    bar = find_bar(image)
+    assert abs(bar.length - 150) < 3 * bar.length_se
+
+
+@pytest.mark.parametrize("blur", [0.3, 1.4])
+def test_marks_that_are_as_dark_as_the_bar_are_part_of_the_error(blur: float, rng: np.random.Generator) -> None:
+    fine = 4
+    canvas = np.full((200 * fine, 500 * fine), 210, np.uint8)
+    for left, top, right, bottom in ((100, 98, 400, 102), (98, 90, 102, 110), (398, 90, 402, 110)):
+        canvas[top * fine : bottom * fine, left * fine : right * fine] = 15
+    write(canvas, "5 mm", np.array([250.0, 75.0]) * fine, 0.0, 15.0)
+    small = cv2.GaussianBlur(cv2.resize(canvas, (500, 200), interpolation=cv2.INTER_AREA).astype(float), (0, 0), blur)
+    bar = find_bar(np.clip(small + rng.normal(0, 1, small.shape), 0, 255).astype(np.uint8))
+    between = 300, 304  # the middles of the marks, and their outer edges
+    assert all(abs(bar.length - length) < 1.96 * bar.length_se < 6 for length in between)
+
+
+def test_a_faint_leg_beside_a_bar_is_none(rng: np.random.Generator) -> None:
+    scene = draw("black", rng, size=200.0, shape=(200, 640))
+    leg = draw("black", rng, size=60.0, shape=(200, 640)).image.astype(float)
+    faint = scene.image[5, 5] + 0.3 * (leg - leg[5, 5])
+    bar = find_bar(np.concatenate([scene.image, np.clip(faint, 0, 255).astype(np.uint8)]))
+    assert abs(bar.length - 200) < 3 * bar.length_se
+
+
+def test_the_shadow_along_a_label_is_no_bar(rng: np.random.Generator) -> None:
+    image = draw("black", rng, size=150.0).image.astype(float)
+    image[60:90, 100:400] = 250
+    image[90:95, 100:400] *= 0.6
+    image[70:80, 200:240:8] = 10  # its letters
+    bar = find_bar(np.clip(cv2.GaussianBlur(image, (0, 0), 0.7), 0, 255).astype(np.uint8))
+    assert abs(bar.length - 150) < 3 * bar.length_se
+
+
+def test_short_blocks_beside_a_long_bar_are_refused(rng: np.random.Generator) -> None:
+    blocks = draw_blocks(75.0, 5, 0.0, True, rng)
+    above = draw("black", rng, size=220.0, shape=(200, blocks.shape[1])).image
+    with pytest.raises(LiaamError, match=r"several strokes may be the scale bar, of (219|220)\S+ and 7[456]"):
+        find_bar(np.concatenate([above, np.dstack([blocks] * 3)]))
+
+
+def test_a_few_blocks_beside_a_bar_of_many_are_none(rng: np.random.Generator) -> None:
+    above, below = (draw_blocks(length, n, 0.0, True, rng) for length, n in ((200.0, 10), (75.0, 3)))
+    assert find_bar(np.concatenate([above, below])).length == pytest.approx(200, abs=1)
+
+
+@pytest.mark.parametrize("blur", [0.6, 1.5])
+@pytest.mark.parametrize("encoded", [False, True])
+def test_the_error_holds_where_blur_and_end_marks_add_up(blur: float, encoded: bool, rng: np.random.Generator) -> None:
+    scene = draw("ended", rng, size=151.3, angle=20.0, blur=blur, noise=1.0, encoded=encoded)
+    bar = find_bar(scene.image)
+    assert abs(bar.length - scene.size) < 1.96 * bar.length_se < 5
+
+
 @pytest.mark.parametrize("angle", [0.0, 12.0, -40.0])
 @pytest.mark.parametrize("outline", [True, False])
 @pytest.mark.parametrize("blocks", [2, 4, 5])

@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from liaam.errors import LiaamError
-from liaam.scale import find_bar
+from liaam.scale import chains, find_bar
 
 FINE = 4
 CARD, LIGHT, DARK = 235, 235, 15
@@ -20,6 +20,7 @@ def photograph(
     first: int = 0,
     rows: int = 1,
     line: bool = True,
+    light: int = LIGHT,
 ) -> np.ndarray:
     """Draw blocks on a card, the first one dark if ``first`` is 0, with a line around them or without, turned by 8°."""
     canvas = np.full((360 * FINE, 640 * FINE), 90, np.uint8)
@@ -32,7 +33,8 @@ def photograph(
     box(left - 22, top - 30, left + n * pitch + 34, top + rows * thickness + 26, CARD)
     if line:
         box(left - 1, top - 1, left + n * pitch + 1, top + rows * thickness + 1, DARK)
-        box(left, top, left + n * pitch, top + rows * thickness, LIGHT)
+    if line or light != CARD:
+        box(left, top, left + n * pitch, top + rows * thickness, light)
     for i in range(n):
         for row in range(rows):
             if (i + row) % 2 == first:
@@ -54,6 +56,44 @@ def test_light_blocks_of_the_colour_of_the_card_count(n: int, first: int, rng: n
 def test_without_a_line_the_card_is_no_block(rng: np.random.Generator) -> None:
     bar = find_bar(photograph(5, 60.0, 14.0, rng, line=False))
     assert abs(bar.length - 300) < max(3 * bar.length_se, 0.5)
+
+
+@pytest.mark.parametrize("n, first", [(4, 0), (4, 1), (5, 0), (5, 1)])
+def test_light_blocks_that_are_a_little_lighter_than_the_card_count(n: int, first: int, rng) -> None:
+    bar = find_bar(photograph(n, 60.0, 14.0, rng, first=first, line=False, light=250))
+    assert abs(bar.length - 60 * n) < max(3 * bar.length_se, 0.5)
+
+
+def test_a_light_block_at_an_end_counts_where_glare_hides_those_between(rng: np.random.Generator) -> None:
+    image = photograph(10, 30.0, 10.0, rng, line=False, light=250).astype(float)
+    glare = 30 * np.clip((470 - np.arange(image.shape[1])) / 60, 0, 1)  # all light blocks but the last are white
+    bar = find_bar(np.clip(image + glare, 0, 255).astype(np.uint8))
+    assert abs(bar.length - 300) < max(3 * bar.length_se, 0.5)
+
+
+def test_an_end_that_glare_hides_is_refused(rng: np.random.Generator) -> None:
+    image = photograph(4, 60.0, 14.0, rng, line=False, light=250).astype(float)
+    glare = 40 * np.clip((np.arange(image.shape[1]) - 340) / 60, 0, 1)  # the last light block is as white as the card
+    with pytest.raises(LiaamError, match="not whether a light block follows its last dark one"):
+        find_bar(np.clip(image + glare, 0, 255).astype(np.uint8))
+
+
+def test_a_dark_block_at_an_end_that_glare_makes_lighter_is_refused(rng: np.random.Generator) -> None:
+    image = photograph(5, 70.0, 24.0, rng, line=False, light=250).astype(float)
+    share = np.clip((227 - np.arange(image.shape[1])) / 10, 0, 1)  # of the first dark block
+    with pytest.raises(LiaamError, match="not whether a light block follows its last dark one"):
+        find_bar(np.where(image < 200, image + 130 * share, image).clip(0, 255).astype(np.uint8))
+
+
+def test_an_end_that_is_not_clear_is_refused(rng: np.random.Generator) -> None:
+    image = photograph(5, 16.0, 8.0, rng)  # its outline goes on
+    turn = cv2.getRotationMatrix2D((320, 180), -8, 1)
+    for side in (-1, 1):
+        ends = np.array([[280.0, 180 + side * 4.5], [394.0, 180 + side * 4.5]])
+        points = np.rint(ends @ turn[:, :2].T + turn[:, 2]).astype(int)
+        cv2.line(image, points[0].tolist(), points[1].tolist(), 15, 1)
+    with pytest.raises(LiaamError, match=r"a bar of blocks of (79|80)\.\d pixels is found, but not whether a light"):
+        find_bar(image)
 
 
 def test_blocks_may_be_thick(rng: np.random.Generator) -> None:
@@ -78,3 +118,14 @@ def test_squares_of_a_chessboard_are_no_bar(rng: np.random.Generator) -> None:
     board = np.kron(np.indices((8, 8)).sum(axis=0) % 2, np.ones((30, 30))) * 200 + 20
     with pytest.raises(LiaamError):
         find_bar(np.clip(board + rng.normal(0, 2, board.shape), 0, 255).astype(np.uint8))
+
+
+def test_a_fabric_of_many_threads_hides_no_bar_and_its_work_is_bounded(rng: np.random.Generator) -> None:
+    image = photograph(5, 60.0, 14.0, rng)
+    is_ground = np.abs(image.astype(int) - 90) < 12
+    down, across = np.indices(image.shape)
+    image[is_ground & (down % 10 < 5) & (across % 10 < 5)] = 40
+    grey = image.astype(np.float32)
+    assert len(chains._blocks(grey < 100, 3)) <= chains._MOST_DARK
+    found = chains.find_chains(grey)
+    assert len(found) <= chains._MOST_CHAINS and any(abs(chain.pitch - 60) < 2 for chain in found)

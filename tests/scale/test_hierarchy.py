@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from liaam.errors import LiaamError
-from liaam.scale import Length, find_ruler, parse_length
+from liaam.scale import Length, find_ruler, hierarchy, parse_length
 from liaam.scale.hierarchy import expected, may_be
 
 FINE = 4
@@ -64,6 +64,46 @@ def test_longer_ticks_are_seen(longer: dict[int, float], longest: int, rng: np.r
     assert find_ruler(photograph(canvas, rng)).longest == longest
 
 
+def test_ticks_as_clear_as_the_limit_have_a_defined_answer(monkeypatch, rng: np.random.Generator) -> None:
+    monkeypatch.setattr(hierarchy, "_clearness", lambda is_there, step: 5.0 if step == 10 else 0.0)
+    canvas = blank()
+    ticks(canvas, 100, 9.0, ALIKE)
+    grey = photograph(canvas, rng).astype(np.float32)
+    assert hierarchy.longest_ticks(grey, np.array([[20.0, 104.0], [551.0, 104.0]]), 60) == 10
+
+
+def test_short_ticks_of_half_millimetres_are_seen(rng: np.random.Generator) -> None:
+    canvas = blank()
+    ticks(canvas, 100, 16.0, MILLIMETRES, n=36)
+    ends = np.array([[20.0, 102.0], [580.0, 102.0]])
+    assert not hierarchy.has_halves(photograph(canvas, rng).astype(np.float32), ends, 36)
+    for i in range(35):
+        left, right = (round((28 + 16 * i + shift * 3) * FINE) for shift in (-0.5, 0.5))
+        canvas[100 * FINE : 105 * FINE, left:right] = 20
+    image = photograph(canvas, rng)
+    assert hierarchy.has_halves(image.astype(np.float32), ends, 36)
+    ruler = find_ruler(image, Length(0.5, "mm"))
+    assert ruler.period == pytest.approx(8, rel=1e-3) and ruler.longest == 20
+
+
+def test_numbers_beyond_the_ticks_do_not_count(rng: np.random.Generator) -> None:
+    canvas = blank()
+    ticks(canvas, 100, 6.0, MILLIMETRES, n=101)
+    for i in range(0, 101, 20):
+        left, right = (round((20 + 6 * i + shift) * FINE) for shift in (-2, 2))
+        canvas[122 * FINE : 134 * FINE, left:right] = 20
+    assert find_ruler(photograph(canvas, rng), Length(1, "mm")).longest == 10
+
+
+def test_tenths_of_inches_are_told_from_millimetres_at_the_other_side(rng: np.random.Generator) -> None:
+    canvas = blank()
+    ticks(canvas, 100, 7.4, MILLIMETRES, n=80)
+    ticks(canvas, 200, 18.8, MILLIMETRES, n=32, up=True)
+    image = photograph(canvas, rng)
+    for tick, period in ((Length(0.1, "in"), 18.8), (Length(1, "mm"), 7.4)):
+        assert find_ruler(image, tick).period == pytest.approx(period, rel=2e-3)
+
+
 def test_a_comb_beside_a_ruler_is_none(rng: np.random.Generator) -> None:
     canvas = blank()
     ticks(canvas, 60, 8.0, MILLIMETRES)
@@ -95,6 +135,37 @@ def test_half_millimetres_at_the_other_side_are_the_smallest_ticks(rng: np.rando
     ticks(canvas, 100, 16.0, MILLIMETRES, n=35)
     ticks(canvas, 200, 8.0, {20: 2.8, 10: 2.0, 2: 1.4}, n=70, up=True)
     assert find_ruler(photograph(canvas, rng), Length(0.5, "mm")).period == pytest.approx(8, rel=1e-3)
+
+
+def graph_paper(period: float, heavy: int) -> np.ndarray:
+    """Draw lines in both directions, of which every so many are heavier; 0 if none is."""
+    canvas = blank()
+    for axis in (0, 1):
+        for i in range(int(canvas.shape[axis] / FINE / period)):
+            half = 0.12 * period * (2.0 if heavy and i % heavy == 0 else 1.0)
+            left, right = (round((2 + i * period + side * half) * FINE) for side in (-1, 1))
+            np.moveaxis(canvas, axis, 0)[left:right] = 120
+    return canvas
+
+
+@pytest.mark.parametrize(
+    "tick, heavy, is_clear",
+    [
+        ("1.5875 mm", 0, False),
+        ("1 mm", 0, False),
+        ("1 mm", 4, False),
+        ("1 mm", 5, True),
+        ("1 mm", 10, True),
+        ("5 mm", 0, True),
+    ],
+)
+def test_graph_paper_counts_if_its_heavier_lines_suit_the_length(tick: str, heavy: int, is_clear: bool, rng) -> None:
+    image = photograph(graph_paper(9.3, heavy), rng)
+    if is_clear:
+        assert find_ruler(image, parse_length(tick)).period == pytest.approx(9.3, rel=1e-3)
+        return
+    with pytest.raises(LiaamError, match=r"are found every 9\.\d+ pixels, .*not every 1\dth (is heavier|as where)"):
+        find_ruler(image, parse_length(tick))
 
 
 @pytest.mark.parametrize("width, length, is_ruler", [(0.5, 60, False), (0.15, 40, True), (0.5, 12, True)])

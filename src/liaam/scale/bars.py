@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Sequence
+from typing import NamedTuple
 
 import cv2
 import numpy as np
@@ -14,7 +15,7 @@ import numpy as np
 from liaam.errors import LiaamError
 from liaam.io.files import some_names
 from liaam.scale.bar import SHORTEST, Bar, axes_of, profile_at, sampled
-from liaam.scale.blocks import find_blocks
+from liaam.scale.blocks import Blocks, find_blocks
 from liaam.scale.edges import OF_SHIFT, Edge, edge_of, levels_of
 from liaam.scale.numbers import has_number
 
@@ -30,9 +31,14 @@ _MOST_UNEVEN = 0.15  # share of the length where it may differ more, as by end m
 _STRAIGHT = 0.15  # greatest root mean square distance from a straight line, of the thickness
 _LEAST_STRAIGHT = 0.35  # pixels that are allowed in any case
 _UNIFORM = 0.15  # greatest standard deviation of the levels inside, of the contrast
+_BESIDE = (3.0, 7.0)  # pixels beside a stroke, whose level is that of the ground there
+_SIDES = 0.5  # least contrast to one side, of that to the other
 _BEYOND = (6, 14)  # pixels beyond an end, whose mean is the level of the ground
 _SHARP = 8.0  # greatest width of the edge at an end, pixels, between 20 and 80 % of the contrast
 _STEP = 0.25  # pixels between samples along a bar
+_OF_MARKS = (2.0, 3.0)  # pixels beside a bar where marks across its ends are seen
+_SEARCHED = (12.0, 4.0)  # pixels inwards and outwards of an end where its mark is
+_OF_INK = 0.4  # least darkness of a mark, of the bar's
 _MARKED = 0.1  # least share by which an end mark is darker than the bar, which is blurred more
 _OF_MARK = 0.25  # from the outer edge of an end mark to where the bar ends, of its width: some count from its middle
 _SHARED = 0.06  # standard error of the place of an edge by the shape of pixels and the ground, pixels
@@ -44,8 +50,18 @@ _WITHOUT_NUMBER = (
     "strokes of {} pixels could be a scale bar, but none has a number beside it: if one is the bar, give its length "
     "divided by these pixels with --scale"
 )
+_UNCLEAR_END = (
+    "a bar of blocks of {} pixels is found, but not whether a light block follows its last dark one: give the scale "
+    "with --scale, or crop the image to its bar"
+)
+_MINOR = 0.4  # greatest length of blocks that are no bar beside one of more, of its length
 _IN_LINE = 3.0  # greatest distance in pixels of one half of a bar from the line of the other
 _MOST_ALIKE = 2  # strokes side by side: one bar that is printed twice
+_AROUND = 160  # pixels across a bar, to both sides, where stripes are looked for
+_NEAR = 14.0  # and so far at most, of its width
+_ALONG = 0.1  # share of a stripe that may be as light as the ground
+_AS_DARK = 0.5  # least darkness of a stripe, of the bar's
+_WIDTHS = 2.5  # greatest width of a stripe, of the bar's
 _OF_COMB = 0.15  # greatest difference of the logarithms of their lengths
 _HEAD = 0.5  # greatest share of a bar that its two arrowheads take
 _HEAD_WIDER = 1.6  # least width of an arrowhead, of the shaft's
@@ -75,12 +91,17 @@ def find_bar(image: np.ndarray) -> Bar:
     if levels is None:
         raise LiaamError(_NOT_FOUND)
     strokes = [stroke for sign in (1.0, -1.0) for stroke in _bars_in(sign * levels)]
-    blocks = _without_combs([bar for bar, _ in find_blocks(levels)])
-    numbered = [bar for bar, has_number in strokes if has_number]
-    # Even blocks are less often there by chance than strokes.
-    bars = blocks or _joined(_without_combs(numbered, [bar for bar, _ in strokes]))
+    blocks, unclear = _of_blocks(find_blocks(levels))
+    numbered = [each.bar for each in _without_faint([each for each in strokes if each.has_number])]
+    single = _joined(_without_combs(numbered, [each.bar for each in strokes]))
+    # Even blocks are less often there by chance than strokes, but short ones are, in a fabric.
+    longer = [bar for bar in single if all(_is_far_shorter(each, bar) for each in blocks)]
+    bars = [*blocks, *longer]
+    for bar in unclear:
+        if not any(abs(bar.length / other.length - 1) < _SAME or _is_far_shorter(bar, other) for other in bars):
+            raise LiaamError(_UNCLEAR_END.format(f"{bar.length:.1f}"))
     if not bars:
-        lengths = sorted({f"{bar.length:.1f}" for bar, _ in strokes})
+        lengths = sorted({f"{bar.length:.1f}" for bar, *_ in strokes})
         raise LiaamError(_WITHOUT_NUMBER.format(some_names(lengths)) if lengths else _NOT_FOUND)
     bars.sort(key=lambda bar: -bar.length)
     other = next((bar for bar in bars[1:] if abs(bar.length / bars[0].length - 1) > _SAME), None)
@@ -90,8 +111,37 @@ def find_bar(image: np.ndarray) -> Bar:
     return bars[0]
 
 
-def _bars_in(levels: np.ndarray) -> Iterator[tuple[Bar, bool]]:
-    """Yield the dark bars of levels (h, w, 2), and whether each has a number; negative levels have the light ones."""
+def _of_blocks(found: Sequence[Blocks]) -> tuple[list[Bar], list[Bar]]:
+    """Return the bars of blocks among those that are found, whose ends are clear and whose ends are not.
+
+    A few blocks in line, such as strokes of letters and bar codes, are more often there by chance than many, and short
+    ones more often than long ones.
+    """
+    alone = _without_combs([each.bar for each in found])
+    found = [each for each in found if any(each.bar is bar for bar in alone)]
+    found = [each for each in found if not any(_is_minor(each, other) for other in found)]
+    return [each.bar for each in found if each.is_clear], [each.bar for each in found if not each.is_clear]
+
+
+class _Stroke(NamedTuple):
+    """A stroke that may be a bar."""
+
+    bar: Bar
+    has_number: bool
+    depth: float  # levels from the ground
+
+
+def _without_faint(strokes: Sequence[_Stroke]) -> list[_Stroke]:
+    """Return strokes without those of less than half the length and half the contrast of another, such as a leg."""
+    return [
+        each
+        for each in strokes
+        if not any(2 * each.bar.length < other.bar.length and 2 * each.depth < other.depth for other in strokes)
+    ]
+
+
+def _bars_in(levels: np.ndarray) -> Iterator[_Stroke]:
+    """Yield the dark strokes of levels (h, w, 2) that may be bars; negative levels have the light ones."""
     grey = levels[..., 0]
     shifted = grey - float(grey.min())
     ground = cv2.medianBlur(np.rint(shifted).astype(np.uint8), _GROUND).astype(np.float32)
@@ -102,13 +152,42 @@ def _bars_in(levels: np.ndarray) -> Iterator[tuple[Bar, bool]]:
             if not any(_are_one(bar, other) for other in found):
                 found.append(bar)
     for bar in found:
-        yield bar, has_number(depth, bar.ends)
+        axis = (bar.ends[1] - bar.ends[0]) / bar.length
+        along = np.linspace(-0.4, 0.4, 41) * bar.length
+        own = float(np.median(sampled(depth, bar.ends.mean(axis=0), axis, along, np.zeros(1))))
+        yield _Stroke(bar, has_number(depth, bar.ends) and not _is_among_stripes(depth, bar), own)
 
 
 def _without_combs(bars: Sequence[Bar], among: Sequence[Bar] | None = None) -> list[Bar]:
     """Return bars without those that have several alike at their sides, as in a comb, a bar code, or a chessboard."""
     others = bars if among is None else among
     return [bar for bar in bars if sum(_are_side_by_side(bar, other) for other in others) <= _MOST_ALIKE]
+
+
+def _is_minor(blocks: Blocks, other: Blocks) -> bool:
+    """Whether a bar has at most as many blocks as another, and is far shorter."""
+    return blocks.n <= other.n and _is_far_shorter(blocks.bar, other.bar)
+
+
+def _is_far_shorter(bar: Bar, other: Bar) -> bool:
+    return bar.length < _MINOR * other.length
+
+
+def _is_among_stripes(depth: np.ndarray, bar: Bar) -> bool:
+    """Whether several lines of a bar's darkness run along it, as beside a tooth of a comb or a line of a bar code.
+
+    Letters are dark in a part of such a line only.
+    """
+    axis = (bar.ends[1] - bar.ends[0]) / bar.length
+    along = np.linspace(-0.25, 0.25, 41) * bar.length
+    across = np.arange(-_AROUND, _AROUND + 1.0)
+    rows = sampled(depth, bar.ends.mean(axis=0), axis, along, across)
+    of_bar = float(rows[:, _AROUND - 1 : _AROUND + 2].mean())
+    is_dark = (np.quantile(rows, _ALONG, axis=0) > _AS_DARK * of_bar).astype(int)
+    starts, ends = (np.flatnonzero(np.diff(is_dark, prepend=0, append=0) == step) for step in (1, -1))
+    width = next((end - start for start, end in zip(starts, ends, strict=True) if start <= _AROUND < end), 0)
+    near = (starts < _AROUND + _NEAR * width) & (ends > _AROUND - _NEAR * width)
+    return int((near & (ends - starts <= _WIDTHS * width)).sum()) - 1 > _MOST_ALIKE
 
 
 def _joined(bars: Sequence[Bar]) -> list[Bar]:
@@ -271,24 +350,55 @@ def _with_ends(
     if len(inside) < SHORTEST:
         return None
     level = np.median(inside, axis=0)
-    ends = [_end(along * side, profile, level, rough[1] if side > 0 else -rough[0]) for side in (-1, 1)]
+    beside = (thickness / 2 + np.array([_OF_MARKS])).T * np.array([-1.0, 1.0])
+    marks = sampled(levels[..., 0], middle, axis, along, beside.ravel()).mean(axis=1)
+    ends = [_end(along * side, profile, level, rough[1] if side > 0 else -rough[0], marks) for side in (-1, 1)]
     if None in ends:
         return None
     (first, ground), (last, other_ground) = (end or (Edge(0.0, 0.0, 0.0, 0.0), 0.0) for end in ends)
     contrast = min(ground, other_ground) - float(level[0])
     if contrast < _LEAST_CONTRAST or float(inside[:, 0].std()) > _UNIFORM * contrast:
         return None
+    if first.at + last.at < SHORTEST or _is_at_edge(levels[..., 0], middle, axis, rough, thickness):
+        return None
     points = np.array([middle - first.at * axis, middle + last.at * axis])
-    shift = OF_SHIFT * (first.shift + last.shift)  # it makes both ends longer, or shorter
+    shift = OF_SHIFT * (abs(first.shift) + abs(last.shift))  # it makes both ends longer, or shorter
     return Bar(first.at + last.at, math.hypot(first.error, last.error, math.sqrt(2) * _SHARED, shift), points)
 
 
-def _end(outwards: np.ndarray, profile: np.ndarray, level: np.ndarray, end: float) -> tuple[Edge, float] | None:
+def _width_of_mark(outwards: np.ndarray, levels: np.ndarray, end: float, ink: float) -> float:
+    """Return the width of the mark across an end, of the level of the ink, by the levels beside the bar; 0 if none."""
+    ground = float(np.median(levels))
+    darkness = np.where((outwards > end - _SEARCHED[0]) & (outwards < end + _SEARCHED[1]), ground - levels, 0.0)
+    if ground <= ink or darkness.max() < _OF_INK * (ground - ink):
+        return 0.0
+    near = np.abs(outwards - outwards[darkness.argmax()]) < _SEARCHED[0] / 2
+    # Blur makes the mark wider and lighter, and does not change the sum.
+    return float(np.maximum(darkness, 0)[near].sum()) * _STEP / (ground - ink)
+
+
+def _is_at_edge(
+    grey: np.ndarray, middle: np.ndarray, axis: np.ndarray, rough: tuple[float, float], thickness: float
+) -> bool:
+    """Whether the ground is much darker at one side of a stroke, as at the shadow along a label."""
+    along = np.arange(rough[0] + 4, rough[1] - 4)
+    away = thickness / 2 + np.arange(*_BESIDE)
+    across = np.concatenate([-away, [0.0], away])
+    levels = np.median(sampled(grey, middle, axis, along, across), axis=0)
+    darker, lighter = sorted((levels[: len(away)].mean(), levels[-len(away) :].mean()))
+    stroke = levels[len(away)]
+    return bool(darker - stroke < _SIDES * (lighter - stroke))
+
+
+def _end(
+    outwards: np.ndarray, profile: np.ndarray, level: np.ndarray, end: float, marks: np.ndarray
+) -> tuple[Edge, float] | None:
     """Return where a profile (n, 2) crosses half its height at an end, outwards from the middle, and the ground.
 
-    An end mark may be darker than the bar, whose level is given. Bars are drawn to its outer edge, or to its middle,
-    so that the end is taken to be between these.
+    An end mark is seen beside the bar, whose levels (n,) are given, too; it may be darker than the bar. Bars are drawn
+    to its outer edge, or to its middle, so that the end is taken to be between these.
     """
+    mark = _width_of_mark(outwards, marks, end, float(level[0]))
     seen = profile_at(outwards, profile, end, _BEYOND)
     if seen is None:
         return None
@@ -304,7 +414,7 @@ def _end(outwards: np.ndarray, profile: np.ndarray, level: np.ndarray, end: floa
     edge = edge_of(outwards[near], shares, float(np.std(beyond[:, 0])) / float(ground[0] - level[0]))
     if edge is None or edge.width >= _SHARP:
         return None
-    width = 2 * (edge.at - float(outwards[near][shares[:, 0].argmin()])) if is_mark else 0.0
-    # As blur does, this makes the bar longer or shorter at both ends.
-    edge = edge._replace(at=edge.at - _OF_MARK * width, shift=math.hypot(edge.shift, 2 * _OF_MARK * width))
+    width = 2 * (edge.at - float(outwards[near][shares[:, 0].argmin()])) if is_mark and not mark else mark
+    # As blur does, this makes the bar longer or shorter at both ends. Neither is scatter, so that both add up.
+    edge = edge._replace(at=edge.at - _OF_MARK * width, shift=abs(edge.shift) + 2 * _OF_MARK * width)
     return edge, float(ground[0])

@@ -9,6 +9,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
+from typing import NamedTuple
 
 import cv2
 import numpy as np
@@ -26,6 +27,7 @@ _CLOSE = 5  # pixels that are closed: blur leaves a gap between a dark and a lig
 _SLENDER = 4.0  # least ratio of the length to the thickness
 _RECTANGLE = 0.85  # least share of its rectangle that a bar fills
 _STEP = 0.25  # pixels between samples along a bar
+_NARROW = 0.4  # least length of a block, of the thickness of the bar
 _EQUAL = 0.08  # greatest relative difference of a block's length from the mean
 _BEYOND = (4, 12)  # pixels beyond an end, whose median is the level of the ground
 _LEAST_CONTRAST = 25.0  # between dark and light blocks
@@ -37,18 +39,38 @@ _LEVEL = 0.35  # greatest difference of the level of a block from the others of 
 _STEP_OUT = 0.04  # least step from a light block at an end to the ground, or to its outline, of the contrast
 _MOST = 60  # further blocks at either end of those that were seen
 _NOISE = 4.0  # and the least in levels, above the noise of a mean
-_OFF = 0.2  # greatest distance of such a step from the side of a block, of its length or half its thickness
+_SIDE = (5.0, 10.0)  # least and greatest distance beyond the sides of a chain that is looked at, pixels
+_SHOWN = 1.0  # least levels by which light blocks differ from the card, for the shape of that to be known
+_OF_USUAL = 0.35  # least part of that by which one at an end differs
+_SAME_CARD = 0.15  # greatest difference of the level of a card from one block to the next, of the contrast
+_IS_NONE = 0.3  # greatest correlation of the levels across a place with those of the light blocks, if it is none
+_IS_ONE = 0.7  # and the least if it is one; between them it is not clear
+_IS_SURE = 0.9  # and the least beyond the card, as by its level
 
 
-def find_blocks(levels: np.ndarray) -> list[tuple[Bar, float]]:
-    """Find bars of blocks, and half their thickness, in an image (h, w, 2) of levels, stored and in linear light."""
-    found = [*_by_dark_blocks(levels), *_by_outline(levels)]
-    found.sort(key=lambda each: -each[0].length)
-    kept: list[tuple[Bar, float]] = []
-    for bar, half in found:
-        if not any(is_part(bar, whole, other + half) for whole, other in kept):
-            kept.append((bar, half))
+class Blocks(NamedTuple):
+    """A bar of blocks."""
+
+    bar: Bar
+    half: float  # of its thickness, pixels
+    n: int  # blocks, dark and light
+    is_clear: bool = True  # whether it is clear that no further block is at an end
+
+
+def find_blocks(levels: np.ndarray) -> list[Blocks]:
+    """Find bars of blocks in an image (h, w, 2) of levels, stored and in linear light."""
+    found = [each for each in (*_by_dark_blocks(levels), *_by_outline(levels)) if _is_bar(each)]
+    found.sort(key=lambda each: -each.bar.length)
+    kept: list[Blocks] = []
+    for each in found:
+        if not any(is_part(each.bar, whole.bar, whole.half + each.half) for whole in kept):
+            kept.append(each)
     return kept
+
+
+def _is_bar(blocks: Blocks) -> bool:
+    """Whether blocks are not too narrow, as teeth of a comb, threads of a screw and lines of a bar code are."""
+    return blocks.bar.length > _NARROW * blocks.n * 2 * blocks.half
 
 
 def is_part(bar: Bar, whole: Bar, reach: float) -> bool:
@@ -60,12 +82,11 @@ def is_part(bar: Bar, whole: Bar, reach: float) -> bool:
     return bool((np.abs(across) < reach).all() and (along > -reach).all() and (along < whole.length + reach).all())
 
 
-def _by_dark_blocks(levels: np.ndarray) -> Iterator[tuple[Bar, float]]:
+def _by_dark_blocks(levels: np.ndarray) -> Iterator[Blocks]:
     for part in find_chains(levels[..., 0]):
-        chain = _whole(levels[..., 0], part)
-        bar = _of_chain(levels, chain)
-        if bar is not None:
-            yield bar, chain.rows * chain.thickness / 2
+        blocks = _of_chain(levels, _whole(levels[..., 0], part))
+        if blocks is not None:
+            yield blocks
 
 
 def _whole(grey: np.ndarray, chain: Chain) -> Chain:
@@ -75,7 +96,7 @@ def _whole(grey: np.ndarray, chain: Chain) -> Chain:
     """
     if chain.rows > 1:
         return chain
-    n = round((chain.end - chain.begin) / chain.pitch)
+    n = _n_blocks(chain)
     levels = _levels_at(grey, chain, chain.begin + (np.arange(n) + 0.5) * chain.pitch)
     dark, light = float(np.median(levels[::2])), float(np.median(levels[1::2]))
     limit = (dark + light) / 2
@@ -100,10 +121,10 @@ def _levels_at(grey: np.ndarray, chain: Chain, middles: np.ndarray, across: floa
     return np.median(levels.reshape(len(middles), -1), axis=1)
 
 
-def _of_chain(levels: np.ndarray, chain: Chain) -> Bar | None:
+def _of_chain(levels: np.ndarray, chain: Chain) -> Blocks | None:
     """Return the bar whose dark blocks make a chain, or None. At its ends may be light blocks, which are looked for."""
     places, profile = chain.profile(levels, 2 * chain.pitch)
-    n = round((chain.end - chain.begin) / chain.pitch)
+    n = _n_blocks(chain)
     middles = chain.begin + (np.arange(n) + 0.5) * chain.pitch
     means = np.array([_level(places, profile, middle, 0.25 * chain.pitch) for middle in middles])
     dark, light = np.median(means[::2], axis=0), np.median(means[1::2], axis=0)
@@ -114,11 +135,13 @@ def _of_chain(levels: np.ndarray, chain: Chain) -> Bar | None:
     if (np.abs(means - own) > _LEVEL * contrast).any():
         return None
     begin = chain.begin
+    is_clear = True
     if chain.rows == 1:
         kinds = (float(dark[0]), float(light[0]))
-        before, after = (_goes_on(levels[..., 0], chain, side, kinds) for side in (-1, 1))
-        n += before + after
-        begin -= before * chain.pitch
+        before, after = (_light_block_follows(levels[..., 0], chain, side, kinds) for side in (-1, 1))
+        is_clear = before is not None and after is not None
+        n += bool(before) + bool(after)
+        begin -= bool(before) * chain.pitch
     if n < 3 or n * chain.pitch < max(SHORTEST, _SLENDER * chain.rows * chain.thickness):
         return None
     reach = min(0.45 * chain.pitch, _AROUND)
@@ -130,7 +153,7 @@ def _of_chain(levels: np.ndarray, chain: Chain) -> Bar | None:
     if np.abs(away).max() > max(_EQUAL * pitch, 2.0):
         return None
     points = np.array([chain.middle + start * chain.axis, chain.middle + (start + n * pitch) * chain.axis])
-    return Bar(n * pitch, n * error, points)
+    return Blocks(Bar(n * pitch, n * error, points), chain.rows * chain.thickness / 2, n, is_clear)
 
 
 def _level(places: np.ndarray, profile: np.ndarray, middle: float, half: float) -> np.ndarray:
@@ -138,39 +161,66 @@ def _level(places: np.ndarray, profile: np.ndarray, middle: float, half: float) 
     return np.median(profile[np.abs(places - middle) <= max(half, places[1] - places[0])], axis=0)
 
 
-def _goes_on(grey: np.ndarray, chain: Chain, side: int, kinds: tuple[float, float]) -> bool:
-    """Whether a light block follows the last dark one: of the level of the others, up to edges or lines at its sides.
+def _light_block_follows(grey: np.ndarray, chain: Chain, side: int, kinds: tuple[float, float]) -> bool | None:
+    """Whether a light block follows the last dark one at an end; None if that is not clear.
 
-    The card that dark blocks are printed on goes on beyond the sides that a block would have.
+    A light block between two dark ones differs from the card at its sides, or has a line there, or nobody would end a
+    bar with one. One that follows the last dark block looks alike, and what is beyond it does not. Where glare hides
+    the others, it is lighter than the card; and where the card is as white as can be, it would not be seen.
     """
     dark, light = kinds
-    last = chain.end if side > 0 else -chain.begin
+    across = _across(chain)
+    between, cards = _at_sides(grey, chain, chain.begin + np.arange(1.5, _n_blocks(chain), 2) * chain.pitch)
+    usual = np.median(between, axis=0)
+    is_shown = np.abs(usual).max() > _SHOWN
+    box = (np.abs(across) < chain.thickness / 2).astype(float)
+    shape = usual if is_shown else box
+    places = (chain.end if side > 0 else chain.begin) + side * np.array([0.5, 1.5]) * chain.pitch
+    profiles, beside = _at_sides(grey, chain, places)
+    is_light = np.abs(_levels_at(grey, chain, places) - light) < _LEVEL * (light - dark)
+    is_on_card = np.abs(beside - cards[-1 if side > 0 else 0]) < _SAME_CARD * (light - dark)
+    is_seen = np.abs(profiles).max(axis=1) > max(_STEP_OUT * (light - dark), _NOISE)
+    strength = profiles @ shape / float(shape @ shape)
+    is_strong = strength > _OF_USUAL if is_shown else np.ones(2, bool)
+    is_block = is_seen & is_strong
+    sizes = np.linalg.norm(profiles, axis=1) * np.linalg.norm(shape)
+    alike = np.divide(profiles @ shape, sizes, out=np.zeros(2), where=is_block)
+    alike[~is_on_card & (alike < _IS_SURE)] = 0.0
+    if alike[0] < _IS_NONE:
+        is_lighter = light - float(np.median(cards)) > max(_SHOWN, -float(usual.min()))
+        is_hidden = is_light[0] and beside[0] + _OF_USUAL * (light - float(np.median(cards))) > float(grey.max())
+        return None if is_lighter and is_hidden else False
+    if is_seen[1] and abs(float(np.corrcoef(profiles[1], box)[0, 1])) > _IS_SURE:
+        return None  # so is what is beyond that
+    if not is_light[0]:
+        return None if alike[0] > _IS_SURE else False  # it may be in a shadow, or in glare
+    return True if alike[0] > _IS_ONE and alike[1] < _IS_ONE else None
+
+
+def _across(chain: Chain) -> np.ndarray:
+    """Return the distances across a chain (m,) at which its blocks and the card beside them are looked at, pixels."""
     half = chain.thickness / 2
-    pitch = chain.pitch
-    within = np.linspace(-0.4 * half, 0.4 * half, 5)
-    inner = last + np.linspace(0.3, 0.7, 9) * pitch
-    margin = np.arange(0, 1.4 * pitch, _STEP)
-    rim = np.arange(0, 1.4 * half + 4, _STEP)
-    ahead = sampled(grey, chain.middle, chain.axis, side * (last + margin), within).mean(axis=1)
-    up, down = (sampled(grey, chain.middle, chain.axis, side * inner, way * rim).mean(axis=0) for way in (-1, 1))
-    block = float(np.median(ahead[(margin > 0.3 * pitch) & (margin < 0.7 * pitch)]))
-    if abs(block - light) > _LEVEL * (light - dark):
-        return False
-    least = max(_STEP_OUT * (light - dark), _NOISE)
-    ends = [_left(each, block, least, 0.3 * to) for each, to in ((ahead, pitch), (up, half), (down, half))]
-    if None in ends:
-        return False
-    return all(abs((end or 0.0) - to) < max(_OFF * to, 3.0) for end, to in zip(ends, (pitch, half, half), strict=True))
+    reach = half + min(max(_SIDE[0], 0.5 * half), _SIDE[1])
+    return np.arange(-reach, reach + _STEP, _STEP)
 
 
-def _left(profile: np.ndarray, level: float, least: float, after: float) -> float | None:
-    """Return where a profile first differs from a level, after a place, in pixels; None if nowhere."""
-    places = np.arange(len(profile)) * _STEP
-    differs = np.flatnonzero((np.abs(profile - level) > least) & (places > after))
-    return float(places[differs[0]]) if len(differs) else None
+def _at_sides(grey: np.ndarray, chain: Chain, middles: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return the levels across a chain at places (n,) along it, above those of the card beside it, and the latter."""
+    across = _across(chain)
+    along = middles[:, None] + np.linspace(-0.25, 0.25, 9) * chain.pitch
+    levels = sampled(grey, chain.middle, chain.axis, along.ravel(), across)
+    levels = np.median(levels.reshape(len(middles), -1, len(across)), axis=1)
+    before, after = levels[:, :4].mean(axis=1), levels[:, -4:].mean(axis=1)
+    share = (across - across[0]) / (across[-1] - across[0])
+    return levels - before[:, None] * (1 - share) - after[:, None] * share, np.maximum(before, after)
 
 
-def _by_outline(levels: np.ndarray) -> Iterator[tuple[Bar, float]]:
+def _n_blocks(chain: Chain) -> int:
+    """Return how many blocks a chain has, dark and light, from its first dark one to its last."""
+    return round((chain.end - chain.begin) / chain.pitch)
+
+
+def _by_outline(levels: np.ndarray) -> Iterator[Blocks]:
     grey = levels[..., 0]
     ground = cv2.medianBlur(np.rint(grey).astype(np.uint8), _GROUND).astype(np.float32)
     for contrast in _CONTRASTS:
@@ -178,13 +228,14 @@ def _by_outline(levels: np.ndarray) -> Iterator[tuple[Bar, float]]:
         closed = cv2.morphologyEx(differs, cv2.MORPH_CLOSE, np.ones((_CLOSE, _CLOSE), np.uint8))
         outlines, _ = cv2.findContours(closed, cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)
         for outline in outlines:
-            bar = _bar_in(levels, outline)
-            if bar is not None:
-                yield bar, min(cv2.minAreaRect(outline)[1]) / 2
+            found = _bar_in(levels, outline)
+            if found is not None:
+                bar, n = found
+                yield Blocks(bar, min(cv2.minAreaRect(outline)[1]) / 2, n)
 
 
-def _bar_in(levels: np.ndarray, outline: np.ndarray) -> Bar | None:
-    """Return the bar of blocks whose outline (n, 1, 2) this is, or None."""
+def _bar_in(levels: np.ndarray, outline: np.ndarray) -> tuple[Bar, int] | None:
+    """Return the bar of blocks whose outline (n, 1, 2) this is, and how many blocks it has, or None."""
     (_, sides, _) = cv2.minAreaRect(outline)
     length = max(sides) + 1
     thickness = min(sides) + 1
@@ -202,16 +253,16 @@ def _bar_in(levels: np.ndarray, outline: np.ndarray) -> Bar | None:
     rows = [offsets] if thickness < 12 else [offsets, offsets - thickness / 4, offsets + thickness / 4]
     for each in rows:  # of two rows of blocks, the middle of one
         profile = sampled(levels, middle, axis, places, each).mean(axis=1)
-        bar = _of_profile(places, profile, (begin, end), middle, axis)
-        if bar is not None:
-            return bar
+        found = _of_profile(places, profile, (begin, end), middle, axis)
+        if found is not None:
+            return found
     return None
 
 
 def _of_profile(
     places: np.ndarray, profile: np.ndarray, rough: tuple[float, float], middle: np.ndarray, axis: np.ndarray
-) -> Bar | None:
-    """Return the bar of blocks whose levels along it are a profile; None if the blocks are not equal.
+) -> tuple[Bar, int] | None:
+    """Return the bar of blocks whose levels along it are a profile, and their number; None if they are not equal.
 
     Its length is that of the blocks by the changes between them: an outline around them is drawn inside, outside or on
     their edges.
@@ -230,9 +281,8 @@ def _of_profile(
     if len(blocks) < FEWEST or np.abs(blocks / blocks.mean() - 1).max() > max(_EQUAL, 3 / blocks.mean()):
         return None
     if len(changes) < 2:
-        return Bar(
-            first + last, math.hypot(error, other_error), np.array([middle - first * axis, middle + last * axis])
-        )
+        points = np.array([middle - first * axis, middle + last * axis])
+        return Bar(first + last, math.hypot(error, other_error), points), len(blocks)
     reach = min(0.45 * float(blocks.mean()), _AROUND)
     edges = [_edge(places, profile, change, reach) for change in changes]
     if None in edges:
@@ -240,7 +290,7 @@ def _of_profile(
     start, pitch, error = _pitch([edge for edge in edges if edge])
     n = len(blocks)
     points = np.array([middle + start * axis, middle + (start + n * pitch) * axis])
-    return Bar(n * pitch, n * error, points)
+    return Bar(n * pitch, n * error, points), n
 
 
 def _changes(places: np.ndarray, levels: np.ndarray) -> np.ndarray:

@@ -30,8 +30,11 @@ _PRESENT = 0.5  # least contrast of a tick, of the usual one
 _FEWEST = 3  # longer ticks
 _OF_LONG = 0.75  # least share of longer ticks, and greatest of the others, that reach a distance
 _OF_OTHERS = 0.2
+_OF_BETWEEN = 0.4  # and greatest of the few in the middle between them
 _CLEAR = 5.0  # least difference of these shares, in standard errors
 _AS_CLEAR = 0.8  # least of that of the clearest step. Every second one of its ticks has 0.7 of it
+_HEAVIER = 1.25  # least weight of a heavy line, of the usual one
+_PARTS = 5  # of the distances across ticks that are looked at: lines go on in each, and ticks do not
 _ROWS = 3  # at so many distances in turn
 
 
@@ -50,13 +53,75 @@ def longest_ticks(grey: np.ndarray, ends: np.ndarray, n_ticks: int) -> int:
     usual = float(np.median(contrast[middle - 1 : middle + 2]))
     if usual == 0:
         return 0
-    is_there = contrast / usual > _PRESENT
+    is_there = _as_far(contrast / usual > _PRESENT)
     clearness = {step: _clearness(is_there, step) for step in (*DECIMAL, *BINARY)}
     best = max(clearness, key=lambda step: clearness[step])
     if clearness[best] < _CLEAR:
         return 0
     family = DECIMAL if best in DECIMAL else BINARY
-    return max(step for step in family if clearness[step] > max(_CLEAR, _AS_CLEAR * clearness[best]))
+    return max(step for step in family if clearness[step] >= max(_CLEAR, _AS_CLEAR * clearness[best]))
+
+
+def heaviest_lines(grey: np.ndarray, ends: np.ndarray, n_ticks: int) -> int:
+    """Return from which line to which one the heaviest are, as on graph paper, such as 10; 0 if none clearly are.
+
+    Parameters
+    ----------
+    grey : (h, w) float32
+    ends : (2, 2) float64
+        x and y of the first and the last line, pixels.
+    n_ticks : int
+    """
+    weights = np.median(_contrasts(grey, ends, n_ticks), axis=0)
+    weights *= np.sign(np.median(weights))
+    clearness = {step: _heaviness(weights, step) for step in (*DECIMAL, *BINARY)}
+    best = max(clearness, key=lambda step: clearness[step])
+    return best if clearness[best] > _CLEAR else 0
+
+
+def _as_far(is_there: np.ndarray) -> np.ndarray:
+    """Return which ticks go on from their middle to each distance (rows, n_ticks): numbers beyond do not count."""
+    middle = len(is_there) // 2
+    before, after = is_there[middle::-1], is_there[middle:]
+    before, after = (np.logical_and.accumulate(each, axis=0) for each in (before, after))
+    return np.concatenate([before[:0:-1], after])
+
+
+def has_halves(grey: np.ndarray, ends: np.ndarray, n_ticks: int) -> bool:
+    """Whether shorter ticks are in the middle between all ticks, such as those of half millimetres."""
+    contrast = _contrasts(grey, ends, 2 * n_ticks - 1)
+    middle = len(contrast) // 2
+    own, between = contrast[:, ::2], contrast[:, 1::2]
+    usual = float(np.median(own[middle - 1 : middle + 2]))
+    if usual == 0:
+        return False
+    are_there = (np.mean(between / usual > _PRESENT, axis=1) >= _OF_LONG) & (
+        np.mean(own / usual > _PRESENT, axis=1) >= _OF_LONG
+    )
+    return bool(np.lib.stride_tricks.sliding_window_view(are_there, _ROWS).all(axis=1).any())
+
+
+def _heaviness(weights: np.ndarray, step: int) -> float:
+    """Return by how many standard errors every step-th line is heavier than the others."""
+    n = len(weights)
+    best = 0.0
+    for first in range(step):
+        is_heavy = np.arange(n) % step == first
+        n_heavy = int(is_heavy.sum())
+        others = weights[~is_heavy]
+        if n_heavy < _FEWEST or np.mean(weights[is_heavy] > _HEAVIER * np.median(others)) < _OF_LONG:
+            continue
+        error = float(others.std()) * math.sqrt(1 / n_heavy + 1 / len(others)) + 1e-9
+        best = max(best, float(weights[is_heavy].mean() - others.mean()) / error)
+    return best
+
+
+def goes_on(grey: np.ndarray, ends: np.ndarray, n_ticks: int) -> bool:
+    """Whether ticks go on at both sides, as the lines of graph paper and the threads of fabric do."""
+    contrast = _contrasts(grey, ends, n_ticks)
+    middle = len(contrast) // 2
+    usual = float(np.median(contrast[middle - 1 : middle + 2]))
+    return usual != 0 and all(float(np.median(part / usual)) > _PRESENT for part in np.array_split(contrast, _PARTS))
 
 
 def are_teeth(grey: np.ndarray, ends: np.ndarray, n_ticks: int) -> bool:
@@ -102,7 +167,11 @@ def _sampled(grey: np.ndarray, ends: np.ndarray, n_ticks: int, phases: np.ndarra
 
 
 def _clearness(is_there: np.ndarray, step: int) -> float:
-    """Return by how many standard errors every step-th tick is there more often than others, at several distances."""
+    """Return by how many standard errors every step-th tick is there more often than others, at several distances.
+
+    On decimal scales, those in the middle between them are not there, or the step would be half as long. On binary
+    ones, they may be little shorter.
+    """
     n = is_there.shape[1]
     best = 0.0
     for first in range(step):
@@ -114,7 +183,11 @@ def _clearness(is_there: np.ndarray, step: int) -> float:
         of_others = is_there[:, ~is_long].mean(axis=1)
         share = np.clip(is_there.mean(axis=1), 0.5 / n, 1 - 0.5 / n)
         errors = np.sqrt(share * (1 - share) * (1 / n_long + 1 / (n - n_long)))
-        clear = np.where((of_long >= _OF_LONG) & (of_others <= _OF_OTHERS), (of_long - of_others) / errors, 0.0)
+        is_between = 2 * ((np.arange(n) - first) % step) == step
+        is_counted = step in DECIMAL and bool(is_between.any())
+        of_between = is_there[:, is_between].mean(axis=1) if is_counted else np.zeros(len(is_there))
+        is_clear = (of_long >= _OF_LONG) & (of_others <= _OF_OTHERS) & (of_between <= _OF_BETWEEN)
+        clear = np.where(is_clear, (of_long - of_others) / errors, 0.0)
         in_turn = np.lib.stride_tricks.sliding_window_view(clear, _ROWS).min(axis=1)
         best = max(best, float(in_turn.max()))
     return best

@@ -19,7 +19,7 @@ import numpy as np
 
 from liaam.errors import LiaamError
 from liaam.formatting import short_repr
-from liaam.scale.hierarchy import are_teeth, expected, longest_ticks, may_be
+from liaam.scale.hierarchy import are_teeth, expected, goes_on, has_halves, heaviest_lines, longest_ticks, may_be
 from liaam.scale.lengths import Length
 
 TILES = (96, 192, 384)
@@ -71,6 +71,11 @@ _NOT_FOUND = (
     f"no ruler with {FEWEST_TICKS} even ticks or more is found: "
     "give the scale with --scale, or crop the image to its ruler"
 )
+_WITHOUT_HEAVY = (
+    "lines are found every {:.4g} pixels, but not every {}th is heavier, as on graph paper of {}: give the scale with "
+    "--scale, or crop the image to its ruler"
+)
+_CROSSED = 5.0  # greatest difference from a right angle, degrees, of lines that cross
 _AT_ENDS = 2  # ticks at each end that are not fitted, as the ground that is subtracted changes there
 _DIVISORS = (10, 5, 4, 3, 2)  # of periods that only longer ticks have
 
@@ -141,22 +146,53 @@ def find_ruler(image: np.ndarray, tick: Length | None = None) -> Ruler:
         for ruler in _rulers_in(grey, zoom):
             if not any(_are_one(ruler, other) for other in found):
                 found.append(replace(ruler, longest=longest_ticks(grey, ruler.ends, ruler.n_ticks)))
-        if any(ruler.longest for ruler in found):
+        if any(ruler.longest for ruler in found) and not (zoom == 1 and _is_tenth(tick)):
             break
     found = [_enlarged(ruler, 1 / factor) for ruler in found]
     marked = [ruler for ruler in found if ruler.longest]
     if marked:
-        return _only(_of_kind(marked, tick))
+        return _only(_of_kind([_with_halves(grey, factor, ruler, tick) for ruler in marked], tick))
     alike = _only([ruler for ruler in found if ruler.n_ticks >= FEWEST_ALIKE])
     if are_teeth(grey, _enlarged(alike, factor).ends, alike.n_ticks):
         raise LiaamError(_NOT_FOUND)
+    wanted = expected(tick) if tick is not None else 0
+    rows = [ruler for ruler in found if abs(ruler.period / alike.period - 1) < _SAME]
+    if wanted and _are_lines(grey, [_enlarged(row, factor) for row in rows], wanted):
+        raise LiaamError(_WITHOUT_HEAVY.format(alike.period, wanted, tick))
     return alike
+
+
+def _with_halves(grey: np.ndarray, factor: float, ruler: Ruler, tick: Length | None) -> Ruler:
+    """Return a ruler with the ticks between its ticks, if the longest should be twice as many ticks apart."""
+    wanted = expected(tick) if tick is not None else 0
+    small = _enlarged(ruler, factor)
+    is_half = wanted == 2 * ruler.longest and small.period >= 2 * SHORTEST
+    if not is_half or not has_halves(grey, small.ends, ruler.n_ticks):
+        return ruler
+    halves = {"period": ruler.period / 2, "period_se": ruler.period_se / 2}
+    return replace(ruler, **halves, n_ticks=2 * ruler.n_ticks - 1, longest=wanted)
+
+
+def _are_lines(grey: np.ndarray, rows: Sequence[Ruler], wanted: int) -> bool:
+    """Whether rows of one period are lines of a fabric or a grid, of which those so far apart are no heavier.
+
+    Lines go on at both sides of a row, or cross others of the same period. On graph paper, every fifth or tenth is
+    heavier.
+    """
+    is_crossed = any(abs(abs(row.angle - rows[0].angle) - 90) < _CROSSED for row in rows)
+    if not is_crossed and not any(goes_on(grey, row.ends, row.n_ticks) for row in rows):
+        return False
+    heaviest = [heaviest_lines(grey, row.ends, row.n_ticks) for row in rows]
+    return not any(each and may_be(each, wanted) for each in heaviest)
 
 
 def _of_kind(rulers: Sequence[Ruler], tick: Length | None) -> list[Ruler]:
     """Return the rulers whose longest ticks are those of the length from tick to tick."""
     wanted = expected(tick) if tick is not None else 0
     fitting = [ruler for ruler in rulers if may_be(ruler.longest, wanted)]
+    if wanted == 10:
+        inches = [ruler for ruler in fitting if any(_is_of_inches(ruler, other) for other in fitting)]
+        fitting = [ruler for ruler in fitting if (ruler in inches) == _is_tenth(tick)] if inches else fitting
     if fitting:
         return fitting
     best = max(rulers, key=_length)
@@ -165,6 +201,22 @@ def _of_kind(rulers: Sequence[Ruler], tick: Length | None) -> list[Ruler]:
         f"every {wanted}th as where ticks are {tick} apart: give the length from one smallest tick to the next, or "
         "crop the image to the ruler; ticks of less than 4 pixels are not resolved"
     )
+
+
+def _is_tenth(tick: Length | None) -> bool:
+    """Whether ticks are tenths of an inch, or of a tenth, which have longer ones as those of millimetres have."""
+    return tick is not None and bool(tick.unit) and expected(tick) == 10 and not _is_whole(tick.within("mm").value)
+
+
+def _is_whole(value: float) -> bool:
+    """Whether a length is a power of ten."""
+    power = math.log10(value)
+    return abs(power - round(power)) < 1e-3
+
+
+def _is_of_inches(ruler: Ruler, other: Ruler) -> bool:
+    """Whether ticks are as far from each other as tenths of inches, and others as millimetres."""
+    return abs(ruler.period / (2.54 * other.period) - 1) < _SAME / 2
 
 
 def _only(rulers: Sequence[Ruler]) -> Ruler:
