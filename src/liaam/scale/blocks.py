@@ -210,7 +210,8 @@ def _at_sides(grey: np.ndarray, chain: Chain, middles: np.ndarray) -> tuple[np.n
     along = middles[:, None] + np.linspace(-0.25, 0.25, 9) * chain.pitch
     levels = sampled(grey, chain.middle, chain.axis, along.ravel(), across)
     levels = np.median(levels.reshape(len(middles), -1, len(across)), axis=1)
-    before, after = levels[:, :4].mean(axis=1), levels[:, -4:].mean(axis=1)
+    before = levels[:, :4].mean(axis=1)
+    after = levels[:, -4:].mean(axis=1)
     share = (across - across[0]) / (across[-1] - across[0])
     return levels - before[:, None] * (1 - share) - after[:, None] * share, np.maximum(before, after)
 

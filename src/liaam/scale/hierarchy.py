@@ -49,8 +49,7 @@ def longest_ticks(grey: np.ndarray, ends: np.ndarray, n_ticks: int) -> int:
     n_ticks : int
     """
     contrast = _contrasts(grey, ends, n_ticks)
-    middle = len(contrast) // 2
-    usual = float(np.median(contrast[middle - 1 : middle + 2]))
+    usual = _usual(contrast)
     if usual == 0:
         return 0
     is_there = _as_far(contrast / usual > _PRESENT)
@@ -82,22 +81,21 @@ def heaviest_lines(grey: np.ndarray, ends: np.ndarray, n_ticks: int) -> int:
 def _as_far(is_there: np.ndarray) -> np.ndarray:
     """Return which ticks go on from their middle to each distance (rows, n_ticks): numbers beyond do not count."""
     middle = len(is_there) // 2
-    before, after = is_there[middle::-1], is_there[middle:]
-    before, after = (np.logical_and.accumulate(each, axis=0) for each in (before, after))
+    before = np.logical_and.accumulate(is_there[middle::-1], axis=0)
+    after = np.logical_and.accumulate(is_there[middle:], axis=0)
     return np.concatenate([before[:0:-1], after])
 
 
 def has_halves(grey: np.ndarray, ends: np.ndarray, n_ticks: int) -> bool:
     """Whether shorter ticks are in the middle between all ticks, such as those of half millimetres."""
     contrast = _contrasts(grey, ends, 2 * n_ticks - 1)
-    middle = len(contrast) // 2
-    own, between = contrast[:, ::2], contrast[:, 1::2]
-    usual = float(np.median(own[middle - 1 : middle + 2]))
+    own = contrast[:, ::2]
+    between = contrast[:, 1::2]
+    usual = _usual(own)
     if usual == 0:
         return False
-    are_there = (np.mean(between / usual > _PRESENT, axis=1) >= _OF_LONG) & (
-        np.mean(own / usual > _PRESENT, axis=1) >= _OF_LONG
-    )
+    shares = [np.mean(ticks / usual > _PRESENT, axis=1) for ticks in (own, between)]
+    are_there = np.min(shares, axis=0) >= _OF_LONG
     return bool(np.lib.stride_tricks.sliding_window_view(are_there, _ROWS).all(axis=1).any())
 
 
@@ -119,8 +117,7 @@ def _heaviness(weights: np.ndarray, step: int) -> float:
 def goes_on(grey: np.ndarray, ends: np.ndarray, n_ticks: int) -> bool:
     """Whether ticks go on at both sides, as the lines of graph paper and the threads of fabric do."""
     contrast = _contrasts(grey, ends, n_ticks)
-    middle = len(contrast) // 2
-    usual = float(np.median(contrast[middle - 1 : middle + 2]))
+    usual = _usual(contrast)
     return usual != 0 and all(float(np.median(part / usual)) > _PRESENT for part in np.array_split(contrast, _PARTS))
 
 
@@ -149,6 +146,12 @@ def _contrasts(grey: np.ndarray, ends: np.ndarray, n_ticks: int) -> np.ndarray:
     """Return by how much each tick differs from the gaps beside it, (rows, n_ticks); rows are distances across."""
     values = _sampled(grey, ends, n_ticks, np.concatenate([_ON, _OFF]))
     return values[..., : len(_ON)].mean(axis=2) - values[..., len(_ON) :].mean(axis=2)
+
+
+def _usual(contrast: np.ndarray) -> float:
+    """Return the usual contrast of ticks (rows, n_ticks), at the middle of the rows."""
+    middle = len(contrast) // 2
+    return float(np.median(contrast[middle - 1 : middle + 2]))
 
 
 def _sampled(grey: np.ndarray, ends: np.ndarray, n_ticks: int, phases: np.ndarray) -> np.ndarray:
@@ -193,8 +196,10 @@ def _clearness(is_there: np.ndarray, step: int) -> float:
     return best
 
 
-def expected(tick: Length) -> int:
+def expected(tick: Length | None) -> int:
     """Return from which tick to which one the longest are, of ticks that are this far apart; 0 if that is not known."""
+    if tick is None:
+        return 0
     inches = tick.within("in").value if tick.unit else 0.0
     millimetres = tick.within("mm").value if tick.unit else 0.0
     if inches <= 0:

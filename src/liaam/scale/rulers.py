@@ -155,7 +155,7 @@ def find_ruler(image: np.ndarray, tick: Length | None = None) -> Ruler:
     alike = _only([ruler for ruler in found if ruler.n_ticks >= FEWEST_ALIKE])
     if are_teeth(grey, _enlarged(alike, factor).ends, alike.n_ticks):
         raise LiaamError(_NOT_FOUND)
-    wanted = expected(tick) if tick is not None else 0
+    wanted = expected(tick)
     rows = [ruler for ruler in found if abs(ruler.period / alike.period - 1) < _SAME]
     if wanted and _are_lines(grey, [_enlarged(row, factor) for row in rows], wanted):
         raise LiaamError(_WITHOUT_HEAVY.format(alike.period, wanted, tick))
@@ -164,7 +164,7 @@ def find_ruler(image: np.ndarray, tick: Length | None = None) -> Ruler:
 
 def _with_halves(grey: np.ndarray, factor: float, ruler: Ruler, tick: Length | None) -> Ruler:
     """Return a ruler with the ticks between its ticks, if the longest should be twice as many ticks apart."""
-    wanted = expected(tick) if tick is not None else 0
+    wanted = expected(tick)
     small = _enlarged(ruler, factor)
     is_half = wanted == 2 * ruler.longest and small.period >= 2 * SHORTEST
     if not is_half or not has_halves(grey, small.ends, ruler.n_ticks):
@@ -188,7 +188,7 @@ def _are_lines(grey: np.ndarray, rows: Sequence[Ruler], wanted: int) -> bool:
 
 def _of_kind(rulers: Sequence[Ruler], tick: Length | None) -> list[Ruler]:
     """Return the rulers whose longest ticks are those of the length from tick to tick."""
-    wanted = expected(tick) if tick is not None else 0
+    wanted = expected(tick)
     fitting = [ruler for ruler in rulers if may_be(ruler.longest, wanted)]
     if wanted == 10:
         inches = [ruler for ruler in fitting if any(_is_of_inches(ruler, other) for other in fitting)]

@@ -244,8 +244,10 @@ class Studio:
         name = request.path_params["name"]
         answer = self.project.save_marks(name, data)
         changed: contract.LandmarksChanged = {
-            "name": name, "revision": answer["revision"], "beside": answer["beside"],
-        }  # fmt: skip
+            "name": name,
+            "revision": answer["revision"],
+            "beside": answer["beside"],
+        }
         self.events.publish("landmarks", changed)
         self.background.woken.set()
         return answer

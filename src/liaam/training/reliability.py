@@ -92,7 +92,7 @@ def fits_near(model: AAM, pictures: Iterable[LeftOutImage], methods: Sequence[Me
         for fitter, candidate in zip(fitters, candidates, strict=True):
             if _can_fit(fitter, picture):
                 candidate.n_near += 1
-                candidate.fits.extend(_sound([_fit(picture, fitter, start, near=True)]))
+                candidate.fits.extend(filter(None, [_fit(picture, fitter, start, near=True)]))
     return {name: least_shrunk(of_method) for name, of_method in fits.items()}
 
 
@@ -126,7 +126,7 @@ def with_distant_and_wrong_fits(
         for fitter, of_method in zip(fitters, fits.values(), strict=True):
             if _can_fit(fitter, picture):
                 wrong = [_most_explaining_wrong(each, fitter, starts) for each, starts in elsewhere]
-                of_method.extend(_sound([_fit(picture, fitter, distant), *wrong]))
+                of_method.extend(filter(None, [_fit(picture, fitter, distant), *wrong]))
     return {name: near[name].with_others(others) for name, others in fits.items()}
 
 
@@ -147,11 +147,6 @@ def _with_fitters(
 def _can_fit(fitter: Fitter, picture: LeftOutImage) -> bool:
     """Return whether the image has the colours that the method compares."""
     return not (fitter.objectives[0].method.needs_colour and is_grey(picture.image))
-
-
-def _sound(fits: Iterable[LeftOutFit | None]) -> list[LeftOutFit]:
-    """Return the fits that there are."""
-    return [fit for fit in fits if fit is not None]
 
 
 def _elsewhere(picture: LeftOutImage, finder: Finder) -> list[tuple[LeftOutImage, Sequence[np.ndarray | Detection]]]:

@@ -1,7 +1,6 @@
 """The Annotate tab in a real browser: what is saved, and what the page says of each picture."""
 
 import re
-import shutil
 
 import numpy as np
 import pytest
@@ -92,13 +91,10 @@ def test_the_page_is_not_left_with_unsaved_changes_of_the_template_without_askin
     assert asked == ["beforeunload"]
 
 
-def test_a_picture_that_the_model_leaves_out_says_so(serve, page, marked):
+def test_a_picture_that_the_model_leaves_out_says_so(serve, page, five_marked):
     """Training leaves out the picture that is cut short, which keeps its points."""
-    for i in (4, 5):
-        shutil.copy(marked / NAMES[i - 4], marked / f"portrait-0{i}.png")
-        shutil.copy((marked / NAMES[i - 4]).with_suffix(".ljson"), marked / f"portrait-0{i}.ljson")
-    (marked / NAMES[2]).write_bytes((marked / NAMES[2]).read_bytes()[:-2000])
-    page.goto(serve(marked).address)
+    (five_marked / NAMES[2]).write_bytes((five_marked / NAMES[2]).read_bytes()[:-2000])
+    page.goto(serve(five_marked).address)
     item = page.locator(f"[data-testid=strip] [data-name='{NAMES[2]}']")
     item.click()
     item.get_by_text("left out").wait_for()
@@ -111,9 +107,6 @@ def test_a_picture_that_the_model_leaves_out_says_so(serve, page, marked):
     page.locator(".toast", has_text=f"The model leaves out {NAMES[2]}.").wait_for()
 
 
-def test_a_folder_with_enough_done_pictures_is_trained_on_opening(serve, page, marked):
-    for i in (4, 5):
-        shutil.copy(marked / NAMES[i - 4], marked / f"portrait-0{i}.png")
-        shutil.copy((marked / NAMES[i - 4]).with_suffix(".ljson"), marked / f"portrait-0{i}.ljson")
-    page.goto(serve(marked).address)
+def test_a_folder_with_enough_done_pictures_is_trained_on_opening(serve, page, five_marked):
+    page.goto(serve(five_marked).address)
     wait_for(page, "() => window.liaamStudio?.state.project?.model?.n_images === 5")

@@ -1,7 +1,5 @@
 """Sides of objects, such as left and right wings: said in the list and the panel, and chosen for a fit."""
 
-import shutil
-
 import pytest
 from people import NAMES, opened, picture, shoot, violations, wait_for, wait_until
 
@@ -35,11 +33,8 @@ def test_the_side_of_pictures_is_said_and_taken_back(serve, page, marked, artefa
     assert panel.input_value() == "left"
 
 
-def test_the_model_is_trained_again_once_a_side_is_stated(serve, page, marked):
-    for i in (4, 5):
-        shutil.copy(marked / NAMES[i - 4], marked / f"portrait-0{i}.png")
-        shutil.copy((marked / NAMES[i - 4]).with_suffix(".ljson"), marked / f"portrait-0{i}.ljson")
-    page.goto(serve(marked).address)
+def test_the_model_is_trained_again_once_a_side_is_stated(serve, page, five_marked):
+    page.goto(serve(five_marked).address)
     wait_for(page, "() => window.liaamStudio?.state.project?.model?.n_images === 5")
     wait_for(page, "() => window.liaamStudio.state.project.training.state === 'done'")
     trained = page.evaluate("() => window.liaamStudio.state.project.model.trained")

@@ -239,13 +239,14 @@ class Objective:
         textures = self._textures(appearance, illumination)
         bias = {"none": np.zeros((0, 1, k)), "common": np.ones((1, 1, k)), "rows": np.eye(k)[:, None]}[self.method.bias]
         parts = np.empty((len(metrics), sum(map(len, textures)) + len(bias), n, k), np.float32)
-        end = 0
+        begin = 0
         for texture in textures:
-            begin, end = end, end + len(texture)
+            end = begin + len(texture)
             for part, metric in zip(parts, metrics.astype(np.float32), strict=True):
                 np.matmul(texture, metric.T, out=part[begin:end])
-        parts[0, end:] = bias
-        parts[1:, end:] = 0.0
+            begin = end
+        parts[0, begin:] = bias
+        parts[1:, begin:] = 0.0
         return parts
 
     def _ridge(self) -> np.ndarray:
