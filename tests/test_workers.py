@@ -1,5 +1,6 @@
 """Work in threads and processes: bounded, and safe to start."""
 
+import os
 import signal
 import subprocess
 import sys
@@ -18,6 +19,20 @@ def at_once(number):
     future.set_result(-number)
     return future
 
+
+LOADED_AFTER_A_HOLD = """
+import sys
+
+from threadpoolctl import threadpool_info
+from liaam.workers import one_numpy_thread
+
+with one_numpy_thread():
+    assert "scipy" not in sys.modules
+import scipy.linalg  # brings a BLAS of its own
+
+with one_numpy_thread():
+    print({info["num_threads"] for info in threadpool_info()})
+"""
 
 WHILE_OPENCV_IS_IMPORTED = """
 import sys, threading, time
@@ -98,3 +113,10 @@ def test_an_interrupt_waits_for_the_work_at_hand_and_leaves_the_rest(monkeypatch
     ((number, thread),) = ended
     assert number == 0
     assert thread.ident != main and not thread.is_alive()  # so that nothing more can come
+
+
+def test_a_library_that_is_loaded_after_a_hold_is_limited_in_the_next_one():
+    several = {**os.environ, "OPENBLAS_NUM_THREADS": "3", "OMP_NUM_THREADS": "3", "MKL_NUM_THREADS": "3"}
+    command = [sys.executable, "-c", LOADED_AFTER_A_HOLD]
+    done = subprocess.run(command, capture_output=True, text=True, env=several)
+    assert done.stdout.strip() == "{1}", done.stderr

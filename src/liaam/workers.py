@@ -10,11 +10,14 @@ from collections import deque
 from collections.abc import Callable, Generator, Iterable, Iterator, Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, ThreadPoolExecutor, wait
 from contextlib import ContextDecorator, contextmanager
-from functools import partial
+from functools import lru_cache, partial
 from importlib import import_module
 from itertools import islice
 from multiprocessing.context import SpawnContext
-from typing import TypeVar
+from typing import TYPE_CHECKING, TypeVar
+
+if TYPE_CHECKING:
+    from threadpoolctl import ThreadpoolController
 
 Item = TypeVar("Item")
 Result = TypeVar("Result")
@@ -167,9 +170,18 @@ class _Hold(ContextDecorator):
 
 def _take_blas() -> Callable[[], object]:
     """Limit BLAS and OpenMP to one thread, as far as they are loaded; return a function that restores their limits."""
-    from threadpoolctl import threadpool_limits
+    return _loaded_blas(len(sys.modules)).limit(limits=1).restore_original_limits
 
-    return threadpool_limits(limits=1).restore_original_limits
+
+@lru_cache(maxsize=1)
+def _loaded_blas(n_modules: int) -> "ThreadpoolController":
+    """Find the loaded BLAS and OpenMP libraries, which takes as long as an iteration of a fit.
+
+    ``n_modules`` is the number of imported modules: only an import brings another library.
+    """
+    from threadpoolctl import ThreadpoolController
+
+    return ThreadpoolController()
 
 
 def _take_opencv() -> Callable[[], object]:

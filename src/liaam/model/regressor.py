@@ -235,7 +235,7 @@ class RegressionStep:
 
     def displacements(self, features: np.ndarray) -> np.ndarray:
         """Return the displacements (..., n, 2) that features (..., n, N_FEATURES) predict."""
-        return np.einsum("...jf,jfa->...ja", features, self.weights, optimize=True) + self.offsets
+        return (features[..., None, :] @ self.weights)[..., 0, :] + self.offsets
 
 
 @dataclass(frozen=True, eq=False)
