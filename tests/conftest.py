@@ -9,7 +9,7 @@ import zlib
 from collections import defaultdict
 from collections.abc import Callable, Iterator
 from dataclasses import fields
-from functools import partial
+from functools import cache, partial
 from pathlib import Path
 
 # Before anything is imported that looks at these. Tests that run side by side ('pytest -n logical') leave each other's
@@ -20,6 +20,7 @@ os.environ.pop("COLUMNS", None)
 
 import numpy as np
 import pytest
+import typer.main
 from hypothesis import settings
 
 import setups
@@ -56,6 +57,12 @@ settings.load_profile("liaam")
 
 # Files that take long, the longest first: a worker that begins one of them last leaves the others idle.
 LONG = (
+    "test_docs.py",
+    "test_live_tab.py",
+    "test_fit_tab.py",
+    "test_begin.py",
+    "test_background_training.py",
+    "test_simulated.py",
     "test_search.py",
     "test_tracker.py",
     "test_cli_video.py",
@@ -302,7 +309,12 @@ def run_experiments(monkeypatch, capsys):
     return partial(_run, experiments_cli.main, monkeypatch, capsys)
 
 
+_command_of = cache(typer.main.get_command)
+"""Makes the commands of a command line once, instead of at each run: all their options take 25 ms."""
+
+
 def _run(main, monkeypatch, capsys, *arguments):
+    monkeypatch.setattr(typer.main, "get_command", _command_of)
     monkeypatch.setenv("COLUMNS", "200")
     monkeypatch.setattr(sys, "argv", [main.__module__, *map(str, arguments)])
     with pytest.raises(SystemExit) as stopped:

@@ -47,22 +47,31 @@ def artefacts(tmp_path_factory) -> Path:
 
 @pytest.fixture
 def open_page(browser):
-    """Give a function that opens a fresh page, which fails the test when its scripts do."""
-    contexts, faults = [], []
+    """Give a function that opens a fresh page, which fails the test when its scripts do.
+
+    Pages of a test share nothing: each further one, and each with options, has a context of its own.
+    """
+    contexts, pages, faults = [], [], []
 
     def open_page(width: int = 1280, height: int = 720, **options):
-        contexts.append(browser.new_context(viewport={"width": width, "height": height}, **options))
-        page = contexts[-1].new_page()
+        if pages or options:
+            contexts.append(browser.new_context(viewport={"width": width, "height": height}, **options))
+            page = contexts[-1].new_page()
+        else:
+            page = SHARED.new_page()
+            page.set_viewport_size({"width": width, "height": height})
+        pages.append(page)
         page.on("pageerror", lambda fault: faults.append(str(fault)))
         page.set_default_timeout(TIMEOUT)
         if SLOWDOWN > 1:
-            session = contexts[-1].new_cdp_session(page)
+            session = page.context.new_cdp_session(page)
             session.send("Emulation.setCPUThrottlingRate", {"rate": SLOWDOWN})
         return page
 
     yield open_page
     for context in contexts:
         context.close()
+    SHARED.clear()
     assert not faults, f"scripts of the page failed: {faults}"
 
 
