@@ -77,14 +77,17 @@ def _fitted_without_absent(fitter: OneShapeFitter, target: Target, result: FitRe
 
 
 def _rounds(fitter: OneShapeFitter, start: Target) -> Iterator[FitResult]:
-    """Yield fits with the pixels that the one before agreed with, the first with those of a fit from the start."""
+    """Yield fits with the pixels that the one before agreed with, the first with those of a fit from the start.
+
+    There are none if a fit agreed with nearly all of the pixels that it used.
+    """
     sharpest = len(fitter.objectives) - 1
     last = fitter.coarse_to_fine.fit(start, fitter.options, first=sharpest)[-1]
-    used = np.zeros(0, bool)
+    used = np.ones(len(fitter.objectives[sharpest].appearance.usable), bool)
     for _ in range(ROUNDS):
         before = used
         used = _present_pixels(fitter, last)
-        if used.mean() < LEAST_SHARE or (len(before) and (used != before).mean() <= ALIKE):
+        if used.mean() < LEAST_SHARE or (used != before).mean() <= ALIKE:
             return
         stages = _fit_with(fitter, start._replace(start=last.reached), used)
         last = stages[-1]

@@ -125,13 +125,15 @@ class Surroundings:
     def probabilities(self, presence: Presence, solution: Any) -> np.ndarray:
         """Return the probability that each landmark is present in a solution that keeps its samples, (n,) float64.
 
-        If a part is absent by the windows, the object is segmented. A fit of which most is absent is elsewhere.
+        The object is segmented where the windows say that a part is absent, or the segmentation is sure of it. Of a fit
+        of which most is absent, which is elsewhere, the windows decide.
         """
         by_windows = presence.probabilities(self.compared_in(solution).landmarks)
         n_absent = int((by_windows < PRESENT).sum())
-        if not n_absent or 2 * n_absent > len(by_windows) or not self.can_segment:
+        if 2 * n_absent > len(by_windows) or not self.can_segment:
             return by_windows
-        return self.segmented_in(solution).landmarks
+        segmentation = self.segmented_in(solution)
+        return segmentation.landmarks if n_absent or segmentation.is_sure else by_windows
 
     def present_pixels(self, presence: Presence, solution: Any) -> np.ndarray:
         """Return at which sampled pixels a solution's image is what the model expects, (n_pixels,) bool."""
