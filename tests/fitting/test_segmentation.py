@@ -44,6 +44,14 @@ def seen_as(surroundings, expected, rng):
     return expected + rng.normal(size=expected.shape) * np.sqrt(surroundings.error_variances)[:, None]
 
 
+def solution_of(surroundings, seen, expected):
+    """A solution with gradients of the image and those of the fit."""
+    rows = np.zeros((2, len(seen), surroundings.objective.method.n_rows), np.float32)
+    rows[0, :, :2] = seen
+    rows[1, :, :2] = seen - expected
+    return SimpleNamespace(samples=rows[0].ravel(), residual=rows[1].ravel(), usable=np.ones(len(seen), np.float32))
+
+
 def test_all_of_an_image_as_expected_is_present(surroundings, expected, rng):
     found = segmented(surroundings, seen_as(surroundings, expected, rng), expected)
     assert (found.landmarks > 0.9).all() and (found.pixels > 0.8).all()
@@ -81,3 +89,15 @@ def test_landmarks_are_judged_by_windows_where_the_models_errors_are_unknown(obj
     right = SimpleNamespace(samples=rows.ravel(), residual=0.0 * rows.ravel(), usable=np.ones(len(rows), np.float32))
     assert windows.present_pixels(presence, right).mean() > 0.95
     np.testing.assert_array_equal(windows.probabilities(presence, right), surroundings.probabilities(presence, right))
+
+
+@pytest.mark.parametrize("is_hidden", [True, False])
+def test_a_hole_is_seen_where_windows_have_nothing_to_compare(surroundings, expected, hole, rng, is_hidden):
+    of_pixels, of_landmarks = hole
+    seen = seen_as(surroundings, expected, rng)
+    if is_hidden:
+        seen[of_pixels < 0.0] = 0.0
+    all_present = SimpleNamespace(probabilities=lambda _: np.full(len(of_landmarks), 0.999))
+    absent = surroundings.probabilities(all_present, solution_of(surroundings, seen, expected)) < PRESENT
+    assert absent[of_landmarks < -0.03].all() == is_hidden
+    assert not absent[of_landmarks > 0.04].any()

@@ -129,11 +129,13 @@ class Surroundings:
         of which most is absent, which is elsewhere, the windows decide.
         """
         by_windows = presence.probabilities(self.compared_in(solution).landmarks)
-        n_absent = int((by_windows < PRESENT).sum())
-        if 2 * n_absent > len(by_windows) or not self.can_segment:
+        if _are_mostly_absent(by_windows) or not self.can_segment:
             return by_windows
         segmentation = self.segmented_in(solution)
-        return segmentation.landmarks if n_absent or segmentation.is_sure else by_windows
+        if _are_mostly_absent(segmentation.landmarks):
+            return by_windows
+        is_incomplete = (by_windows < PRESENT).any() or segmentation.is_sure
+        return segmentation.landmarks if is_incomplete else by_windows
 
     def present_pixels(self, presence: Presence, solution: Any) -> np.ndarray:
         """Return at which sampled pixels a solution's image is what the model expects, (n_pixels,) bool."""
@@ -200,6 +202,11 @@ class Surroundings:
         rounded = np.floor(places / self._step + 0.5).astype(int)
         columns, rows = np.clip(rounded, 0, (width - 1, height - 1)).T
         return rows * width + columns
+
+
+def _are_mostly_absent(probabilities: np.ndarray) -> bool:
+    """Return whether most landmarks are absent, by their probabilities to be present (n,)."""
+    return int((probabilities < PRESENT).sum()) > len(probabilities) / 2
 
 
 def _mesh_warp(objective: Objective) -> PiecewiseAffineWarp:
