@@ -91,13 +91,13 @@ def test_landmarks_are_judged_by_windows_where_the_models_errors_are_unknown(obj
     np.testing.assert_array_equal(windows.probabilities(presence, right), surroundings.probabilities(presence, right))
 
 
-@pytest.mark.parametrize("is_hidden", [True, False])
-def test_a_hole_is_seen_where_windows_have_nothing_to_compare(surroundings, expected, hole, rng, is_hidden):
-    of_pixels, of_landmarks = hole
-    seen = seen_as(surroundings, expected, rng)
-    if is_hidden:
-        seen[of_pixels < 0.0] = 0.0
+@pytest.mark.parametrize("radius", [0.0, 0.07, 0.25])
+def test_a_small_hole_is_seen_where_windows_have_nothing_to_compare(surroundings, expected, hole, rng, radius):
+    """In a larger one are landmarks that windows can judge."""
+    of_pixels, of_landmarks = (distance + 0.15 - radius for distance in hole)
+    seen = np.where(of_pixels[:, None] < 0.0, 0.0, seen_as(surroundings, expected, rng))
     all_present = SimpleNamespace(probabilities=lambda _: np.full(len(of_landmarks), 0.999))
     absent = surroundings.probabilities(all_present, solution_of(surroundings, seen, expected)) < PRESENT
-    assert absent[of_landmarks < -0.03].all() == is_hidden
-    assert not absent[of_landmarks > 0.04].any()
+    is_seen = (of_landmarks < -0.03) & (radius < 0.1)
+    assert absent[is_seen].all()
+    assert not absent[(of_landmarks > 0.04) | (radius > 0.1)].any()

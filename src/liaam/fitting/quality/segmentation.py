@@ -36,9 +36,11 @@ OUTLIERS = 0.3  # Density of gradients of present parts that the model does not 
 # one of fifty beside the discs.
 HALF_ABSENT = 0.17
 STEEPNESS = 20.0
-# Share from which on a landmark is absent though the windows, in which nothing may be to compare, call it present. Cast
-# shadows on complete faces reach it in one picture of ten under hard flashes, a share of 0.5 in one of seven.
+# An absent part that the windows do not see surrounds a landmark with this share, and has at most this share of the
+# object. A larger part contains landmarks whose windows can tell; where these call all present, as in pictures of a kind
+# that the model does not know, the segmentation is wrong.
 SURELY_ABSENT = 0.6
+SMALL_PART = 0.05
 
 
 class Segmentation(NamedTuple):
@@ -50,7 +52,7 @@ class Segmentation(NamedTuple):
     """(n_pixels,) float64."""
 
     is_sure: bool
-    """Whether most of what surrounds a landmark is absent."""
+    """Whether most of what surrounds a landmark is absent, in a small part."""
 
 
 def segmented(surroundings: "Surroundings", seen: np.ndarray, expected: np.ndarray) -> Segmentation:
@@ -69,11 +71,12 @@ def segmented(surroundings: "Surroundings", seen: np.ndarray, expected: np.ndarr
     shares = 0.5 + 0.5 * around(labels).ravel()
     log_odds = np.clip(STEEPNESS * (HALF_ABSENT - shares), -MOST_LOG_ODDS, MOST_LOG_ODDS)
     present = probability_of(log_odds.astype(np.float64))
+    share_absent = (labels > 0.0)[ones > 0.0].mean()
     around_landmarks = shares[surroundings.cells_of_landmarks]
     return Segmentation(
         landmarks=present[surroundings.cells_of_landmarks],
         pixels=present[surroundings.cells_of_pixels],
-        is_sure=bool((around_landmarks >= SURELY_ABSENT).any()),
+        is_sure=bool((around_landmarks >= SURELY_ABSENT).any() and share_absent <= SMALL_PART),
     )
 
 
