@@ -127,5 +127,5 @@ def test_a_fabric_of_many_threads_hides_no_bar_and_its_work_is_bounded(rng: np.r
     image[is_ground & (down % 10 < 5) & (across % 10 < 5)] = 40
     grey = image.astype(np.float32)
     assert len(chains._blocks(grey < 100, 3)) <= chains._MOST_DARK
-    found = chains.find_chains(grey)
+    found = chains.find_chains(chains.dark_blocks(grey))
     assert len(found) <= chains._MOST_CHAINS and any(abs(chain.pitch - 60) < 2 for chain in found)

@@ -15,8 +15,9 @@ import cv2
 import numpy as np
 
 from liaam.scale.bar import SHORTEST, Bar, axes_of, profile_at, sampled
-from liaam.scale.chains import Chain, find_chains
+from liaam.scale.chains import Block, Chain, dark_blocks, find_chains
 from liaam.scale.edges import OF_SHIFT, Edge, edge_of
+from liaam.scale.outlined import find_outlined
 
 FEWEST = 2
 """Least number of blocks."""
@@ -59,7 +60,9 @@ class Blocks(NamedTuple):
 
 def find_blocks(levels: np.ndarray) -> list[Blocks]:
     """Find bars of blocks in an image (h, w, 2) of levels, stored and in linear light."""
-    found = [each for each in (*_by_dark_blocks(levels), *_by_outline(levels)) if _is_bar(each)]
+    dark = dark_blocks(levels[..., 0])
+    single = (Blocks(*each) for each in find_outlined(levels, [block for blocks in dark for block in blocks]))
+    found = [each for each in (*_by_dark_blocks(levels, dark), *_by_outline(levels), *single) if _is_bar(each)]
     found.sort(key=lambda each: -each.bar.length)
     kept: list[Blocks] = []
     for each in found:
@@ -82,8 +85,8 @@ def is_part(bar: Bar, whole: Bar, reach: float) -> bool:
     return bool((np.abs(across) < reach).all() and (along > -reach).all() and (along < whole.length + reach).all())
 
 
-def _by_dark_blocks(levels: np.ndarray) -> Iterator[Blocks]:
-    for part in find_chains(levels[..., 0]):
+def _by_dark_blocks(levels: np.ndarray, dark: Sequence[Sequence[Block]]) -> Iterator[Blocks]:
+    for part in find_chains(dark):
         blocks = _of_chain(levels, _whole(levels[..., 0], part))
         if blocks is not None:
             yield blocks

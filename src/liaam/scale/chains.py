@@ -38,7 +38,7 @@ _SAMPLES = 0.25  # pixels between samples along a bar, whose ends are found to l
 
 
 @dataclass(frozen=True)
-class _Block:
+class Block:
     """A dark rectangle: its middle, its sides, and the direction of the first one."""
 
     middle: np.ndarray
@@ -46,9 +46,9 @@ class _Block:
     across: float
     angle: float
 
-    def turned(self) -> _Block:
+    def turned(self) -> Block:
         """Return it with its sides exchanged."""
-        return _Block(self.middle, self.across, self.along, self.angle + math.pi / 2)
+        return Block(self.middle, self.across, self.along, self.angle + math.pi / 2)
 
 
 @dataclass(frozen=True)
@@ -93,12 +93,17 @@ class Chain:
         return places, levels_at(-self.thickness / 2) - levels_at(self.thickness / 2)
 
 
-def find_chains(grey: np.ndarray) -> list[Chain]:
-    """Return the chains of dark blocks in an image (h, w) of levels from 0 to 255, the longest first."""
+def dark_blocks(grey: np.ndarray) -> list[list[Block]]:
+    """Return the dark rectangles in an image (h, w) of levels from 0 to 255, below several of these."""
+    levels = np.quantile(grey, _QUANTILES).tolist()
+    return [_blocks(grey < level, side) for level in levels for side in _OPEN]
+
+
+def find_chains(dark: Sequence[Sequence[Block]]) -> list[Chain]:
+    """Return the chains of dark blocks, of which each list is looked at alone, the longest first."""
     found: list[Chain] = []
-    for level in np.quantile(grey, _QUANTILES).tolist():
-        for side in _OPEN:
-            found.extend(sorted(_chains(_blocks(grey < level, side)), key=_length, reverse=True)[:_MOST_CHAINS])
+    for blocks in dark:
+        found.extend(sorted(_chains(blocks), key=_length, reverse=True)[:_MOST_CHAINS])
     return _different(found)
 
 
@@ -123,7 +128,7 @@ def _ends(chain: Chain) -> np.ndarray:
     return np.array([chain.middle + chain.begin * chain.axis, chain.middle + chain.end * chain.axis])
 
 
-def _blocks(dark: np.ndarray, side: int) -> list[_Block]:
+def _blocks(dark: np.ndarray, side: int) -> list[Block]:
     """Return the solid rectangles of a mask, once it is opened by a disc."""
     disc = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (side, side))
     opened = cv2.morphologyEx(dark.astype(np.uint8), cv2.MORPH_OPEN, disc)
@@ -137,11 +142,11 @@ def _blocks(dark: np.ndarray, side: int) -> list[_Block]:
         sides = (width + 1, height + 1)
         is_block = min(sides) >= _LEAST and max(sides) < _LONGEST * min(sides)
         if is_block and area > _FILLED * width * height:
-            blocks.append(_Block(np.array([x, y]), *sides, math.radians(angle)))
+            blocks.append(Block(np.array([x, y]), *sides, math.radians(angle)))
     return sorted(blocks, key=lambda block: -block.along * block.across)[:_MOST_DARK]
 
 
-def _chains(blocks: Sequence[_Block]) -> Iterator[Chain]:
+def _chains(blocks: Sequence[Block]) -> Iterator[Chain]:
     """Yield the chains that blocks make: each leads to the next one, two lengths on, or to the other row, one on.
 
     Either side of a block may be along the chain, so that each is tried both ways.
@@ -157,7 +162,7 @@ def _chains(blocks: Sequence[_Block]) -> Iterator[Chain]:
                 yield chain
 
 
-def _links(blocks: Sequence[_Block]) -> tuple[np.ndarray, np.ndarray]:
+def _links(blocks: Sequence[Block]) -> tuple[np.ndarray, np.ndarray]:
     """Return which of k blocks are beside each other in one row, and which in two, (k, k) bool each."""
     middles = np.array([block.middle for block in blocks])
     along = np.array([block.along for block in blocks])
@@ -197,7 +202,7 @@ def _groups(links: np.ndarray) -> list[np.ndarray]:
     return [np.flatnonzero(labels == label) for label in np.flatnonzero(sizes >= FEWEST)]
 
 
-def _chain(blocks: Sequence[_Block], rows: int) -> Chain | None:
+def _chain(blocks: Sequence[Block], rows: int) -> Chain | None:
     """Return the chain of blocks, or None if they are not at even steps on one line, or on two."""
     middles = np.array([block.middle for block in blocks])
     first = blocks[0].angle
