@@ -141,12 +141,14 @@ def find_ruler(image: np.ndarray, tick: Length | None = None) -> Ruler:
         given; the message says what to do.
     """
     grey, factor = _reduced(_grey(image))
+    wanted = expected(tick)
     found: list[Ruler] = []
     for zoom in _ZOOMS:
         for ruler in _rulers_in(grey, zoom):
             if not any(_are_one(ruler, other) for other in found):
-                found.append(replace(ruler, longest=longest_ticks(grey, ruler.ends, ruler.n_ticks)))
-        if any(ruler.longest for ruler in found) and not (zoom == 1 and _is_tenth(tick)):
+                found.append(replace(ruler, longest=longest_ticks(grey, ruler.ends, ruler.n_ticks, wanted)))
+        is_found = any(ruler.longest and may_be(ruler.longest, wanted) for ruler in found)
+        if is_found and not (zoom == 1 and _is_tenth(tick)):
             break
     found = [_enlarged(ruler, 1 / factor) for ruler in found]
     marked = [ruler for ruler in found if ruler.longest]
@@ -155,7 +157,6 @@ def find_ruler(image: np.ndarray, tick: Length | None = None) -> Ruler:
     alike = _only([ruler for ruler in found if ruler.n_ticks >= FEWEST_ALIKE])
     if are_teeth(grey, _enlarged(alike, factor).ends, alike.n_ticks):
         raise LiaamError(_NOT_FOUND)
-    wanted = expected(tick)
     rows = [ruler for ruler in found if abs(ruler.period / alike.period - 1) < _SAME]
     if wanted and _are_lines(grey, [_enlarged(row, factor) for row in rows], wanted):
         raise LiaamError(_WITHOUT_HEAVY.format(alike.period, wanted, tick))
