@@ -34,7 +34,8 @@ _BEYOND = (4, 12)  # pixels beyond an end, whose median is the level of the grou
 _LEAST_CONTRAST = 25.0  # between dark and light blocks
 _FIRST = 0.2  # least share of the contrast by which an outline differs from the ground
 _OUTLINE = 0.5  # standard error of an end, of half the width of its outline, which the blur widens
-_CHANGE = 0.12  # standard error of the place of a change from one block to the next, pixels
+_CHANGE = 0.05  # usual scatter of the places of changes from one block to the next, pixels
+_CHANGES = 4.0  # which counts as that of so many changes, as few of a bar do not show their own
 _AROUND = 10.0  # greatest distance from a change that is looked at, pixels
 _LEVEL = 0.35  # greatest difference of the level of a block from the others of its kind, of the contrast
 _STEP_OUT = 0.04  # least step from a light block at an end to the ground, or to its outline, of the contrast
@@ -330,9 +331,9 @@ def _pitch(edges: Sequence[Edge]) -> tuple[float, float, float]:
     spread = math.sqrt(float(np.linalg.inv(design.T @ design)[1, 1]))
     free = n - design.shape[1]
     away = places - design @ solved
-    stray = math.sqrt(float(away @ away) / free) if free > 1 else 0.0
+    stray = math.sqrt((_CHANGES * _CHANGE**2 + float(away @ away)) / (_CHANGES + free))
     shift = OF_SHIFT * abs(edges[1].shift - edges[0].shift) if n == 2 else 0.0
-    return float(solved[0]), float(solved[1]), math.hypot(spread * max(stray, _CHANGE), shift)
+    return float(solved[0]), float(solved[1]), math.hypot(spread * stray, shift)
 
 
 def _end(outwards: np.ndarray, profile: np.ndarray, rough: float) -> tuple[float, float] | None:

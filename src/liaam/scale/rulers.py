@@ -56,11 +56,9 @@ _PRESENT = 0.35  # least strength of a tick, of the stronger ones
 _MOST_LACKING = 0.1  # greatest share of ticks that are not there
 _MOST_TURNS = 8  # times that the direction is refined
 _LEVEL = 2e-3  # radians by which it then may still change
-_SHARED = 0.012
-"""Standard error in pixels of either end of a ruler that neighbouring ticks share, by the ground and the resampling.
-
-On generated rulers errors are larger than the scatter of the ticks alone suggests, by about this: with it, 95 % are
-within 1.96 standard errors."""
+_SHARED = 0.006
+"""Standard error in pixels of either end of a ruler that all its ticks share, by the resampling."""
+_IN_TURN = 6  # the errors of ticks that are up to this part of a ruler apart may go together
 _STRAY = 0.05  # greatest root mean square distance of ticks from their places, of the period
 _STRAY_TICKS = (0.2, 0.015)
 """And the greatest in pixels, or of the period if that is more, by perspective. That of rulers is about 0.1 pixels."""
@@ -646,9 +644,23 @@ def _fitted(numbers: np.ndarray, places: np.ndarray, period: float) -> tuple[np.
     pixels, share = _STRAY_TICKS
     if stray > min(_STRAY * period, max(pixels, share * period)):
         return None
-    spread = math.sqrt(float(np.square(numbers - numbers.mean()).sum()))
     shared = math.sqrt(2) * _SHARED / float(np.ptp(numbers))
-    return numbers, places, math.hypot(stray / spread, shared)
+    return numbers, places, math.hypot(_slope_error(numbers, away), shared)
+
+
+def _slope_error(numbers: np.ndarray, away: np.ndarray) -> float:
+    """Return the standard error of the slope of a line, from the distances (n,) of ticks from it.
+
+    The errors of neighbouring ticks are not independent: those by the ground below them or by perspective go together,
+    and those by the pixels alternate. The estimate is that of Newey and West, Econometrica 55 (1987), p. 703.
+    """
+    n = len(numbers)
+    centred = numbers - numbers.mean()
+    pulls = centred * away
+    most = max(n // _IN_TURN, 1)
+    together = sum((1 - lag / (most + 1)) * float(pulls[lag:] @ pulls[:-lag]) for lag in range(1, most + 1))
+    variance = (float(pulls @ pulls) + 2 * together) * n / (n - 2)
+    return math.sqrt(max(variance, 0.0)) / float(centred @ centred)
 
 
 def _is_on(proposal: _Proposal, ruler: Ruler) -> bool:
