@@ -129,3 +129,14 @@ def test_a_fabric_of_many_threads_hides_no_bar_and_its_work_is_bounded(rng: np.r
     assert len(chains._blocks(grey < 100, 3)) <= chains._MOST_DARK
     found = chains.find_chains(chains.dark_blocks(grey))
     assert len(found) <= chains._MOST_CHAINS and any(abs(chain.pitch - 60) < 2 for chain in found)
+
+
+def test_blocks_on_a_small_part_of_an_image_are_told_from_light_ones_by_their_level(rng: np.random.Generator) -> None:
+    image = photograph(5, 60.0, 46.0, rng, line=False, light=150).astype(float)
+    image[np.where(image < 60)] += 60  # dark blocks of about 75, lighter than the ground
+    image[:, :60] = 40
+    image[:, -60:] = 40
+    large = np.full((1400, 1400), 40.0) + rng.normal(0, 2, (1400, 1400))
+    large[500:860, 300:940] = image
+    bar = find_bar(np.clip(large, 0, 255).astype(np.uint8))
+    assert abs(bar.length - 300) < max(3 * bar.length_se, 0.5)

@@ -28,7 +28,8 @@ _CLOSE = 5  # pixels that are closed: blur leaves a gap between a dark and a lig
 _SLENDER = 4.0  # least ratio of the length to the thickness
 _RECTANGLE = 0.85  # least share of its rectangle that a bar fills
 _STEP = 0.25  # pixels between samples along a bar
-_NARROW = 0.4  # least length of a block, of the thickness of the bar
+_NARROW = 0.6  # least length of a block, of the thickness of the bar
+_SAME = 0.01  # greatest relative difference of the length of a bar that is found twice
 _EQUAL = 0.08  # greatest relative difference of a block's length from the mean
 _BEYOND = (4, 12)  # pixels beyond an end, whose median is the level of the ground
 _LEAST_CONTRAST = 25.0  # between dark and light blocks
@@ -47,6 +48,7 @@ _OF_USUAL = 0.35  # least part of that by which one at an end differs
 _SAME_CARD = 0.15  # greatest difference of the level of a card from one block to the next, of the contrast
 _IS_NONE = 0.3  # greatest correlation of the levels across a place with those of the light blocks, if it is none
 _IS_ONE = 0.7  # and the least if it is one; between them it is not clear
+_LIKE_BLOCK = 0.8  # least correlation with a block of one level, whose thickness is roughly known, of a dim one
 _IS_SURE = 0.9  # and the least beyond the card, as by its level
 
 
@@ -67,9 +69,18 @@ def find_blocks(levels: np.ndarray) -> list[Blocks]:
     found.sort(key=lambda each: -each.bar.length)
     kept: list[Blocks] = []
     for each in found:
-        if not any(is_part(each.bar, whole.bar, whole.half + each.half) for whole in kept):
+        wholes = [i for i, whole in enumerate(kept) if is_part(each.bar, whole.bar, whole.half + each.half)]
+        if not wholes:
             kept.append(each)
+        elif _is_steadier(each, kept[wholes[0]]):
+            kept[wholes[0]] = each
     return kept
+
+
+def _is_steadier(blocks: Blocks, other: Blocks) -> bool:
+    """Whether blocks are the same as others, measured along a line on which the changes between them are more even."""
+    is_same = blocks.n == other.n and abs(blocks.bar.length / other.bar.length - 1) < _SAME
+    return is_same and blocks.bar.length_se < other.bar.length_se
 
 
 def _is_bar(blocks: Blocks) -> bool:
@@ -170,16 +181,24 @@ def _light_block_follows(grey: np.ndarray, chain: Chain, side: int, kinds: tuple
 
     A light block between two dark ones differs from the card at its sides, or has a line there, or nobody would end a
     bar with one. One that follows the last dark block looks alike, and what is beyond it does not. Where glare hides
-    the others, it is lighter than the card; and where the card is as white as can be, it would not be seen.
+    the others, it is lighter than the card; and where the card is as white as can be, it would not be seen. Of two rows
+    of blocks, a dark one of the other row is beside each light one.
     """
     dark, light = kinds
     across = _across(chain)
-    between, cards = _at_sides(grey, chain, chain.begin + np.arange(1.5, _n_blocks(chain), 2) * chain.pitch)
+    gaps = chain.begin + np.arange(1.5, _n_blocks(chain), 2) * chain.pitch
+    places = (chain.end if side > 0 else chain.begin) + side * np.array([0.5, 1.5]) * chain.pitch
+    blocks = chain.begin + np.arange(0.5, _n_blocks(chain), 2) * chain.pitch
+    limit = (dark + light) / 2
+    for way in (-chain.thickness, chain.thickness):
+        beside = [_levels_at(grey, chain, each, way) < limit for each in (gaps, blocks, places[:1])]
+        if beside[0].all() and not beside[1].any():
+            return bool(beside[2][0])
+    between, cards = _at_sides(grey, chain, gaps)
     usual = np.median(between, axis=0)
     is_shown = np.abs(usual).max() > _SHOWN
     box = (np.abs(across) < chain.thickness / 2).astype(float)
     shape = usual if is_shown else box
-    places = (chain.end if side > 0 else chain.begin) + side * np.array([0.5, 1.5]) * chain.pitch
     profiles, beside = _at_sides(grey, chain, places)
     is_light = np.abs(_levels_at(grey, chain, places) - light) < _LEVEL * (light - dark)
     is_on_card = np.abs(beside - cards[-1 if side > 0 else 0]) < _SAME_CARD * (light - dark)
@@ -194,7 +213,7 @@ def _light_block_follows(grey: np.ndarray, chain: Chain, side: int, kinds: tuple
         is_lighter = light - float(np.median(cards)) > max(_SHOWN, -float(usual.min()))
         is_hidden = is_light[0] and beside[0] + _OF_USUAL * (light - float(np.median(cards))) > float(grey.max())
         return None if is_lighter and is_hidden else False
-    if is_seen[1] and abs(float(np.corrcoef(profiles[1], box)[0, 1])) > _IS_SURE:
+    if is_seen[1] and abs(float(np.corrcoef(profiles[1], box)[0, 1])) > _LIKE_BLOCK:
         return None  # so is what is beyond that
     if not is_light[0]:
         return None if alike[0] > _IS_SURE else False  # it may be in a shadow, or in glare

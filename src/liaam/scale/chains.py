@@ -20,12 +20,16 @@ FEWEST = 2
 """Least number of dark blocks."""
 
 _QUANTILES = np.arange(0.02, 0.9, 0.08)  # of the levels, below which pixels are dark
+_EACH = 25.0  # and multiples of this level: one of them is between dark and light blocks of the least contrast
+_DIFFERENT = 5.0  # least difference of these levels
 _OPEN = (3, 7)  # sides of openings, which cut the lines of an outline, and corners that touch
 _LEAST = 4.0  # pixels of the shorter side
 _LONGEST = 20.0  # ratio of the sides
 _FILLED = 0.8  # least share of its rectangle that a block fills; corners are rounded by the opening
 _ALIKE = 0.25  # greatest relative difference of the sides of blocks
 _STEP = 0.2  # greatest relative difference of a step along the chain from its length
+_EQUAL = 0.08  # greatest relative difference of the length of dark blocks from the light ones between them
+_BLURRED = 4.0  # pixels that are allowed in any case, but for short blocks
 _STEP_TO_OTHER_ROW = 1.5 * _STEP  # the same from a row to the other: it is half as long, so that errors count for more
 _IN_LINE = 0.3  # greatest distance across a chain from where a block should be, of the thickness
 _SPREAD_OF_ROW = 2.0  # greatest distance across between blocks of a row, of the thickness: the axis is not exact yet
@@ -95,7 +99,10 @@ class Chain:
 
 def dark_blocks(grey: np.ndarray) -> list[list[Block]]:
     """Return the dark rectangles in an image (h, w) of levels from 0 to 255, below several of these."""
-    levels = np.quantile(grey, _QUANTILES).tolist()
+    levels: list[float] = []
+    for level in (*np.quantile(grey, _QUANTILES).tolist(), *np.arange(_EACH, 255.0, _EACH).tolist()):
+        if all(abs(level - other) >= _DIFFERENT for other in levels):
+            levels.append(level)
     return [_blocks(grey < level, side) for level in levels for side in _OPEN]
 
 
@@ -218,7 +225,7 @@ def _chain(blocks: Sequence[Block], rows: int) -> Chain | None:
         return None  # two blocks are at one place, or one is missing
     step, start = np.polyfit(numbers, along, 1)
     pitch = float(step / blocks_per_step)
-    if np.abs(along - start - step * numbers).max() > _STEP * pitch or abs(pitch / length - 1) > _STEP:
+    if np.abs(along - start - step * numbers).max() > _STEP * pitch or abs(pitch - length) > _uneven(pitch):
         return None
     normal = np.array([-axis[1], axis[0]])
     across = (middles - centre) @ normal
@@ -237,6 +244,11 @@ def _chain(blocks: Sequence[Block], rows: int) -> Chain | None:
         thickness=thickness,
         rows=rows,
     )
+
+
+def _uneven(pitch: float) -> float:
+    """Return by how many pixels the length of dark blocks may differ from their pitch: blur changes it by a few."""
+    return max(_EQUAL * pitch, min(_STEP * pitch, _BLURRED))
 
 
 def _line_of_row(along: np.ndarray, across: np.ndarray) -> tuple[float, float]:

@@ -25,10 +25,9 @@ MARKS = {
 }
 """From one longer tick to the next, from the shorter ones to the longest, by the last of these."""
 
-_TEETH = (
-    0.35,
-    3.0,
-)  # least width of teeth and threads, of their period, and least length: ticks are thin, blocks short
+_TEETH = 0.35  # least width of teeth and threads, of their period: ticks are thin
+_TEETH_LENGTH = (2.0, 3.0)  # and their least lengths: blocks are short. Of short periods, blurred ticks are as wide
+_BLURRED = 10.0  # pixels of a period that is short
 _PHASES = 16  # of a period at which ticks are looked at
 _REACH = (30.0, 160.0)  # least and greatest distance from the ticks' middle that is looked at, pixels
 _OF_PERIOD = 8.0  # and usually, of the period
@@ -209,7 +208,7 @@ def are_teeth(grey: np.ndarray, ends: np.ndarray, n_ticks: int) -> bool:
     inward = usual if abs(usual[_PHASES // 2] - usual.min()) > abs(usual[_PHASES // 2] - usual.max()) else -usual
     width = float(np.mean(inward - inward.min() > 0.5 * span))
     period = float(np.hypot(*(ends[1] - ends[0]))) / (n_ticks - 1)
-    return width > _TEETH[0] and length > _TEETH[1] * period
+    return width > _TEETH and length > _TEETH_LENGTH[period < _BLURRED] * period
 
 
 def _contrasts(grey: np.ndarray, ends: np.ndarray, n_ticks: int) -> np.ndarray:
