@@ -140,3 +140,13 @@ def test_blocks_on_a_small_part_of_an_image_are_told_from_light_ones_by_their_le
     large[500:860, 300:940] = image
     bar = find_bar(np.clip(large, 0, 255).astype(np.uint8))
     assert abs(bar.length - 300) < max(3 * bar.length_se, 0.5)
+
+
+@pytest.mark.parametrize("ground", [90, 20])
+def test_numbers_beside_two_rows_add_no_block(ground: int, rng: np.random.Generator) -> None:
+    image = photograph(5, 60.0, 14.0, rng, rows=2, line=False)
+    image[np.abs(image.astype(int) - 90) < 12] = ground
+    for place in (126, 490):  # as if they were blocks of a row, before and after the bar
+        cv2.putText(image, "0", (place, 172 + (place - 320) // 7), cv2.FONT_HERSHEY_SIMPLEX, 0.5, 15, 2)
+    bar = find_bar(cv2.GaussianBlur(image, (0, 0), 0.5))
+    assert abs(bar.length - 300) < max(3 * bar.length_se, 0.5)

@@ -63,9 +63,18 @@ class Blocks(NamedTuple):
 
 def find_blocks(levels: np.ndarray) -> list[Blocks]:
     """Find bars of blocks in an image (h, w, 2) of levels, stored and in linear light."""
-    dark = dark_blocks(levels[..., 0])
-    single = (Blocks(*each) for each in find_outlined(levels, [block for blocks in dark for block in blocks]))
-    found = [each for each in (*_by_dark_blocks(levels, dark), *_by_outline(levels), *single) if _is_bar(each)]
+    found = list(_by_outline(levels))
+    for by_quantiles in (True, False):
+        dark = dark_blocks(levels[..., 0], by_quantiles=by_quantiles)
+        single = (Blocks(*each) for each in find_outlined(levels, [block for blocks in dark for block in blocks]))
+        found = _different([each for each in (*found, *_by_dark_blocks(levels, dark), *single) if _is_bar(each)])
+        if any(each.is_clear for each in found):
+            break
+    return found
+
+
+def _different(found: list[Blocks]) -> list[Blocks]:
+    """Return the bars that are not parts of longer ones."""
     found.sort(key=lambda each: -each.bar.length)
     kept: list[Blocks] = []
     for each in found:
@@ -193,7 +202,8 @@ def _light_block_follows(grey: np.ndarray, chain: Chain, side: int, kinds: tuple
     for way in (-chain.thickness, chain.thickness):
         beside = [_levels_at(grey, chain, each, way) < limit for each in (gaps, blocks, places[:1])]
         if beside[0].all() and not beside[1].any():
-            return bool(beside[2][0])
+            own, beyond = (_levels_at(grey, chain, places[:1], times * way)[0] for times in (0, 2))
+            return bool(beside[2][0] and own > limit and beyond > limit)
     between, cards = _at_sides(grey, chain, gaps)
     usual = np.median(between, axis=0)
     is_shown = np.abs(usual).max() > _SHOWN

@@ -20,8 +20,7 @@ FEWEST = 2
 """Least number of dark blocks."""
 
 _QUANTILES = np.arange(0.02, 0.9, 0.08)  # of the levels, below which pixels are dark
-_EACH = 25.0  # and multiples of this level: one of them is between dark and light blocks of the least contrast
-_DIFFERENT = 5.0  # least difference of these levels
+_EACH = 25.0  # the least contrast of dark and light blocks
 _OPEN = (3, 7)  # sides of openings, which cut the lines of an outline, and corners that touch
 _LEAST = 4.0  # pixels of the shorter side
 _LONGEST = 20.0  # ratio of the sides
@@ -97,13 +96,14 @@ class Chain:
         return places, levels_at(-self.thickness / 2) - levels_at(self.thickness / 2)
 
 
-def dark_blocks(grey: np.ndarray) -> list[list[Block]]:
-    """Return the dark rectangles in an image (h, w) of levels from 0 to 255, below several of these."""
-    levels: list[float] = []
-    for level in (*np.quantile(grey, _QUANTILES).tolist(), *np.arange(_EACH, 255.0, _EACH).tolist()):
-        if all(abs(level - other) >= _DIFFERENT for other in levels):
-            levels.append(level)
-    return [_blocks(grey < level, side) for level in levels for side in _OPEN]
+def dark_blocks(grey: np.ndarray, *, by_quantiles: bool = True) -> list[list[Block]]:
+    """Return the dark rectangles in an image (h, w) of levels from 0 to 255, below each of several levels.
+
+    These are quantiles, or are apart by the least contrast of blocks: the blocks of a small bar may all lie between two
+    quantiles.
+    """
+    levels = np.quantile(grey, _QUANTILES) if by_quantiles else np.arange(_EACH, 255.0, _EACH)
+    return [_blocks(grey < level, side) for level in levels.tolist() for side in _OPEN]
 
 
 def find_chains(dark: Sequence[Sequence[Block]]) -> list[Chain]:
