@@ -21,6 +21,7 @@ from liaam.errors import LiaamError
 from liaam.formatting import short_repr
 from liaam.scale.hierarchy import are_teeth, expected, goes_on, has_halves, heaviest_lines, longest_ticks, may_be
 from liaam.scale.lengths import Length
+from liaam.scale.strips import find_strips
 
 TILES = (96, 192, 384)
 """Sides of tiles in pixels. The longest period that is found is a sixth of the largest, the shortest 4 pixels."""
@@ -148,6 +149,8 @@ def find_ruler(image: np.ndarray, tick: Length | None = None) -> Ruler:
         is_found = any(ruler.longest and may_be(ruler.longest, wanted) for ruler in found)
         if is_found and not (zoom == 1 and _is_tenth(tick)):
             break
+    else:
+        found.extend(_along_edges(grey, found, wanted))
     found = [_enlarged(ruler, 1 / factor) for ruler in found]
     marked = [ruler for ruler in found if ruler.longest]
     if marked:
@@ -159,6 +162,20 @@ def find_ruler(image: np.ndarray, tick: Length | None = None) -> Ruler:
     if wanted and _are_lines(grey, [_enlarged(row, factor) for row in rows], wanted):
         raise LiaamError(_WITHOUT_HEAVY.format(alike.period, wanted, tick))
     return alike
+
+
+def _along_edges(grey: np.ndarray, found: Sequence[Ruler], wanted: int) -> list[Ruler]:
+    """Return further rulers along straight edges, whose longer ticks are as expected."""
+    further: list[Ruler] = []
+    for strip in find_strips(grey)[:_MOST_TILES]:
+        proposal = _Proposal(strip.centre, strip.angle, strip.period)
+        if any(_is_on(proposal, ruler) for ruler in (*found, *further)):
+            continue
+        ruler = _refined(grey, proposal)
+        longest = longest_ticks(grey, ruler.ends, ruler.n_ticks, wanted) if ruler is not None else 0
+        if ruler is not None and longest and may_be(longest, wanted):
+            further.append(replace(ruler, longest=longest))
+    return further
 
 
 def _with_halves(grey: np.ndarray, factor: float, ruler: Ruler, tick: Length | None) -> Ruler:
