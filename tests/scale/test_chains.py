@@ -150,3 +150,22 @@ def test_numbers_beside_two_rows_add_no_block(ground: int, rng: np.random.Genera
         cv2.putText(image, "0", (place, 172 + (place - 320) // 7), cv2.FONT_HERSHEY_SIMPLEX, 0.5, 15, 2)
     bar = find_bar(cv2.GaussianBlur(image, (0, 0), 0.5))
     assert abs(bar.length - 300) < max(3 * bar.length_se, 0.5)
+
+
+def test_dark_blocks_on_a_dark_ground_may_go_on(rng: np.random.Generator) -> None:
+    image = photograph(5, 60.0, 14.0, rng, first=1, line=False, light=250)
+    down, across = np.indices(image.shape)
+    turned = np.deg2rad(-8.0)
+    along = (across - 320) * np.cos(turned) - (down - 180) * np.sin(turned)
+    aside = (across - 320) * np.sin(turned) + (down - 180) * np.cos(turned)
+    is_bar = (np.abs(along) < 148) & (np.abs(aside) < 6)
+    image[~is_bar] = np.clip(rng.normal(35, 2, int((~is_bar).sum())), 0, 255).astype(np.uint8)
+    with pytest.raises(LiaamError):
+        find_bar(image)
+
+
+def test_the_other_row_of_a_bar_is_no_other_bar(rng: np.random.Generator) -> None:
+    image = photograph(8, 40.0, 12.0, rng, rows=2)
+    cv2.line(image, (150, 230), (330, 200), 120, 3)  # a pin at the lower row, whose ends are not clear
+    bar = find_bar(image)
+    assert abs(bar.length - 320) < max(3 * bar.length_se, 0.5)

@@ -229,7 +229,7 @@ def test_graph_paper_counts_if_its_heavier_lines_suit_the_length(tick: str, heav
 
 
 @pytest.mark.parametrize(
-    "width, length, is_ruler", [(0.5, 60, False), (0.5, 28, False), (0.15, 40, True), (0.5, 12, True)]
+    "width, length, is_ruler", [(0.5, 60, False), (0.5, 28, False), (0.3, 66, False), (0.15, 40, True), (0.5, 12, True)]
 )
 def test_teeth_are_wide_and_long_and_ticks_are_not(width: float, length: int, is_ruler: bool, rng) -> None:
     canvas = blank()

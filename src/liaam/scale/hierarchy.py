@@ -25,9 +25,9 @@ MARKS = {
 }
 """From one longer tick to the next, from the shorter ones to the longest, by the last of these."""
 
-_TEETH = 0.35  # least width of teeth and threads, of their period: ticks are thin
-_TEETH_LENGTH = (2.0, 3.0)  # and their least lengths: blocks are short. Of short periods, blurred ticks are as wide
-_BLURRED = 10.0  # pixels of a period that is short
+_WIDE = (0.35, 2.0)  # least width of teeth and threads, of their period, and least length: blocks are short
+_THIN = (0.27, 4.5)  # the same of thin teeth: ticks that are all alike are not so long
+_BLURRED = (10.0, 3.0)  # pixels of a period that is short, whose blurred ticks look wide, and the least length there
 _PHASES = 16  # of a period at which ticks are looked at
 _REACH = (30.0, 160.0)  # least and greatest distance from the ticks' middle that is looked at, pixels
 _OF_PERIOD = 8.0  # and usually, of the period
@@ -208,7 +208,10 @@ def are_teeth(grey: np.ndarray, ends: np.ndarray, n_ticks: int) -> bool:
     inward = usual if abs(usual[_PHASES // 2] - usual.min()) > abs(usual[_PHASES // 2] - usual.max()) else -usual
     width = float(np.mean(inward - inward.min() > 0.5 * span))
     period = float(np.hypot(*(ends[1] - ends[0]))) / (n_ticks - 1)
-    return width > _TEETH and length > _TEETH_LENGTH[period < _BLURRED] * period
+    of_wide = _BLURRED[1] if period < _BLURRED[0] else _WIDE[1]
+    is_wide = width > _WIDE[0] and length > of_wide * period
+    is_thin = width > _THIN[0] and length > _THIN[1] * period
+    return is_wide or (is_thin and not goes_on(grey, ends, n_ticks))
 
 
 def _contrasts(grey: np.ndarray, ends: np.ndarray, n_ticks: int) -> np.ndarray:

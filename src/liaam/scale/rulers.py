@@ -20,7 +20,7 @@ import numpy as np
 from liaam.errors import LiaamError
 from liaam.formatting import short_repr
 from liaam.scale.hierarchy import are_teeth, expected, goes_on, has_halves, heaviest_lines, longest_ticks, may_be
-from liaam.scale.lengths import Length
+from liaam.scale.lengths import Length, widened
 from liaam.scale.strips import find_strips
 
 TILES = (96, 192, 384)
@@ -669,7 +669,8 @@ def _slope_error(numbers: np.ndarray, away: np.ndarray) -> float:
     """Return the standard error of the slope of a line, from the distances (n,) of ticks from it.
 
     The errors of neighbouring ticks are not independent: those by the ground below them or by perspective go together,
-    and those by the pixels alternate. The estimate is that of Newey and West, Econometrica 55 (1987), p. 703.
+    and those by the pixels alternate. The estimate is that of Newey and West, Econometrica 55 (1987), p. 703, with 1.5
+    degrees of freedom for each part of the ruler within which errors may go together.
     """
     n = len(numbers)
     centred = numbers - numbers.mean()
@@ -677,7 +678,7 @@ def _slope_error(numbers: np.ndarray, away: np.ndarray) -> float:
     most = max(n // _IN_TURN, 1)
     together = sum((1 - lag / (most + 1)) * float(pulls[lag:] @ pulls[:-lag]) for lag in range(1, most + 1))
     variance = (float(pulls @ pulls) + 2 * together) * n / (n - 2)
-    return math.sqrt(max(variance, 0.0)) / float(centred @ centred)
+    return widened(1.5 * _IN_TURN) * math.sqrt(max(variance, 0.0)) / float(centred @ centred)
 
 
 def _is_on(proposal: _Proposal, ruler: Ruler) -> bool:
