@@ -119,6 +119,17 @@ def test_the_shadow_along_a_label_is_no_bar(rng: np.random.Generator) -> None:
     assert abs(bar.length - 150) < 3 * bar.length_se
 
 
+def test_a_stroke_that_is_sharp_at_one_side_only_is_a_shadow(rng: np.random.Generator) -> None:
+    image = draw("black", rng, size=150.0).image.astype(float)
+    level = float(image[:20].mean())
+    shadow = level * (1 - 0.5 * np.exp(-np.arange(30) / 4.0))
+    image[60:90, 100:400] = level  # a label as light as the ground
+    image[90:120, 100:400] = shadow[:, None, None]
+    image[70:80, 200:240:8] = 10  # its letters
+    bar = find_bar(np.clip(cv2.GaussianBlur(image, (0, 0), 0.7), 0, 255).astype(np.uint8))
+    assert abs(bar.length - 150) < 3 * bar.length_se
+
+
 def test_short_blocks_beside_a_long_bar_are_refused(rng: np.random.Generator) -> None:
     blocks = draw_blocks(75.0, 5, 0.0, True, rng)
     above = draw("black", rng, size=220.0, shape=(200, blocks.shape[1])).image

@@ -127,5 +127,45 @@ def test_a_fabric_of_many_threads_hides_no_bar_and_its_work_is_bounded(rng: np.r
     image[is_ground & (down % 10 < 5) & (across % 10 < 5)] = 40
     grey = image.astype(np.float32)
     assert len(chains._blocks(grey < 100, 3)) <= chains._MOST_DARK
-    found = chains.find_chains(grey)
+    found = chains.find_chains(chains.dark_blocks(grey))
     assert len(found) <= chains._MOST_CHAINS and any(abs(chain.pitch - 60) < 2 for chain in found)
+
+
+def test_blocks_on_a_small_part_of_an_image_are_told_from_light_ones_by_their_level(rng: np.random.Generator) -> None:
+    image = photograph(5, 60.0, 46.0, rng, line=False, light=150).astype(float)
+    image[np.where(image < 60)] += 60  # dark blocks of about 75, lighter than the ground
+    image[:, :60] = 40
+    image[:, -60:] = 40
+    large = np.full((1400, 1400), 40.0) + rng.normal(0, 2, (1400, 1400))
+    large[500:860, 300:940] = image
+    bar = find_bar(np.clip(large, 0, 255).astype(np.uint8))
+    assert abs(bar.length - 300) < max(3 * bar.length_se, 0.5)
+
+
+@pytest.mark.parametrize("ground", [90, 20])
+def test_numbers_beside_two_rows_add_no_block(ground: int, rng: np.random.Generator) -> None:
+    image = photograph(5, 60.0, 14.0, rng, rows=2, line=False)
+    image[np.abs(image.astype(int) - 90) < 12] = ground
+    for place in (126, 490):  # as if they were blocks of a row, before and after the bar
+        cv2.putText(image, "0", (place, 172 + (place - 320) // 7), cv2.FONT_HERSHEY_SIMPLEX, 0.5, 15, 2)
+    bar = find_bar(cv2.GaussianBlur(image, (0, 0), 0.5))
+    assert abs(bar.length - 300) < max(3 * bar.length_se, 0.5)
+
+
+def test_dark_blocks_on_a_dark_ground_may_go_on(rng: np.random.Generator) -> None:
+    image = photograph(5, 60.0, 14.0, rng, first=1, line=False, light=250)
+    down, across = np.indices(image.shape)
+    turned = np.deg2rad(-8.0)
+    along = (across - 320) * np.cos(turned) - (down - 180) * np.sin(turned)
+    aside = (across - 320) * np.sin(turned) + (down - 180) * np.cos(turned)
+    is_bar = (np.abs(along) < 148) & (np.abs(aside) < 6)
+    image[~is_bar] = np.clip(rng.normal(35, 2, int((~is_bar).sum())), 0, 255).astype(np.uint8)
+    with pytest.raises(LiaamError):
+        find_bar(image)
+
+
+def test_the_other_row_of_a_bar_is_no_other_bar(rng: np.random.Generator) -> None:
+    image = photograph(8, 40.0, 12.0, rng, rows=2)
+    cv2.line(image, (150, 230), (330, 200), 120, 3)  # a pin at the lower row, whose ends are not clear
+    bar = find_bar(image)
+    assert abs(bar.length - 320) < max(3 * bar.length_se, 0.5)

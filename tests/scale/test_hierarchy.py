@@ -14,10 +14,19 @@ SIXTEENTHS = {16: 2.2, 8: 1.9, 4: 1.6, 2: 1.3}
 ALIKE: dict[int, float] = {}
 
 
-def ticks(canvas: np.ndarray, y: float, period: float, longer: dict[int, float], n: int = 60, up: bool = False) -> None:
+def ticks(
+    canvas: np.ndarray,
+    y: float,
+    period: float,
+    longer: dict[int, float],
+    n: int = 60,
+    *,
+    up: bool = False,
+    shortest: float = 9.0,
+) -> None:
     """Draw dark ticks from the left of a canvas of fine pixels, down from a height, or up."""
     for i in range(n):
-        length = 9 * next((times for step, times in longer.items() if i % step == 0), 1.0)
+        length = shortest * next((times for step, times in longer.items() if i % step == 0), 1.0)
         rows = sorted((y, y - length if up else y + length))
         left, right = (20 + i * period + shift * 0.2 * period for shift in (-0.5, 0.5))
         box = np.rint(np.array([left, rows[0], right, rows[1]]) * FINE).astype(int)
@@ -64,12 +73,63 @@ def test_longer_ticks_are_seen(longer: dict[int, float], longest: int, rng: np.r
     assert find_ruler(photograph(canvas, rng)).longest == longest
 
 
-def test_ticks_as_clear_as_the_limit_have_a_defined_answer(monkeypatch, rng: np.random.Generator) -> None:
-    monkeypatch.setattr(hierarchy, "_clearness", lambda is_there, step: 5.0 if step == 10 else 0.0)
+EIGHTHS = {8: 2.2, 4: 1.9, 2: 1.5}
+TENTHS = {10: 2.2, 5: 1.6}
+
+
+@pytest.mark.parametrize(
+    "tick, longer, n",
+    [("0.125 in", EIGHTHS, 19), ("0.0625 in", SIXTEENTHS, 26), ("0.0625 in", SIXTEENTHS, 20), ("0.1 in", TENTHS, 14)],
+)
+def test_two_inches_or_one_are_enough_beside_a_comb(tick: str, longer: dict[int, float], n: int, rng) -> None:
     canvas = blank()
-    ticks(canvas, 100, 9.0, ALIKE)
+    ticks(canvas, 60, 23.0, longer, n=n, shortest=24.0)
+    ticks(canvas, 200, 13.0, ALIKE, n=40)
+    ruler = find_ruler(photograph(canvas, rng), parse_length(tick))
+    assert ruler.period == pytest.approx(23, rel=1e-3) and ruler.longest == expected(parse_length(tick))
+
+
+def test_eighths_are_not_sixteenths(rng: np.random.Generator) -> None:
+    canvas = blank()
+    ticks(canvas, 100, 24.0, EIGHTHS, n=25, shortest=18.0)
+    with pytest.raises(LiaamError, match=r"of which every 8th is the longest, and not every 16th"):
+        find_ruler(photograph(canvas, rng), parse_length("0.0625 in"))
+
+
+@pytest.mark.parametrize("covered", [(7, 12), (9, 11), (0, 9)])
+def test_ticks_that_are_covered_do_not_hide_the_longest(covered: tuple[int, int], rng: np.random.Generator) -> None:
+    canvas = blank()
+    ticks(canvas, 100, 12.0, MILLIMETRES, n=41)
+    left, right = (round((14 + 12 * i) * FINE) for i in covered)
+    canvas[90 * FINE : 130 * FINE, left:right] = 150
+    assert find_ruler(photograph(canvas, rng), Length(1, "mm")).longest == 10
+
+
+def test_lengths_by_chance_are_hardly_ever_those_of_a_scale(rng: np.random.Generator) -> None:
+    lengths = rng.choice([8.0, 17.0, 26.0, 39.0], (500, 16))
+    assert sum(hierarchy._is_shown(each, step, True) for each in lengths for step in hierarchy.MARKS) <= 2
+
+
+@pytest.mark.parametrize("slope", [0.0, 0.2])
+@pytest.mark.parametrize("step", hierarchy.MARKS)
+def test_lengths_of_each_scale_are_its_own(step: int, slope: float, rng: np.random.Generator) -> None:
+    place = np.arange(max(2 * step + 4, 21))
+    lengths = 20.0 + 8 * np.sum([place % mark == 0 for mark in hierarchy.MARKS[step]], axis=0)
+    lengths = np.rint(lengths + slope * place + rng.normal(0, 0.3, len(place)))
+    assert hierarchy._is_shown(lengths, step, False)
+    assert not any(hierarchy._is_shown(lengths, other, True) for other in hierarchy.MARKS if other > step)
+
+
+def test_the_gaps_of_short_periods_show_the_longest_ticks(rng: np.random.Generator) -> None:
+    canvas = blank()
+    ticks(canvas, 100, 9.0, MILLIMETRES, n=60)
     grey = photograph(canvas, rng).astype(np.float32)
-    assert hierarchy.longest_ticks(grey, np.array([[20.0, 104.0], [551.0, 104.0]]), 60) == 10
+    first, last = 20.0, 20.0 + 59 * 9
+    for shift in (0.0, 4.5):
+        assert (
+            hierarchy.longest_ticks(grey, np.array([[first - shift, 104.0], [last + shift, 104.0]]), 60 + (shift > 0))
+            == 10
+        )
 
 
 def test_short_ticks_of_half_millimetres_are_seen(rng: np.random.Generator) -> None:
@@ -168,7 +228,9 @@ def test_graph_paper_counts_if_its_heavier_lines_suit_the_length(tick: str, heav
         find_ruler(image, parse_length(tick))
 
 
-@pytest.mark.parametrize("width, length, is_ruler", [(0.5, 60, False), (0.15, 40, True), (0.5, 12, True)])
+@pytest.mark.parametrize(
+    "width, length, is_ruler", [(0.5, 60, False), (0.5, 28, False), (0.3, 66, False), (0.15, 40, True), (0.5, 12, True)]
+)
 def test_teeth_are_wide_and_long_and_ticks_are_not(width: float, length: int, is_ruler: bool, rng) -> None:
     canvas = blank()
     for i in range(40):

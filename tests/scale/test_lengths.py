@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given, strategies as st
 
 from liaam.errors import LiaamError
-from liaam.scale import UNITS, Length, parse_length, unlike
+from liaam.scale import UNITS, Length, lengths, parse_length, unlike
 
 
 @pytest.mark.parametrize(
@@ -71,3 +71,8 @@ def test_scales_unlike_the_others_of_a_batch() -> None:
     assert not unlike([0.01] * 5 + [0.02] * 5).any()  # two set-ups
     assert not unlike([0.01, 0.01, 0.01, 5.0]).any()  # too few
     assert not unlike([]).any()
+
+
+@pytest.mark.parametrize("free, factor", [(9.0, 1.154), (1e6, 1.0)])
+def test_errors_of_few_degrees_of_freedom_are_widened(free: float, factor: float) -> None:
+    assert lengths.widened(free) == pytest.approx(factor, abs=1e-3)

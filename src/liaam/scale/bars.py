@@ -31,6 +31,7 @@ _MOST_UNEVEN = 0.15  # share of the length where it may differ more, as by end m
 _STRAIGHT = 0.15  # greatest root mean square distance from a straight line, of the thickness
 _LEAST_STRAIGHT = 0.35  # pixels that are allowed in any case
 _UNIFORM = 0.15  # greatest standard deviation of the levels inside, of the contrast
+_SOFTER = 1.7  # greatest ratio of the steepest slopes at both sides: a shadow is sharp at one only
 _BESIDE = (3.0, 7.0)  # pixels beside a stroke, whose level is that of the ground there
 _SIDES = 0.5  # least contrast to one side, of that to the other
 _BEYOND = (6, 14)  # pixels beyond an end, whose mean is the level of the ground
@@ -359,7 +360,7 @@ def _with_ends(
     contrast = min(ground, other_ground) - float(level[0])
     if contrast < _LEAST_CONTRAST or float(inside[:, 0].std()) > _UNIFORM * contrast:
         return None
-    if first.at + last.at < SHORTEST or _is_at_edge(levels[..., 0], middle, axis, rough, thickness):
+    if first.at + last.at < SHORTEST or _is_shadow(levels[..., 0], middle, axis, rough, thickness):
         return None
     points = np.array([middle - first.at * axis, middle + last.at * axis])
     shift = OF_SHIFT * (abs(first.shift) + abs(last.shift))  # it makes both ends longer, or shorter
@@ -377,17 +378,20 @@ def _width_of_mark(outwards: np.ndarray, levels: np.ndarray, end: float, ink: fl
     return float(np.maximum(darkness, 0)[near].sum()) * _STEP / (ground - ink)
 
 
-def _is_at_edge(
+def _is_shadow(
     grey: np.ndarray, middle: np.ndarray, axis: np.ndarray, rough: tuple[float, float], thickness: float
 ) -> bool:
-    """Whether the ground is much darker at one side of a stroke, as at the shadow along a label."""
+    """Whether a stroke is the shadow along a label: the ground is much darker at one side, or one side is softer."""
     along = np.arange(rough[0] + 4, rough[1] - 4)
-    away = thickness / 2 + np.arange(*_BESIDE)
-    across = np.concatenate([-away, [0.0], away])
+    reach = thickness / 2 + _BESIDE[1]
+    across = np.arange(-reach, reach + _STEP, _STEP)
     levels = np.median(sampled(grey, middle, axis, along, across), axis=0)
-    darker, lighter = sorted((levels[: len(away)].mean(), levels[-len(away) :].mean()))
-    stroke = levels[len(away)]
-    return bool(darker - stroke < _SIDES * (lighter - stroke))
+    beside = np.abs(across) > reach - (_BESIDE[1] - _BESIDE[0])
+    stroke = float(levels[len(across) // 2])
+    darker, lighter = sorted(float(levels[beside & (way * across > 0)].mean()) - stroke for way in (-1, 1))
+    slopes = np.gradient(levels, _STEP)
+    softer, sharper = sorted(float((way * slopes[way * across > 0]).max()) for way in (-1, 1))
+    return darker < _SIDES * lighter or sharper > _SOFTER * softer
 
 
 def _end(

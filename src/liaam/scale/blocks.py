@@ -15,8 +15,10 @@ import cv2
 import numpy as np
 
 from liaam.scale.bar import SHORTEST, Bar, axes_of, profile_at, sampled
-from liaam.scale.chains import Chain, find_chains
+from liaam.scale.chains import Block, Chain, dark_blocks, find_chains
 from liaam.scale.edges import OF_SHIFT, Edge, edge_of
+from liaam.scale.lengths import widened
+from liaam.scale.outlined import find_outlined
 
 FEWEST = 2
 """Least number of blocks."""
@@ -27,17 +29,21 @@ _CLOSE = 5  # pixels that are closed: blur leaves a gap between a dark and a lig
 _SLENDER = 4.0  # least ratio of the length to the thickness
 _RECTANGLE = 0.85  # least share of its rectangle that a bar fills
 _STEP = 0.25  # pixels between samples along a bar
-_NARROW = 0.4  # least length of a block, of the thickness of the bar
+_NARROW = 0.6  # least length of a block, of the thickness of the bar
+_OF_BOTH = 1.5  # greatest distance of a bar from a longer one, of half of both thicknesses: it may be its other row
+_SAME = 0.01  # greatest relative difference of the length of a bar that is found twice
 _EQUAL = 0.08  # greatest relative difference of a block's length from the mean
 _BEYOND = (4, 12)  # pixels beyond an end, whose median is the level of the ground
 _LEAST_CONTRAST = 25.0  # between dark and light blocks
 _FIRST = 0.2  # least share of the contrast by which an outline differs from the ground
-_OUTLINE = 0.5  # standard error of an end, of half the width of its outline, which the blur widens
-_CHANGE = 0.12  # standard error of the place of a change from one block to the next, pixels
+_OUTLINE = 0.7  # standard error of an end, of half the width of its outline, which is inside, outside, or on the end
+_CHANGE = 0.05  # usual scatter of the places of changes from one block to the next, pixels
+_CHANGES = 4.0  # which counts as that of so many changes, as few of a bar do not show their own
 _AROUND = 10.0  # greatest distance from a change that is looked at, pixels
 _LEVEL = 0.35  # greatest difference of the level of a block from the others of its kind, of the contrast
 _STEP_OUT = 0.04  # least step from a light block at an end to the ground, or to its outline, of the contrast
 _MOST = 60  # further blocks at either end of those that were seen
+_OTHER_ROW = 0.04  # greatest difference of two rows beyond an end, of that of blocks: one in glare may follow
 _NOISE = 4.0  # and the least in levels, above the noise of a mean
 _SIDE = (5.0, 10.0)  # least and greatest distance beyond the sides of a chain that is looked at, pixels
 _SHOWN = 1.0  # least levels by which light blocks differ from the card, for the shape of that to be known
@@ -45,6 +51,7 @@ _OF_USUAL = 0.35  # least part of that by which one at an end differs
 _SAME_CARD = 0.15  # greatest difference of the level of a card from one block to the next, of the contrast
 _IS_NONE = 0.3  # greatest correlation of the levels across a place with those of the light blocks, if it is none
 _IS_ONE = 0.7  # and the least if it is one; between them it is not clear
+_LIKE_BLOCK = 0.8  # least correlation with a block of one level, whose thickness is roughly known, of a dim one
 _IS_SURE = 0.9  # and the least beyond the card, as by its level
 
 
@@ -59,12 +66,31 @@ class Blocks(NamedTuple):
 
 def find_blocks(levels: np.ndarray) -> list[Blocks]:
     """Find bars of blocks in an image (h, w, 2) of levels, stored and in linear light."""
-    found = [each for each in (*_by_dark_blocks(levels), *_by_outline(levels)) if _is_bar(each)]
+    found = list(_by_outline(levels))
+    for by_quantiles in (True, False):
+        dark = dark_blocks(levels[..., 0], by_quantiles=by_quantiles)
+        single = (Blocks(*each) for each in find_outlined(levels, [block for blocks in dark for block in blocks]))
+        found = _different([each for each in (*found, *_by_dark_blocks(levels, dark), *single) if _is_bar(each)])
+        if any(each.is_clear for each in found):
+            break
+    return found
+
+
+def _different(found: list[Blocks]) -> list[Blocks]:
+    """Return the bars that are not parts of longer ones."""
     found.sort(key=lambda each: -each.bar.length)
     kept: list[Blocks] = []
     for each in found:
-        if not any(is_part(each.bar, whole.bar, whole.half + each.half) for whole in kept):
+        wholes = [
+            i for i, whole in enumerate(kept) if is_part(each.bar, whole.bar, _OF_BOTH * (whole.half + each.half))
+        ]
+        if not wholes:
             kept.append(each)
+            continue
+        whole = kept[wholes[0]]
+        if each.n == whole.n and abs(each.bar.length / whole.bar.length - 1) < _SAME:
+            steadier = min(each, whole, key=lambda blocks: blocks.bar.length_se)
+            kept[wholes[0]] = steadier._replace(is_clear=each.is_clear and whole.is_clear)
     return kept
 
 
@@ -82,8 +108,8 @@ def is_part(bar: Bar, whole: Bar, reach: float) -> bool:
     return bool((np.abs(across) < reach).all() and (along > -reach).all() and (along < whole.length + reach).all())
 
 
-def _by_dark_blocks(levels: np.ndarray) -> Iterator[Blocks]:
-    for part in find_chains(levels[..., 0]):
+def _by_dark_blocks(levels: np.ndarray, dark: Sequence[Sequence[Block]]) -> Iterator[Blocks]:
+    for part in find_chains(dark):
         blocks = _of_chain(levels, _whole(levels[..., 0], part))
         if blocks is not None:
             yield blocks
@@ -142,6 +168,10 @@ def _of_chain(levels: np.ndarray, chain: Chain) -> Blocks | None:
         is_clear = before is not None and after is not None
         n += bool(before) + bool(after)
         begin -= bool(before) * chain.pitch
+    else:
+        ends = np.array([begin - 0.5 * chain.pitch, chain.end + 0.5 * chain.pitch])
+        beyond = [abs(_level(places, profile, end, 0.25 * chain.pitch)[0]) for end in ends]
+        is_clear = bool(max(beyond) < _OTHER_ROW * contrast[0])
     if n < 3 or n * chain.pitch < max(SHORTEST, _SLENDER * chain.rows * chain.thickness):
         return None
     reach = min(0.45 * chain.pitch, _AROUND)
@@ -166,16 +196,29 @@ def _light_block_follows(grey: np.ndarray, chain: Chain, side: int, kinds: tuple
 
     A light block between two dark ones differs from the card at its sides, or has a line there, or nobody would end a
     bar with one. One that follows the last dark block looks alike, and what is beyond it does not. Where glare hides
-    the others, it is lighter than the card; and where the card is as white as can be, it would not be seen.
+    the others, it is lighter than the card; and where the card is as white as can be, it would not be seen. Of two rows
+    of blocks, a dark one of the other row is beside each light one.
     """
     dark, light = kinds
     across = _across(chain)
-    between, cards = _at_sides(grey, chain, chain.begin + np.arange(1.5, _n_blocks(chain), 2) * chain.pitch)
+    gaps = chain.begin + np.arange(1.5, _n_blocks(chain), 2) * chain.pitch
+    places = (chain.end if side > 0 else chain.begin) + side * np.array([0.5, 1.5]) * chain.pitch
+    blocks = chain.begin + np.arange(0.5, _n_blocks(chain), 2) * chain.pitch
+    limit = (dark + light) / 2
+    for way in (-chain.thickness, chain.thickness):
+        is_dark = [_levels_at(grey, chain, each, way) < limit for each in (gaps, blocks)]
+        if is_dark[0].all() and not is_dark[1].any():
+            own, other, card = (_levels_at(grey, chain, places[:1], times * way)[0] for times in (0, 1, 2))
+            step = (min(own, card) - other) / (light - dark)
+            is_pair = min(own, card) > limit and step > 2 * _OTHER_ROW
+            return None if is_pair and other > limit else bool(is_pair)  # it may be in glare
+    between, cards = _at_sides(grey, chain, gaps)
+    if np.median(cards) < limit:
+        return None  # on a dark ground, a dark block at an end is not seen
     usual = np.median(between, axis=0)
     is_shown = np.abs(usual).max() > _SHOWN
     box = (np.abs(across) < chain.thickness / 2).astype(float)
     shape = usual if is_shown else box
-    places = (chain.end if side > 0 else chain.begin) + side * np.array([0.5, 1.5]) * chain.pitch
     profiles, beside = _at_sides(grey, chain, places)
     is_light = np.abs(_levels_at(grey, chain, places) - light) < _LEVEL * (light - dark)
     is_on_card = np.abs(beside - cards[-1 if side > 0 else 0]) < _SAME_CARD * (light - dark)
@@ -190,7 +233,7 @@ def _light_block_follows(grey: np.ndarray, chain: Chain, side: int, kinds: tuple
         is_lighter = light - float(np.median(cards)) > max(_SHOWN, -float(usual.min()))
         is_hidden = is_light[0] and beside[0] + _OF_USUAL * (light - float(np.median(cards))) > float(grey.max())
         return None if is_lighter and is_hidden else False
-    if is_seen[1] and abs(float(np.corrcoef(profiles[1], box)[0, 1])) > _IS_SURE:
+    if is_seen[1] and abs(float(np.corrcoef(profiles[1], box)[0, 1])) > _LIKE_BLOCK:
         return None  # so is what is beyond that
     if not is_light[0]:
         return None if alike[0] > _IS_SURE else False  # it may be in a shadow, or in glare
@@ -272,7 +315,7 @@ def _of_profile(
     ends = [_end(places * side, stored, rough[1] if side > 0 else -rough[0]) for side in (-1, 1)]
     if None in ends:
         return None
-    (first, error), (last, other_error) = (end or (0.0, 0.0) for end in ends)
+    (first, error, width), (last, other_error, other_width) = (end or (0.0, 0.0, 0.0) for end in ends)
     inside = (places > 3 - first) & (places < last - 3)
     dark, light = np.percentile(profile[inside], (5, 95), axis=0)
     if light[0] - dark[0] < _LEAST_CONTRAST or not (light > dark).all():
@@ -282,8 +325,10 @@ def _of_profile(
     if len(blocks) < FEWEST or np.abs(blocks / blocks.mean() - 1).max() > max(_EQUAL, 3 / blocks.mean()):
         return None
     if len(changes) < 2:
-        points = np.array([middle - first * axis, middle + last * axis])
-        return Bar(first + last, math.hypot(error, other_error), points), len(blocks)
+        points = np.array([middle - (first - width) * axis, middle + (last - other_width) * axis])
+        length = first + last - width - other_width
+        drawn = _OUTLINE * (width + other_width)  # at both ends alike
+        return Bar(length, math.hypot(error, other_error, 2 * _CHANGE, drawn), points), len(blocks)
     reach = min(0.45 * float(blocks.mean()), _AROUND)
     edges = [_edge(places, profile, change, reach) for change in changes]
     if None in edges:
@@ -327,15 +372,15 @@ def _pitch(edges: Sequence[Edge]) -> tuple[float, float, float]:
     spread = math.sqrt(float(np.linalg.inv(design.T @ design)[1, 1]))
     free = n - design.shape[1]
     away = places - design @ solved
-    stray = math.sqrt(float(away @ away) / free) if free > 1 else 0.0
+    stray = widened(_CHANGES + free) * math.sqrt((_CHANGES * _CHANGE**2 + float(away @ away)) / (_CHANGES + free))
     shift = OF_SHIFT * abs(edges[1].shift - edges[0].shift) if n == 2 else 0.0
-    return float(solved[0]), float(solved[1]), math.hypot(spread * max(stray, _CHANGE), shift)
+    return float(solved[0]), float(solved[1]), math.hypot(spread * stray, shift)
 
 
-def _end(outwards: np.ndarray, profile: np.ndarray, rough: float) -> tuple[float, float] | None:
-    """Return where a profile first differs from the ground beyond an end, by half of what it does there; and the error.
+def _end(outwards: np.ndarray, profile: np.ndarray, rough: float) -> tuple[float, float, float] | None:
+    """Return where a profile first differs from the ground beyond an end, by half of what it does there, and its error.
 
-    What differs first may be an outline, which is thin.
+    What differs first may be an outline, which is thin. Half of its width, which is returned too, is 0 if it is none.
     """
     seen = profile_at(outwards, profile, rough, _BEYOND)
     if seen is None:
@@ -362,4 +407,4 @@ def _end(outwards: np.ndarray, profile: np.ndarray, rough: float) -> tuple[float
     if steep <= 0:
         return None
     width = at - float(outwards[near[peak]]) if len(ends) else 0.0
-    return at, math.hypot(noise / steep, _OUTLINE * width)
+    return at, noise / steep, width

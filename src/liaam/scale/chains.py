@@ -20,12 +20,15 @@ FEWEST = 2
 """Least number of dark blocks."""
 
 _QUANTILES = np.arange(0.02, 0.9, 0.08)  # of the levels, below which pixels are dark
+_EACH = 25.0  # the least contrast of dark and light blocks
 _OPEN = (3, 7)  # sides of openings, which cut the lines of an outline, and corners that touch
 _LEAST = 4.0  # pixels of the shorter side
 _LONGEST = 20.0  # ratio of the sides
 _FILLED = 0.8  # least share of its rectangle that a block fills; corners are rounded by the opening
 _ALIKE = 0.25  # greatest relative difference of the sides of blocks
 _STEP = 0.2  # greatest relative difference of a step along the chain from its length
+_EQUAL = 0.08  # greatest relative difference of the length of dark blocks from the light ones between them
+_BLURRED = 4.0  # pixels that are allowed in any case, but for short blocks
 _STEP_TO_OTHER_ROW = 1.5 * _STEP  # the same from a row to the other: it is half as long, so that errors count for more
 _IN_LINE = 0.3  # greatest distance across a chain from where a block should be, of the thickness
 _SPREAD_OF_ROW = 2.0  # greatest distance across between blocks of a row, of the thickness: the axis is not exact yet
@@ -38,7 +41,7 @@ _SAMPLES = 0.25  # pixels between samples along a bar, whose ends are found to l
 
 
 @dataclass(frozen=True)
-class _Block:
+class Block:
     """A dark rectangle: its middle, its sides, and the direction of the first one."""
 
     middle: np.ndarray
@@ -46,9 +49,9 @@ class _Block:
     across: float
     angle: float
 
-    def turned(self) -> _Block:
+    def turned(self) -> Block:
         """Return it with its sides exchanged."""
-        return _Block(self.middle, self.across, self.along, self.angle + math.pi / 2)
+        return Block(self.middle, self.across, self.along, self.angle + math.pi / 2)
 
 
 @dataclass(frozen=True)
@@ -93,12 +96,21 @@ class Chain:
         return places, levels_at(-self.thickness / 2) - levels_at(self.thickness / 2)
 
 
-def find_chains(grey: np.ndarray) -> list[Chain]:
-    """Return the chains of dark blocks in an image (h, w) of levels from 0 to 255, the longest first."""
+def dark_blocks(grey: np.ndarray, *, by_quantiles: bool = True) -> list[list[Block]]:
+    """Return the dark rectangles in an image (h, w) of levels from 0 to 255, below each of several levels.
+
+    These are quantiles, or are apart by the least contrast of blocks: the blocks of a small bar may all lie between two
+    quantiles.
+    """
+    levels = np.quantile(grey, _QUANTILES) if by_quantiles else np.arange(_EACH, 255.0, _EACH)
+    return [_blocks(grey < level, side) for level in levels.tolist() for side in _OPEN]
+
+
+def find_chains(dark: Sequence[Sequence[Block]]) -> list[Chain]:
+    """Return the chains of dark blocks, of which each list is looked at alone, the longest first."""
     found: list[Chain] = []
-    for level in np.quantile(grey, _QUANTILES).tolist():
-        for side in _OPEN:
-            found.extend(sorted(_chains(_blocks(grey < level, side)), key=_length, reverse=True)[:_MOST_CHAINS])
+    for blocks in dark:
+        found.extend(sorted(_chains(blocks), key=_length, reverse=True)[:_MOST_CHAINS])
     return _different(found)
 
 
@@ -123,7 +135,7 @@ def _ends(chain: Chain) -> np.ndarray:
     return np.array([chain.middle + chain.begin * chain.axis, chain.middle + chain.end * chain.axis])
 
 
-def _blocks(dark: np.ndarray, side: int) -> list[_Block]:
+def _blocks(dark: np.ndarray, side: int) -> list[Block]:
     """Return the solid rectangles of a mask, once it is opened by a disc."""
     disc = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (side, side))
     opened = cv2.morphologyEx(dark.astype(np.uint8), cv2.MORPH_OPEN, disc)
@@ -137,11 +149,11 @@ def _blocks(dark: np.ndarray, side: int) -> list[_Block]:
         sides = (width + 1, height + 1)
         is_block = min(sides) >= _LEAST and max(sides) < _LONGEST * min(sides)
         if is_block and area > _FILLED * width * height:
-            blocks.append(_Block(np.array([x, y]), *sides, math.radians(angle)))
+            blocks.append(Block(np.array([x, y]), *sides, math.radians(angle)))
     return sorted(blocks, key=lambda block: -block.along * block.across)[:_MOST_DARK]
 
 
-def _chains(blocks: Sequence[_Block]) -> Iterator[Chain]:
+def _chains(blocks: Sequence[Block]) -> Iterator[Chain]:
     """Yield the chains that blocks make: each leads to the next one, two lengths on, or to the other row, one on.
 
     Either side of a block may be along the chain, so that each is tried both ways.
@@ -157,7 +169,7 @@ def _chains(blocks: Sequence[_Block]) -> Iterator[Chain]:
                 yield chain
 
 
-def _links(blocks: Sequence[_Block]) -> tuple[np.ndarray, np.ndarray]:
+def _links(blocks: Sequence[Block]) -> tuple[np.ndarray, np.ndarray]:
     """Return which of k blocks are beside each other in one row, and which in two, (k, k) bool each."""
     middles = np.array([block.middle for block in blocks])
     along = np.array([block.along for block in blocks])
@@ -197,7 +209,7 @@ def _groups(links: np.ndarray) -> list[np.ndarray]:
     return [np.flatnonzero(labels == label) for label in np.flatnonzero(sizes >= FEWEST)]
 
 
-def _chain(blocks: Sequence[_Block], rows: int) -> Chain | None:
+def _chain(blocks: Sequence[Block], rows: int) -> Chain | None:
     """Return the chain of blocks, or None if they are not at even steps on one line, or on two."""
     middles = np.array([block.middle for block in blocks])
     first = blocks[0].angle
@@ -213,7 +225,7 @@ def _chain(blocks: Sequence[_Block], rows: int) -> Chain | None:
         return None  # two blocks are at one place, or one is missing
     step, start = np.polyfit(numbers, along, 1)
     pitch = float(step / blocks_per_step)
-    if np.abs(along - start - step * numbers).max() > _STEP * pitch or abs(pitch / length - 1) > _STEP:
+    if np.abs(along - start - step * numbers).max() > _STEP * pitch or abs(pitch - length) > _uneven(pitch):
         return None
     normal = np.array([-axis[1], axis[0]])
     across = (middles - centre) @ normal
@@ -232,6 +244,11 @@ def _chain(blocks: Sequence[_Block], rows: int) -> Chain | None:
         thickness=thickness,
         rows=rows,
     )
+
+
+def _uneven(pitch: float) -> float:
+    """Return by how many pixels the length of dark blocks may differ from their pitch: blur changes it by a few."""
+    return max(_EQUAL * pitch, min(_STEP * pitch, _BLURRED))
 
 
 def _line_of_row(along: np.ndarray, across: np.ndarray) -> tuple[float, float]:

@@ -15,30 +15,44 @@ from liaam.scale.lengths import Length
 
 DECIMAL = (5, 10, 20)
 BINARY = (4, 8, 16, 32)
-"""From one longer tick to the next on scales of millimetres or tenths, and of inches. On both, every second may be."""
+"""From one longest tick to the next on scales of millimetres or tenths, and of inches."""
 
-_TEETH = (
-    0.35,
-    3.0,
-)  # least width of teeth and threads, of their period, and least length: ticks are thin, blocks short
+MARKS = {
+    5: (5,),
+    10: (5, 10),
+    20: (2, 10, 20),  # of half millimetres
+    **{step: tuple(2**i for i in range(1, step.bit_length())) for step in BINARY},
+}
+"""From one longer tick to the next, from the shorter ones to the longest, by the last of these."""
+
+_WIDE = (0.35, 2.0)  # least width of teeth and threads, of their period, and least length: blocks are short
+_THIN = (0.27, 4.5)  # the same of thin teeth: ticks that are all alike are not so long
+_BLURRED = (10.0, 3.0)  # pixels of a period that is short, whose blurred ticks look wide, and the least length there
 _PHASES = 16  # of a period at which ticks are looked at
 _REACH = (30.0, 160.0)  # least and greatest distance from the ticks' middle that is looked at, pixels
 _OF_PERIOD = 8.0  # and usually, of the period
 _ON = np.array([-0.12, 0.0, 0.12])  # where ticks are, of the period
 _OFF = np.array([-0.5, -0.4, 0.4, 0.5])  # and where there are none
 _PRESENT = 0.5  # least contrast of a tick, of the usual one
-_FEWEST = 3  # longer ticks
-_OF_LONG = 0.75  # least share of longer ticks, and greatest of the others, that reach a distance
-_OF_OTHERS = 0.2
-_OF_BETWEEN = 0.4  # and greatest of the few in the middle between them
-_CLEAR = 5.0  # least difference of these shares, in standard errors
-_AS_CLEAR = 0.8  # least of that of the clearest step. Every second one of its ticks has 0.7 of it
+_FEWEST_LONGEST = 2  # ticks
+_FEWEST_LONGER = {5: 4, 10: 3}  # longer ticks of all lengths: few lengths are more often there by chance than many
+_SCATTERS = 4.0  # greatest difference of ticks of one length from the usual one, of the median difference
+_ALIKE = 0.1  # and at most, of the length
+_LEAST_ALIKE = 1.0  # pixels that are allowed in any case
+_LONGER = 0.1  # least relative difference of longer ticks
+_APART = 1.5  # and the least, of the greatest difference of ticks of one length
+_USUAL = 0.75  # least share of ticks that are of the length of their rank: others are covered, or touch numbers
+_TOO_LONG = 0.1  # greatest share of ticks that are longer than their rank's
+_USUAL_OF_RANK = 0.6  # and of those of each rank
+_FEWEST = 3  # heavy lines
+_OF_LONG = 0.75  # least share of heavy lines that are so much heavier, and of halves that are there
+_CLEAR = 5.0  # least difference of their weights, in standard errors
 _HEAVIER = 1.25  # least weight of a heavy line, of the usual one
 _PARTS = 5  # of the distances across ticks that are looked at: lines go on in each, and ticks do not
 _ROWS = 3  # at so many distances in turn
 
 
-def longest_ticks(grey: np.ndarray, ends: np.ndarray, n_ticks: int) -> int:
+def longest_ticks(grey: np.ndarray, ends: np.ndarray, n_ticks: int, wanted: int = 0) -> int:
     """Return from which tick to which one the longest ticks of a ruler are, such as 10; 0 if none clearly are longer.
 
     Parameters
@@ -47,18 +61,73 @@ def longest_ticks(grey: np.ndarray, ends: np.ndarray, n_ticks: int) -> int:
     ends : (2, 2) float64
         x and y of the first and the last tick, pixels.
     n_ticks : int
+    wanted : int
+        What is expected, see :func:`expected`. Of inches, one longest tick is then enough, if the others are as long as
+        they should be.
     """
-    contrast = _contrasts(grey, ends, n_ticks)
-    usual = _usual(contrast)
-    if usual == 0:
-        return 0
-    is_there = _as_far(contrast / usual > _PRESENT)
-    clearness = {step: _clearness(is_there, step) for step in (*DECIMAL, *BINARY)}
-    best = max(clearness, key=lambda step: clearness[step])
-    if clearness[best] < _CLEAR:
-        return 0
-    family = DECIMAL if best in DECIMAL else BINARY
-    return max(step for step in family if clearness[step] >= max(_CLEAR, _AS_CLEAR * clearness[best]))
+    half = (ends[1] - ends[0]) / (n_ticks - 1) / 2
+    # Where a period is short and blurred, what is measured may be the gaps between the ticks.
+    for first, last, n in ((ends[0], ends[1], n_ticks), (ends[0] + half, ends[1] - half, n_ticks - 1)):
+        contrast = _contrasts(grey, np.array([first, last]), n)
+        usual = _usual(contrast)
+        if usual != 0:
+            lengths = _lengths(contrast / usual > _PRESENT)
+            steps = [step for step in MARKS if any(_is_shown(each, step, step == wanted) for each in lengths)]
+            if steps:
+                return max(steps)
+    return 0
+
+
+def _lengths(is_there: np.ndarray) -> list[np.ndarray]:
+    """Return how far ticks go on from their middle (n_ticks,) to one side, to the other one, and in all, pixels.
+
+    At one side they begin at the edge of a ruler. If that is not quite level, lengths in all are.
+    """
+    middle = len(is_there) // 2
+    as_far = _as_far(is_there)
+    before = as_far[:middle].sum(axis=0).astype(float)
+    after = as_far[middle:].sum(axis=0).astype(float)
+    return [before, after, before + after]
+
+
+def _is_shown(lengths: np.ndarray, step: int, is_wanted: bool) -> bool:
+    """Whether ticks are as long (n_ticks,) as those of a scale whose longest ones are a step apart.
+
+    Ticks of one rank are of one length, but for a few, which may be covered, and those of a higher rank are longer.
+    """
+    n = len(lengths)
+    is_there = lengths > 0
+    lengths = _level(lengths, step)
+    firsts = [float(np.median(lengths[first::step])) for first in range(min(step, n))]
+    place = np.arange(n) - int(np.argmax(firsts))
+    ranks = np.sum([place % mark == 0 for mark in MARKS[step]], axis=0)
+    of_rank = [lengths[(ranks == rank) & is_there] for rank in range(len(MARKS[step]) + 1)]
+    if min(len(each) for each in of_rank) == 0:
+        return False
+    usual = np.array([np.median(each) for each in of_rank])
+    away = np.abs(lengths - usual[ranks])
+    same = np.clip(_SCATTERS * float(np.median(away)), _LEAST_ALIKE, np.maximum(_ALIKE * usual, _LEAST_ALIKE))
+    is_usual = away <= same[ranks]
+    if (~is_usual & (lengths > usual[ranks])).mean() > _TOO_LONG:
+        return False
+    if is_usual.mean() < _USUAL or min(is_usual[ranks == rank].mean() for rank in range(len(usual))) < _USUAL_OF_RANK:
+        return False
+    more = np.diff(usual)
+    is_more = more > np.maximum(_LONGER * usual[:-1], _APART * same[:-1])
+    if step in _FEWEST_LONGER:  # halves of a centimetre may be as long as millimetres
+        is_longer = usual > usual[0] + max(_LONGER * usual[0], _APART * same[0])
+        n_longer = sum(len(each) for each, counts in zip(of_rank, is_longer, strict=True) if counts)
+        is_in_order = bool(is_more[-1] and more[0] > -same[0])
+        return is_in_order and len(of_rank[-1]) >= _FEWEST_LONGEST and n_longer >= _FEWEST_LONGER[step]
+    is_enough = len(of_rank[-1]) >= _FEWEST_LONGEST or (is_wanted and step in BINARY)
+    return bool(is_more.all()) and is_enough
+
+
+def _level(lengths: np.ndarray, step: int) -> np.ndarray:
+    """Return lengths (n_ticks,) without the even change that an edge has which is not quite level."""
+    n = len(lengths)
+    slope = float(np.median(lengths[step:] - lengths[:-step])) / step if n > step else 0.0
+    return lengths - slope * (np.arange(n) - (n - 1) / 2)
 
 
 def heaviest_lines(grey: np.ndarray, ends: np.ndarray, n_ticks: int) -> int:
@@ -139,7 +208,10 @@ def are_teeth(grey: np.ndarray, ends: np.ndarray, n_ticks: int) -> bool:
     inward = usual if abs(usual[_PHASES // 2] - usual.min()) > abs(usual[_PHASES // 2] - usual.max()) else -usual
     width = float(np.mean(inward - inward.min() > 0.5 * span))
     period = float(np.hypot(*(ends[1] - ends[0]))) / (n_ticks - 1)
-    return width > _TEETH[0] and length > _TEETH[1] * period
+    of_wide = _BLURRED[1] if period < _BLURRED[0] else _WIDE[1]
+    is_wide = width > _WIDE[0] and length > of_wide * period
+    is_thin = width > _THIN[0] and length > _THIN[1] * period
+    return is_wide or (is_thin and not goes_on(grey, ends, n_ticks))
 
 
 def _contrasts(grey: np.ndarray, ends: np.ndarray, n_ticks: int) -> np.ndarray:
@@ -167,33 +239,6 @@ def _sampled(grey: np.ndarray, ends: np.ndarray, n_ticks: int, phases: np.ndarra
     shape = (len(across), along.size)
     values = cv2.remap(grey, x.reshape(shape), y.reshape(shape), cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
     return cv2.blur(values, (1, 3)).reshape(len(across), n_ticks, len(phases))
-
-
-def _clearness(is_there: np.ndarray, step: int) -> float:
-    """Return by how many standard errors every step-th tick is there more often than others, at several distances.
-
-    On decimal scales, those in the middle between them are not there, or the step would be half as long. On binary
-    ones, they may be little shorter.
-    """
-    n = is_there.shape[1]
-    best = 0.0
-    for first in range(step):
-        is_long = np.arange(n) % step == first
-        n_long = int(is_long.sum())
-        if n_long < _FEWEST or n_long == n:
-            continue
-        of_long = is_there[:, is_long].mean(axis=1)
-        of_others = is_there[:, ~is_long].mean(axis=1)
-        share = np.clip(is_there.mean(axis=1), 0.5 / n, 1 - 0.5 / n)
-        errors = np.sqrt(share * (1 - share) * (1 / n_long + 1 / (n - n_long)))
-        is_between = 2 * ((np.arange(n) - first) % step) == step
-        is_counted = step in DECIMAL and bool(is_between.any())
-        of_between = is_there[:, is_between].mean(axis=1) if is_counted else np.zeros(len(is_there))
-        is_clear = (of_long >= _OF_LONG) & (of_others <= _OF_OTHERS) & (of_between <= _OF_BETWEEN)
-        clear = np.where(is_clear, (of_long - of_others) / errors, 0.0)
-        in_turn = np.lib.stride_tricks.sliding_window_view(clear, _ROWS).min(axis=1)
-        best = max(best, float(in_turn.max()))
-    return best
 
 
 def expected(tick: Length | None) -> int:

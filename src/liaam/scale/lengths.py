@@ -116,6 +116,13 @@ def parse_length(text: str) -> Length:
     raise LiaamError(f"length '{text[:60]}': give a positive number and its unit, such as 0.0031 mm (units: {units})")
 
 
+def widened(free: float) -> float:
+    """Return by what to multiply a standard error of so many degrees of freedom: 95 % are then within 1.96 of it."""
+    from scipy.special import ndtri, stdtrit
+
+    return float(stdtrit(free, 0.975) / ndtri(0.975))
+
+
 def unlike(lengths: Sequence[float]) -> np.ndarray:
     """Return which lengths of a pixel, of one unit, are unlike the others of a batch.
 

@@ -20,7 +20,8 @@ import numpy as np
 from liaam.errors import LiaamError
 from liaam.formatting import short_repr
 from liaam.scale.hierarchy import are_teeth, expected, goes_on, has_halves, heaviest_lines, longest_ticks, may_be
-from liaam.scale.lengths import Length
+from liaam.scale.lengths import Length, widened
+from liaam.scale.strips import find_strips
 
 TILES = (96, 192, 384)
 """Sides of tiles in pixels. The longest period that is found is a sixth of the largest, the shortest 4 pixels."""
@@ -56,11 +57,9 @@ _PRESENT = 0.35  # least strength of a tick, of the stronger ones
 _MOST_LACKING = 0.1  # greatest share of ticks that are not there
 _MOST_TURNS = 8  # times that the direction is refined
 _LEVEL = 2e-3  # radians by which it then may still change
-_SHARED = 0.012
-"""Standard error in pixels of either end of a ruler that neighbouring ticks share, by the ground and the resampling.
-
-On generated rulers errors are larger than the scatter of the ticks alone suggests, by about this: with it, 95 % are
-within 1.96 standard errors."""
+_SHARED = 0.006
+"""Standard error in pixels of either end of a ruler that all its ticks share, by the resampling."""
+_IN_TURN = 6  # the errors of ticks that are up to this part of a ruler apart may go together
 _STRAY = 0.05  # greatest root mean square distance of ticks from their places, of the period
 _STRAY_TICKS = (0.2, 0.015)
 """And the greatest in pixels, or of the period if that is more, by perspective. That of rulers is about 0.1 pixels."""
@@ -141,13 +140,17 @@ def find_ruler(image: np.ndarray, tick: Length | None = None) -> Ruler:
         given; the message says what to do.
     """
     grey, factor = _reduced(_grey(image))
+    wanted = expected(tick)
     found: list[Ruler] = []
     for zoom in _ZOOMS:
         for ruler in _rulers_in(grey, zoom):
             if not any(_are_one(ruler, other) for other in found):
-                found.append(replace(ruler, longest=longest_ticks(grey, ruler.ends, ruler.n_ticks)))
-        if any(ruler.longest for ruler in found) and not (zoom == 1 and _is_tenth(tick)):
+                found.append(replace(ruler, longest=longest_ticks(grey, ruler.ends, ruler.n_ticks, wanted)))
+        is_found = any(ruler.longest and may_be(ruler.longest, wanted) for ruler in found)
+        if is_found and not (zoom == 1 and _is_tenth(tick)):
             break
+    else:
+        found.extend(_along_edges(grey, found, wanted))
     found = [_enlarged(ruler, 1 / factor) for ruler in found]
     marked = [ruler for ruler in found if ruler.longest]
     if marked:
@@ -155,11 +158,24 @@ def find_ruler(image: np.ndarray, tick: Length | None = None) -> Ruler:
     alike = _only([ruler for ruler in found if ruler.n_ticks >= FEWEST_ALIKE])
     if are_teeth(grey, _enlarged(alike, factor).ends, alike.n_ticks):
         raise LiaamError(_NOT_FOUND)
-    wanted = expected(tick)
     rows = [ruler for ruler in found if abs(ruler.period / alike.period - 1) < _SAME]
     if wanted and _are_lines(grey, [_enlarged(row, factor) for row in rows], wanted):
         raise LiaamError(_WITHOUT_HEAVY.format(alike.period, wanted, tick))
     return alike
+
+
+def _along_edges(grey: np.ndarray, found: Sequence[Ruler], wanted: int) -> list[Ruler]:
+    """Return further rulers along straight edges, whose longer ticks are as expected."""
+    further: list[Ruler] = []
+    for strip in find_strips(grey)[:_MOST_TILES]:
+        proposal = _Proposal(strip.centre, strip.angle, strip.period)
+        if any(_is_on(proposal, ruler) for ruler in (*found, *further)):
+            continue
+        ruler = _refined(grey, proposal)
+        longest = longest_ticks(grey, ruler.ends, ruler.n_ticks, wanted) if ruler is not None else 0
+        if ruler is not None and longest and may_be(longest, wanted):
+            further.append(replace(ruler, longest=longest))
+    return further
 
 
 def _with_halves(grey: np.ndarray, factor: float, ruler: Ruler, tick: Length | None) -> Ruler:
@@ -645,9 +661,24 @@ def _fitted(numbers: np.ndarray, places: np.ndarray, period: float) -> tuple[np.
     pixels, share = _STRAY_TICKS
     if stray > min(_STRAY * period, max(pixels, share * period)):
         return None
-    spread = math.sqrt(float(np.square(numbers - numbers.mean()).sum()))
     shared = math.sqrt(2) * _SHARED / float(np.ptp(numbers))
-    return numbers, places, math.hypot(stray / spread, shared)
+    return numbers, places, math.hypot(_slope_error(numbers, away), shared)
+
+
+def _slope_error(numbers: np.ndarray, away: np.ndarray) -> float:
+    """Return the standard error of the slope of a line, from the distances (n,) of ticks from it.
+
+    The errors of neighbouring ticks are not independent: those by the ground below them or by perspective go together,
+    and those by the pixels alternate. The estimate is that of Newey and West, Econometrica 55 (1987), p. 703, with 1.5
+    degrees of freedom for each part of the ruler within which errors may go together.
+    """
+    n = len(numbers)
+    centred = numbers - numbers.mean()
+    pulls = centred * away
+    most = max(n // _IN_TURN, 1)
+    together = sum((1 - lag / (most + 1)) * float(pulls[lag:] @ pulls[:-lag]) for lag in range(1, most + 1))
+    variance = (float(pulls @ pulls) + 2 * together) * n / (n - 2)
+    return widened(1.5 * _IN_TURN) * math.sqrt(max(variance, 0.0)) / float(centred @ centred)
 
 
 def _is_on(proposal: _Proposal, ruler: Ruler) -> bool:
