@@ -37,8 +37,8 @@ OUTLIERS = 0.3  # Density of gradients of present parts that the model does not 
 HALF_ABSENT = 0.17
 STEEPNESS = 20.0
 # An absent part that the windows do not see surrounds a landmark with this share, and has at most this share of the
-# object. A larger part contains landmarks whose windows can tell; where these call all present, as in pictures of a kind
-# that the model does not know, the segmentation is wrong.
+# object. A larger part contains landmarks whose windows can tell. Where these call all present, as in pictures of a
+# kind that the model does not know, the segmentation is wrong.
 SURELY_ABSENT = 0.6
 SMALL_PART = 0.05
 
