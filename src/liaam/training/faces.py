@@ -43,12 +43,16 @@ def face_lamps(entries: Sequence[Entry], mean: np.ndarray, camera: CameraModel) 
     mean = unit_shape(mean)
     shapes = []
     qualities = []
-    for i in np.unique(np.linspace(0, len(entries) - 1, MOST).astype(int)):
+    tried = np.unique(np.linspace(0, len(entries) - 1, MOST).astype(int))
+    for i in tried:
         points = entries[i].points
         box = np.concatenate([points.min(axis=0), points.max(axis=0)])
         fit = fitter.fit(entries[i].read_image(), box, entries[i].name)
         shapes.append(align(points, mean)(fit.landmarks))
         qualities.append(fit.quality)
+        n_low = sum(not quality >= LEAST_QUALITY for quality in qualities)  # also those that have none
+        if n_low > len(tried) / 2:
+            return None  # whatever the others have, the median is less
     middle = np.median(shapes, axis=0)
     apart = np.linalg.norm(shapes - middle, axis=2).mean(axis=1)
     if not (np.median(apart) <= AGREEMENT and np.median(qualities) >= LEAST_QUALITY):
