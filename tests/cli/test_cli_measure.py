@@ -239,6 +239,21 @@ def test_object_symmetry_takes_pairs_from_names_and_errors_from_fits(run, tmp_pa
     assert code == 0 and json.loads((tmp_path / "t_asymmetry.json").read_text())["twins"] == [2, 1, 3, 4, 5, 6]
 
 
+def test_a_stated_error_beyond_the_differences_between_sides_is_reported(run, tmp_path, rng):
+    folder = tmp_path / "fits"
+    folder.mkdir()
+    for name, marks in faces(rng).items():
+        facts = {"status": "converged", "covariance": np.tile([25.0, 0, 25.0], (6, 1)), "landmark_names": FACE_NAMES}
+        write_fit(folder / name.replace(".png", ".json"), marks, facts, (300, 300))
+    given = ("measure", folder, "-o", tmp_path / "t.csv", "--symmetry", "object", "--permutations", 99)
+    code, out, err = run(*given)
+    assert code == 0 and "taken as independent on both sides" in out
+    told = " ".join(err.split())
+    assert told.startswith("the stated error exceeds the differences between the sides (F = 0.")
+    assert "photograph or digitise each side twice" in told
+    assert json.loads((tmp_path / "t_asymmetry.json").read_text())["error_exceeds_differences"] is True
+
+
 def test_object_symmetry_takes_pairs_from_the_studios_template(run, tmp_path, rng):
     folder = tmp_path / "project"
     folder.mkdir()

@@ -88,11 +88,11 @@ def test_landmarks_of_a_scale_bar_are_no_part_of_the_shape(rng) -> None:
         asymmetry(specimens, table, "object", pairs="1-8,2-3", permutations=0)
 
 
-def wings(rng: np.random.Generator, n: int, deviation: float, **facts) -> list[Specimen]:
-    """Give left and right wings that differ by errors of a standard deviation only."""
+def wings(rng: np.random.Generator, n: int, deviation: float, common: float = 0, **facts) -> list[Specimen]:
+    """Give left and right wings that differ by errors of a standard deviation only, and have other errors in common."""
     found = []
     for i in range(n):
-        own = MEAN * [1, 0.6] + [0.4, 0.2] * MEAN[::-1] + rng.normal(0, 3, (6, 2))
+        own = MEAN * [1, 0.6] + [0.4, 0.2] * MEAN[::-1] + rng.normal(0, 3, (6, 2)) + rng.normal(0, common, (6, 2))
         for side, sign in (("left", -1), ("right", 1)):
             points = (own + rng.normal(0, deviation, (6, 2))) * [sign, 1] + 500
             found.append(Specimen(f"fly{i}_{side}", points, **facts))
@@ -111,6 +111,28 @@ def test_errors_of_fits_are_the_error_term_without_replicates(rng) -> None:
     larger = analysed(wings(rng, 40, 2.0, covariances=covariances), "matching", permutations=99)
     assert larger.analysis.shape_anova["F"][2] == pytest.approx(4, rel=0.3)
     assert larger.analysis.shape_anova["P"][2] == pytest.approx(0.01)
+
+
+def test_errors_that_both_sides_have_in_common_are_reported(rng) -> None:
+    covariances = np.tile(np.eye(2), (6, 1, 1))
+    alike = analysed(wings(rng, 20, 0.6, 0.8, covariances=covariances), "matching", permutations=99)
+    assert alike.analysis.shape_anova["F"][2] == pytest.approx(0.36, rel=0.3)
+    assert alike.analysis.shape_anova["P"][2] == 1
+    assert alike.error_exceeds_differences and alike.to_dict()["error_exceeds_differences"] is True
+    assert alike.drawing()["error_label"].startswith("by the stated error, which is alike on both\nsides or too large")
+    independent = analysed(wings(rng, 20, 1.0, covariances=covariances), "matching", permutations=99)
+    assert not independent.error_exceeds_differences
+    assert independent.drawing()["error_label"] == "by the stated error, if independent on both sides"
+
+
+def test_replicates_and_too_few_permutations_say_nothing_of_the_stated_error(rng) -> None:
+    replicated = analysed(faces(rng, 6, records=2), "object", by="_", permutations=99)
+    assert not replicated.error_exceeds_differences
+    assert replicated.drawing()["error_label"] == "by error alone"
+    fitted = wings(rng, 20, 0.1, covariances=np.tile(np.eye(2), (6, 1, 1)))
+    assert not analysed(fitted, "matching", permutations=0).error_exceeds_differences
+    assert not analysed(fitted, "matching", permutations=38).error_exceeds_differences
+    assert analysed(fitted, "matching", permutations=39).error_exceeds_differences
 
 
 def test_estimated_landmarks_do_not_count_in_the_error_term(rng) -> None:

@@ -20,6 +20,7 @@ from liaam.io.files import count_of, real_path, some_names
 from liaam.io.landmarks.formats import KNOWN_FILES
 from liaam.io.landmarks.reading import Reading
 from liaam.morphometry.asymmetry import MATCHING
+from liaam.morphometry.symmetry import INTERACTION
 from liaam.morphometry.table import scales_in, sizes_in, unit_of_table
 from liaam.scale.choice import TRAINING
 from liaam.scale.lengths import UNITS, Length, unlike
@@ -228,6 +229,7 @@ def measure(
         say(reflected)
     if asymmetry is not None:
         _write_asymmetry(asymmetry, output)
+        _complain_of_error(asymmetry)
     if variation is not None:
         _write_variation(variation, output)
     if agreement is not None:
@@ -407,10 +409,23 @@ def _about_error(asymmetry: "AsymmetryResult") -> str:
         what = "side" if analysis.kind == MATCHING else "individual"
         return f"error: from {asymmetry.replicates} replicates of each {what}{without}"
     if analysis.error == "covariances":
-        return f"error: expected from the covariances of the fitted landmarks, as there are no replicates{without}"
+        stated = f"error: expected from the covariances of the fitted landmarks, as there are no replicates{without}"
+        return f"{stated}; taken as independent on both sides"
     return (
         "error: unknown, so that fluctuating asymmetry is not tested, and includes it; digitise twice, and give "
         "--replicates"
+    )
+
+
+def _complain_of_error(asymmetry: "AsymmetryResult") -> None:
+    """Say that fluctuating asymmetry is not tested if the error that is stated exceeds what the sides differ by."""
+    if not asymmetry.error_exceeds_differences:
+        return
+    ratio = asymmetry.analysis.shape_anova["F"][INTERACTION]
+    complain(
+        f"the stated error exceeds the differences between the sides (F = {ratio:.2g} of individual x side, where "
+        "independent error makes about 1), so the errors of both sides are alike, or smaller than stated. Fluctuating "
+        "asymmetry is not tested by this: photograph or digitise each side twice, and give --replicates"
     )
 
 

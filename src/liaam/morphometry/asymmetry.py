@@ -19,7 +19,15 @@ from liaam.model.shape import align
 from liaam.morphometry.pairs import checked_twins, parse_pairs
 from liaam.morphometry.sides import are_unreflected, object_name, refuse_uneven, structure_name
 from liaam.morphometry.specimens import Specimen
-from liaam.morphometry.symmetry import ERROR, FEWEST, PERMUTATIONS, Asymmetry, matching_asymmetry, object_asymmetry
+from liaam.morphometry.symmetry import (
+    ERROR,
+    FEWEST,
+    INTERACTION,
+    PERMUTATIONS,
+    Asymmetry,
+    matching_asymmetry,
+    object_asymmetry,
+)
 from liaam.morphometry.table import comparable, size_column
 from liaam.progress import Progress
 from liaam.tables import Columns
@@ -29,6 +37,9 @@ MATCHING = "matching"
 KINDS = (OBJECT, MATCHING)
 
 _SHOWN = 3  # individuals that a message describes
+
+_TOO_SMALL = 0.025
+"""Probability of so small an interaction by the covariances below which they exceed what the sides differ by."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -69,6 +80,20 @@ class AsymmetryResult:
     n_estimated: int = 0
 
     __repr__ = short_repr
+
+    @property
+    def error_exceeds_differences(self) -> bool:
+        """Whether the sides differ less than the covariances state, if errors of the two sides were independent.
+
+        Then errors of both sides are alike, or the covariances too large, and fluctuating asymmetry cannot be tested
+        by them: what counts is the part of the error by which the sides differ, which is unknown. It is so if fewer
+        than one in 40 sets of random errors have as small an interaction.
+        """
+        if self.analysis.error != "covariances":
+            return False
+        # P counts those as large, and the observed one, which counts on both sides.
+        as_small = 1 - self.analysis.shape_anova["P"][INTERACTION] + 1 / (self.permutations + 1)
+        return bool(as_small <= _TOO_SMALL)
 
     def anova(self) -> Columns:
         """Return the analyses of variance as a table: rows of shape, and of centroid size for matching symmetry."""
@@ -122,6 +147,7 @@ class AsymmetryResult:
             "landmarks": list(self.landmarks),
             "twins": list(self.twins) if analysis.kind == OBJECT else None,
             "error_term": analysis.error or None,
+            "error_exceeds_differences": self.error_exceeds_differences,
             "without_estimated": self.n_estimated,
             "permutations": self.permutations,
             "seed": self.seed,
@@ -152,6 +178,7 @@ class AsymmetryResult:
             "names": self.individuals,
             "sides": self.sides,
             "error": self._distance_by_error(),
+            "error_label": self._error_label(),
             "numbers": self.landmarks,
             "lines": [[place[index] for index in line if index in place] for line in lines],
         }
@@ -162,6 +189,14 @@ class AsymmetryResult:
         For object symmetry this takes half of the error as asymmetric.
         """
         return math.sqrt(2 * self.analysis.shape_anova["MS"][ERROR] / self.replicates)
+
+    def _error_label(self) -> str:
+        """What the figure calls the distance by the error."""
+        if self.analysis.error != "covariances":
+            return "by error alone"
+        if self.error_exceeds_differences:
+            return "by the stated error, which is alike on both\nsides or too large, so that it tests nothing"
+        return "by the stated error, if independent on both sides"
 
 
 def _rows(columns: Columns) -> list[dict[str, Any]]:

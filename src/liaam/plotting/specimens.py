@@ -63,6 +63,7 @@ def figure_of_asymmetry(
     error: float = np.nan,
     numbers: Sequence[int] = (),
     lines: Sequence[Sequence[int]] = (),
+    error_label: str = "by error alone",
 ) -> "Figure":
     """Draw directional and fluctuating asymmetry at the landmarks, and the fluctuating asymmetry of each individual.
 
@@ -86,6 +87,8 @@ def figure_of_asymmetry(
         Numbers of the landmarks; from 1 by default.
     lines : sequence of sequence of int
         Landmarks along lines, by their place.
+    error_label : str
+        What the legend calls that distance.
 
     Returns
     -------
@@ -109,8 +112,8 @@ def figure_of_asymmetry(
     order = np.argsort(distances)
     axis.plot(distances[order], "o", color=INK, ms=5)
     if np.isfinite(error):
-        axis.axhline(error, color="0.5", ls="--", lw=1, label="by error alone")
-        axis.legend(frameon=False, loc="lower right")
+        axis.axhline(error, color="0.5", ls="--", lw=1, label=error_label)
+        axis.legend(frameon=False, loc="lower right", fontsize=8)
     if len(names) <= MOST_NAMED:
         axis.set_xticks(range(len(names)), [names[i] for i in order], rotation=90, fontsize=7, parse_math=False)
     else:
