@@ -272,6 +272,23 @@ def test_object_symmetry_takes_pairs_from_the_studios_template(run, tmp_path, rn
     assert json.loads((tmp_path / "t_asymmetry.json").read_text())["twins"] == [2, 1, 4, 3, 5, 6]
 
 
+def test_estimates_of_fits_are_named_in_tables_of_asymmetry(run, tmp_path, rng):
+    folder = tmp_path / "fits"
+    folder.mkdir()
+    for i, (name, marks) in enumerate(faces(rng).items()):
+        facts = {"status": "converged", "covariance": np.tile([0.09, 0, 0.09], (6, 1)), "landmark_names": FACE_NAMES}
+        facts["present"] = [0.1 if i == 2 else 1.0, *[1.0] * 5]
+        write_fit(folder / name.replace(".png", ".json"), marks, facts, (300, 300))
+    given = ("measure", folder, "-o", tmp_path / "t.csv", "--symmetry", "object", "--permutations", 9)
+    code, out, err = run(*given, "--plot", tmp_path / "t.png")
+    assert code == 0 and "without 1 record with estimated landmarks" in out
+    told = " ".join(err.split())
+    assert "1 of 6 individuals have estimated landmarks" in told and "their asymmetry: face2; see" in told
+    assert "1 specimen with estimated landmarks (see 'estimated'): face2" in told
+    table = pd.read_csv(tmp_path / "t_asymmetry.csv").set_index("individual")
+    assert table["estimated"].dropna().to_dict() == {"face2": FACE_NAMES[0]}
+
+
 def test_missing_landmarks_are_estimated_and_named(run, tmp_path, rng):
     marks = faces(rng)
     points = marks["face2.png"].points.copy()
@@ -280,7 +297,7 @@ def test_missing_landmarks_are_estimated_and_named(run, tmp_path, rng):
     write_collection(tmp_path / "all.csv", marks)
     given = ("measure", tmp_path / "all.csv", "distance:left_jaw,right_jaw", "-o", tmp_path / "t.csv")
     code, _, err = run(*given)
-    assert code == 0 and "1 of 6 have no shape" in err
+    assert code == 0 and err == "1 of 6 have no shape, because landmarks are missing: face2\n"
     for method in ("tps", "regression"):
         code, _, err = run(*given, "--estimate", method)
         assert (code, err) == (0, "1 specimen with estimated landmarks (see 'estimated'): face2\n")

@@ -20,6 +20,7 @@ from liaam.morphometry import (
     read_specimens,
 )
 from liaam.morphometry.symmetry import ERROR
+from liaam.plotting.specimens import figure_of_asymmetry
 
 MEAN = np.array([[-30.0, 20], [30, 20], [-40, -25], [40, -25], [0, 45], [0, -50]])
 NAMES = ("left_eye", "right_eye", "left_jaw", "right_jaw", "top", "chin")
@@ -143,10 +144,30 @@ def test_estimated_landmarks_do_not_count_in_the_error_term(rng) -> None:
     some = [*fitted[:3], replace(fitted[3], covariances=covariances, estimated=(2,)), *fitted[4:]]
     found = analysed(some, "matching", permutations=20)
     assert found.analysis.error == "covariances" and found.n_estimated == 1
+    assert found.indices()["estimated"] == ["", "3", *[""] * 8]
+    assert found.to_dict()["indices"][1]["estimated"] == "3"
+    assert "estimated" not in analysed(fitted, "matching").indices()
+    by_fit = [*fitted[:3], replace(fitted[3], estimated=(2,), covariances=100 * np.array(fitted[3].covariances))]
+    marked = analysed([*by_fit, *fitted[4:]], "matching").analysis.shape_anova["MS"][ERROR]
+    assert marked == pytest.approx(whole, rel=0.05)
     assert found.analysis.shape_anova["MS"][ERROR] == pytest.approx(whole, rel=0.05)
     assert 0 < found.analysis.shape_anova["P"][2] <= 1
     every = [replace(each, covariances=np.full((6, 2, 2), np.nan), estimated=(2,)) for each in fitted]
     assert analysed(every, "matching").analysis.error == ""
+
+
+def test_the_figure_marks_individuals_with_estimated_landmarks(rng) -> None:
+    fitted = faces(rng, 6, covariances=np.tile(0.09 * np.eye(2), (6, 1, 1)))
+    given = [*fitted[:2], replace(fitted[2], estimated=(0, 4)), *fitted[3:]]
+    found = analysed(given, "object")
+    assert found.estimated == ("", "", "left_eye top", "", "", "")
+    axis = figure_of_asymmetry(**found.drawing()).axes[2]
+    marked = next(line for line in axis.lines if line.get_label() == "with estimated landmarks")
+    np.testing.assert_allclose(marked.get_ydata(), found.analysis.fluctuating_distances[2])
+    assert sum(len(line.get_xdata()) for line in axis.lines if line.get_marker() == "o") == 5
+    assert "with estimated landmarks" in [text.get_text() for text in axis.get_legend().get_texts()]
+    plain = figure_of_asymmetry(**analysed(fitted, "object").drawing()).axes[2]
+    assert len(plain.get_legend().get_texts()) == 1
 
 
 def test_replicates_with_estimated_landmarks_are_no_error(rng) -> None:

@@ -136,6 +136,34 @@ def test_landmarks_corrected_after_the_fit_are_measured(tmp_path: Path, suffix: 
         assert (other.covariances, other.status, other.scale, other.names) == (None, "", 0.5, ("a", "b", "c"))
 
 
+@pytest.mark.parametrize("of", ["files", "table"])
+def test_positions_of_absent_landmarks_of_fits_are_estimates(tmp_path: Path, of: str) -> None:
+    statuses = {"whole": "converged", "torn": "converged", "empty": "converged", "doubtful": "doubtful"}
+    present = {"whole": [1.0, 0.9, 0.51], "torn": [0.2, 1.0, 0.49], "empty": [1.0, 1.0, 0.1], "doubtful": [0.1] * 3}
+    gap = np.where(np.arange(3)[:, None] == 2, np.nan, POINTS)
+    if of == "files":
+        for name, status in statuses.items():
+            facts = {"status": status, "present": present[name]}
+            write_fit(tmp_path / f"{name}.json", Landmarks(gap if name == "empty" else POINTS), facts, (30, 40))
+    else:
+        rows = [row_of(f"{name}.png") | {"status": statuses[name], "present": present[name]} for name in statuses]
+        rows[2]["landmarks"] = [*POINTS[:2].ravel().tolist(), None, None]
+        write_table(tmp_path / "fits.csv", BatchTable([(json.dumps(row), row) for row in rows], 3, True, {}))
+    specimens = {each.name: each for each in read_specimens(tmp_path, [].append)}
+    assert {name: each.estimated for name, each in specimens.items()} == {
+        "whole": (), "torn": (0, 2), "empty": (), "doubtful": ()
+    }  # fmt: skip
+    columns = measure(specimens.values())
+    assert dict(zip(columns["specimen"], columns["estimated"], strict=True))["torn"] == "1 3"
+
+
+def test_estimates_that_a_person_has_moved_are_none(tmp_path: Path) -> None:
+    add_fit(tmp_path, "torn", present=[0.2, 1.0, 0.3])
+    assert read_specimens(tmp_path)[0].estimated == (0, 2)
+    write_landmarks(tmp_path / "torn.pts", Landmarks(POINTS + np.eye(3, 2)), (30, 40))
+    assert read_specimens(tmp_path, [].append)[0].estimated == (2,)
+
+
 def test_a_correction_counts_also_beside_a_file_that_cannot_be_read(tmp_path: Path) -> None:
     add_fit(tmp_path, "a")
     write_landmarks(tmp_path / "a.csv", Landmarks(POINTS + 1))

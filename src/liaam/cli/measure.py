@@ -230,6 +230,7 @@ def measure(
     if asymmetry is not None:
         _write_asymmetry(asymmetry, output)
         _complain_of_error(asymmetry)
+        _complain_of_estimated_differences(asymmetry, output)
     if variation is not None:
         _write_variation(variation, output)
     if agreement is not None:
@@ -429,6 +430,18 @@ def _complain_of_error(asymmetry: "AsymmetryResult") -> None:
     )
 
 
+def _complain_of_estimated_differences(asymmetry: "AsymmetryResult", output: Path) -> None:
+    """Name the individuals whose sides also differ by the error of estimated landmarks."""
+    named = [name for name, labels in zip(asymmetry.individuals, asymmetry.estimated, strict=True) if labels]
+    if named:
+        table = _beside(output, ASYMMETRY_BY_INDIVIDUAL).name
+        complain(
+            f"{len(named)} of {len(asymmetry.individuals)} individuals have estimated landmarks, whose error is part "
+            f"of their asymmetry: {some_names(named)}; see 'estimated' in {table}, and compare with an analysis that "
+            "leaves them out"
+        )
+
+
 def _draw(columns: Columns, asymmetry: "AsymmetryResult | None", specimens: "Sequence[Specimen]", plot: Path) -> None:
     """Write the figure of the shapes, or of their asymmetry."""
     from liaam.plotting import save_figure
@@ -535,7 +548,9 @@ def _complain_of_specimens_without_shape(columns: Columns) -> None:
     names = columns["specimen"]
     named = [name for name, has_shape in zip(names, _have_shapes(columns), strict=True) if not has_shape]
     if named:
-        why = "because landmarks are missing or the fit is not to be used (see 'status')"
+        why = "because landmarks are missing"
+        if "status" in columns:
+            why += " or the fit is not to be used (see 'status')"
         complain(f"{len(named)} of {len(names)} have no shape, {why}: {some_names(named)}")
 
 

@@ -66,6 +66,9 @@ class AsymmetryResult:
         A sentence for each individual that is left out.
     n_estimated : int
         Number of records with estimated landmarks, which do not count in the error term.
+    estimated : tuple of str
+        Of each individual, the landmarks that are estimated on either side, by name or number, with blanks between
+        them. The differences between its sides include the error of these estimates.
     """
 
     analysis: Asymmetry
@@ -78,6 +81,7 @@ class AsymmetryResult:
     seed: int
     left_out: tuple[str, ...]
     n_estimated: int = 0
+    estimated: tuple[str, ...] = ()
 
     __repr__ = short_repr
 
@@ -104,7 +108,7 @@ class AsymmetryResult:
         return {"trait": traits} | {name: [each for _, part in parts for each in part[name]] for name in parts[0][1]}
 
     def indices(self) -> Columns:
-        """Return the asymmetry of each individual as a table."""
+        """Return the asymmetry of each individual as a table; with the column ``estimated`` if any landmark is."""
         analysis = self.analysis
         table: Columns = {
             "individual": list(self.individuals),
@@ -114,6 +118,8 @@ class AsymmetryResult:
         }
         if analysis.kind == MATCHING:
             table["log_size_ratio"] = analysis.size_ratios.tolist()
+        if any(self.estimated):
+            table["estimated"] = list(self.estimated)
         return table
 
     def components(self) -> Columns:
@@ -176,6 +182,7 @@ class AsymmetryResult:
             "fluctuating": analysis.fluctuating,
             "distances": analysis.fluctuating_distances,
             "names": self.individuals,
+            "estimated": [bool(labels) for labels in self.estimated],
             "sides": self.sides,
             "error": self._distance_by_error(),
             "error_label": self._error_label(),
@@ -297,6 +304,7 @@ def asymmetry(
         seed=seed,
         left_out=left_out,
         n_estimated=int(estimated.sum()),
+        estimated=tuple(_labels_of_estimates([specimens[i] for i in each.flat]) for each in order),
     )
 
 
@@ -357,6 +365,13 @@ def _chosen(groups: Groups, sides: Sequence[str]) -> tuple[list[str], tuple[str,
 def _described(counts: dict[str, int]) -> str:
     """Describe the number of records of each side."""
     return " and ".join(f"{count} {side}".strip() for side, count in counts.items()) + " records"
+
+
+def _labels_of_estimates(specimens: Sequence[Specimen]) -> str:
+    """Return the names or numbers of the landmarks that are estimated in any of the records of an individual."""
+    indices = sorted({index for specimen in specimens for index in specimen.estimated})
+    names = next((specimen.names for specimen in specimens if specimen.names), ())
+    return " ".join(names[index] if names else str(index + 1) for index in indices)
 
 
 def _too_few(n_individuals: int, chosen: Sequence[str], left_out: Sequence[str], kind: str) -> str:

@@ -87,7 +87,7 @@ def with_estimated_landmarks(
         covariances = specimen.covariances
         if covariances is not None:
             covariances = np.where(gaps[:, None, None], np.nan, covariances)
-        which = tuple(np.flatnonzero(gaps).tolist())
+        which = tuple(sorted({*specimen.estimated, *np.flatnonzero(gaps).tolist()}))
         completed[i] = replace(specimen, points=filled, covariances=covariances, estimated=which)
     return tuple(completed), faults
 
