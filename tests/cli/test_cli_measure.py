@@ -300,10 +300,31 @@ def test_missing_landmarks_are_estimated_and_named(run, tmp_path, rng):
     assert code == 0 and err == "1 of 6 have no shape, because landmarks are missing: face2\n"
     for method in ("tps", "regression"):
         code, _, err = run(*given, "--estimate", method)
-        assert (code, err) == (0, "1 specimen with estimated landmarks (see 'estimated'): face2\n")
+        told = err.splitlines()
+        assert (code, told[-1]) == (0, "1 specimen with estimated landmarks (see 'estimated'): face2")
+        if method == "tps":
+            assert len(told) == 1
+        else:  # by five specimens with five landmarks: several times the error of tps
+            assert "face2: right_jaw (" in " ".join(told[:-1]) and "take --estimate tps" in " ".join(told[:-1])
         table = pd.read_csv(tmp_path / "t.csv").set_index("specimen")
         assert table["estimated"].dropna().to_dict() == {"face2": "right_jaw"}
         assert table["distance_left_jaw_right_jaw"].tolist()[2] == pytest.approx(80, abs=15)
+
+
+def test_estimates_that_cannot_be_right_are_reported(run, tmp_path, rng):
+    shape = np.array([[0.0, 0], [30, -12], [60, -14], [80, -7], [88, 2], [78, 11], [52, 15], [28, 11], [30, 0]])
+    points = 4 * (shape + rng.normal(0, 1, (24, 9, 2))) + 200
+    points[5, 3:6] = np.nan
+    write_collection(tmp_path / "all.csv", {f"w{i:02d}.png": Landmarks(each) for i, each in enumerate(points)})
+    given = ("measure", tmp_path / "all.csv", "-o", tmp_path / "t.csv", "--estimate")
+    assert "estimated far" not in run(*given, "tps")[2]
+    code, _, err = run(*given, "regression")
+    told = " ".join(err.split())
+    assert code == 0 and "1 specimen with landmarks estimated far from where they lie in complete specimens" in told
+    assert "w05: 4 (" in told and "take --estimate tps" in told
+    (tmp_path / "t.csv").unlink()
+    code, _, err = run(*given, "regression", "--strict")
+    assert code == 1 and "w05: 4 (" in " ".join(err.split()) and not (tmp_path / "t.csv").exists()
 
 
 @pytest.mark.parametrize(

@@ -60,6 +60,9 @@ ASYMMETRY_FILES = (ANOVA_TABLE, ASYMMETRY_BY_INDIVIDUAL, ASYMMETRY_BY_COMPONENT,
 LEAST_REPEATABLE = 5
 """Number of landmarks with the largest measurement errors to name."""
 
+MOST_FAR = 5
+"""Largest number of specimens with doubtful estimates to name."""
+
 
 def measure(
     results: Annotated[
@@ -194,6 +197,7 @@ def measure(
     if estimate is not None:
         specimens, incomplete = morphometry.with_estimated_landmarks(specimens, estimate, scale)
         _refuse_or_complain(incomplete, "keep missing landmarks", strict)
+    _refuse_or_complain_of_far_estimates(morphometry.far_estimates(specimens, scale), estimate, strict)
 
     # Everything is computed before anything is written, so that an error leaves no part of the files.
     columns = morphometry.measure(specimens, measures or (), scale, slide)
@@ -282,6 +286,24 @@ def _refuse_or_complain(lines: Sequence[str], what: str, strict: bool) -> None:
         raise LiaamError(f"{len(lines)} specimens {what}: {'; '.join(lines)}")
     for line in lines:
         complain(line)
+
+
+def _refuse_or_complain_of_far_estimates(lines: Sequence[str], method: str | None, strict: bool) -> None:
+    """Name specimens with estimates that cannot be right, or raise if strict."""
+    if not lines:
+        return
+    remedy = "check the other landmarks of these specimens"
+    if method == "regression":
+        remedy = "regression does not suit these specimens: take --estimate tps"
+    more = f"; and {len(lines) - MOST_FAR} more" if len(lines) > MOST_FAR else ""
+    text = (
+        f"{count_of(len(lines), 'specimen')} with landmarks estimated far from where they lie in complete specimens, "
+        f"in multiples of their root mean square distance from the mean there: {'; '.join(lines[:MOST_FAR])}{more}. "
+        f"They cannot be right; {remedy}"
+    )
+    if strict:
+        raise LiaamError(text)
+    complain(text)
 
 
 def _twins(pairs: str | None, results: Path, specimens: "Sequence[Specimen]") -> str | tuple[int, ...] | None:
