@@ -83,6 +83,14 @@ def test_a_folder_of_fits_counts_each_once(tmp_path: Path) -> None:
     assert read_specimens(tmp_path / "wing10.csv")[0].covariances is None
 
 
+def test_names_of_images_may_be_longer_than_those_of_files(tmp_path: Path) -> None:
+    name = f"{'s' * 300}.png"
+    rows = "".join(f"{name},{i},{x},{y}\n" for i, (x, y) in enumerate(POINTS, 1))
+    (tmp_path / "all.csv").write_text(f"image,landmark,x,y\n{rows}")
+    (specimen,) = read_specimens(tmp_path / "all.csv")
+    np.testing.assert_array_equal(specimen.points, POINTS)
+
+
 def test_numbers_of_landmarks_count_from_1_whatever_their_names() -> None:
     specimen = Specimen("a", np.array([[0.0, 0], [1, 0], [3, 0], [7, 0]]), names=("0", "1", "2", "tip"))
     found = measure([specimen], ["distance:1-2", "distance:2-tip"])
