@@ -522,7 +522,15 @@ def make_sides(rng: Random) -> bytes:
 
 def check_sides(data: bytes) -> None:
     """Read, reflect, complete and measure specimens, and analyse their asymmetry. No number is infinite but an F."""
-    from liaam.morphometry import alike, asymmetry, measure, of_one_side, read_specimens, with_estimated_landmarks
+    from liaam.morphometry import (
+        alike,
+        asymmetry,
+        far_estimates,
+        measure,
+        of_one_side,
+        read_specimens,
+        with_estimated_landmarks,
+    )
 
     path = Path("sides.csv")
     path.write_bytes(data)
@@ -533,8 +541,10 @@ def check_sides(data: bytes) -> None:
         _check_numbers(found.indices())
         _check_numbers(found.components())
         found.to_json()
-    _check_numbers(measure(with_estimated_landmarks(specimens, "tps")[0]))
-    _check_numbers(measure(with_estimated_landmarks(specimens, "regression")[0]))
+    for method in ("tps", "regression"):
+        completed, _ = with_estimated_landmarks(specimens, method)
+        _check_numbers(measure(completed))
+        far_estimates(completed)
 
 
 def _targets() -> list[Target]:

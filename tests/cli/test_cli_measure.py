@@ -239,6 +239,21 @@ def test_object_symmetry_takes_pairs_from_names_and_errors_from_fits(run, tmp_pa
     assert code == 0 and json.loads((tmp_path / "t_asymmetry.json").read_text())["twins"] == [2, 1, 3, 4, 5, 6]
 
 
+def test_a_stated_error_beyond_the_differences_between_sides_is_reported(run, tmp_path, rng):
+    folder = tmp_path / "fits"
+    folder.mkdir()
+    for name, marks in faces(rng).items():
+        facts = {"status": "converged", "covariance": np.tile([25.0, 0, 25.0], (6, 1)), "landmark_names": FACE_NAMES}
+        write_fit(folder / name.replace(".png", ".json"), marks, facts, (300, 300))
+    given = ("measure", folder, "-o", tmp_path / "t.csv", "--symmetry", "object", "--permutations", 99)
+    code, out, err = run(*given)
+    assert code == 0 and "taken as independent on both sides" in out
+    told = " ".join(err.split())
+    assert told.startswith("the stated error exceeds the differences between the sides (F = 0.")
+    assert "photograph or digitise each side twice" in told
+    assert json.loads((tmp_path / "t_asymmetry.json").read_text())["error_exceeds_differences"] is True
+
+
 def test_object_symmetry_takes_pairs_from_the_studios_template(run, tmp_path, rng):
     folder = tmp_path / "project"
     folder.mkdir()
@@ -257,6 +272,23 @@ def test_object_symmetry_takes_pairs_from_the_studios_template(run, tmp_path, rn
     assert json.loads((tmp_path / "t_asymmetry.json").read_text())["twins"] == [2, 1, 4, 3, 5, 6]
 
 
+def test_estimates_of_fits_are_named_in_tables_of_asymmetry(run, tmp_path, rng):
+    folder = tmp_path / "fits"
+    folder.mkdir()
+    for i, (name, marks) in enumerate(faces(rng).items()):
+        facts = {"status": "converged", "covariance": np.tile([0.09, 0, 0.09], (6, 1)), "landmark_names": FACE_NAMES}
+        facts["present"] = [0.1 if i == 2 else 1.0, *[1.0] * 5]
+        write_fit(folder / name.replace(".png", ".json"), marks, facts, (300, 300))
+    given = ("measure", folder, "-o", tmp_path / "t.csv", "--symmetry", "object", "--permutations", 9)
+    code, out, err = run(*given, "--plot", tmp_path / "t.png")
+    assert code == 0 and "without 1 record with estimated landmarks" in out
+    told = " ".join(err.split())
+    assert "1 of 6 individuals have estimated landmarks" in told and "their asymmetry: face2; see" in told
+    assert "1 specimen with estimated landmarks (see 'estimated'): face2" in told
+    table = pd.read_csv(tmp_path / "t_asymmetry.csv").set_index("individual")
+    assert table["estimated"].dropna().to_dict() == {"face2": FACE_NAMES[0]}
+
+
 def test_missing_landmarks_are_estimated_and_named(run, tmp_path, rng):
     marks = faces(rng)
     points = marks["face2.png"].points.copy()
@@ -265,13 +297,34 @@ def test_missing_landmarks_are_estimated_and_named(run, tmp_path, rng):
     write_collection(tmp_path / "all.csv", marks)
     given = ("measure", tmp_path / "all.csv", "distance:left_jaw,right_jaw", "-o", tmp_path / "t.csv")
     code, _, err = run(*given)
-    assert code == 0 and "1 of 6 have no shape" in err
+    assert code == 0 and err == "1 of 6 have no shape, because landmarks are missing: face2\n"
     for method in ("tps", "regression"):
         code, _, err = run(*given, "--estimate", method)
-        assert (code, err) == (0, "1 specimen with estimated landmarks (see 'estimated'): face2\n")
+        told = err.splitlines()
+        assert (code, told[-1]) == (0, "1 specimen with estimated landmarks (see 'estimated'): face2")
+        if method == "tps":
+            assert len(told) == 1
+        else:  # by five specimens with five landmarks: several times the error of tps
+            assert "face2: right_jaw (" in " ".join(told[:-1]) and "take --estimate tps" in " ".join(told[:-1])
         table = pd.read_csv(tmp_path / "t.csv").set_index("specimen")
         assert table["estimated"].dropna().to_dict() == {"face2": "right_jaw"}
         assert table["distance_left_jaw_right_jaw"].tolist()[2] == pytest.approx(80, abs=15)
+
+
+def test_estimates_that_cannot_be_right_are_reported(run, tmp_path, rng):
+    shape = np.array([[0.0, 0], [30, -12], [60, -14], [80, -7], [88, 2], [78, 11], [52, 15], [28, 11], [30, 0]])
+    points = 4 * (shape + rng.normal(0, 1, (24, 9, 2))) + 200
+    points[5, 3:6] = np.nan
+    write_collection(tmp_path / "all.csv", {f"w{i:02d}.png": Landmarks(each) for i, each in enumerate(points)})
+    given = ("measure", tmp_path / "all.csv", "-o", tmp_path / "t.csv", "--estimate")
+    assert "estimated far" not in run(*given, "tps")[2]
+    code, _, err = run(*given, "regression")
+    told = " ".join(err.split())
+    assert code == 0 and "1 specimen with landmarks estimated far from where they lie in complete specimens" in told
+    assert "w05: 4 (" in told and "take --estimate tps" in told
+    (tmp_path / "t.csv").unlink()
+    code, _, err = run(*given, "regression", "--strict")
+    assert code == 1 and "w05: 4 (" in " ".join(err.split()) and not (tmp_path / "t.csv").exists()
 
 
 @pytest.mark.parametrize(

@@ -20,6 +20,7 @@ from liaam.morphometry import (
     read_specimens,
 )
 from liaam.morphometry.symmetry import ERROR
+from liaam.plotting.specimens import figure_of_asymmetry
 
 MEAN = np.array([[-30.0, 20], [30, 20], [-40, -25], [40, -25], [0, 45], [0, -50]])
 NAMES = ("left_eye", "right_eye", "left_jaw", "right_jaw", "top", "chin")
@@ -88,11 +89,11 @@ def test_landmarks_of_a_scale_bar_are_no_part_of_the_shape(rng) -> None:
         asymmetry(specimens, table, "object", pairs="1-8,2-3", permutations=0)
 
 
-def wings(rng: np.random.Generator, n: int, deviation: float, **facts) -> list[Specimen]:
-    """Give left and right wings that differ by errors of a standard deviation only."""
+def wings(rng: np.random.Generator, n: int, deviation: float, common: float = 0, **facts) -> list[Specimen]:
+    """Give left and right wings that differ by errors of a standard deviation only, and have other errors in common."""
     found = []
     for i in range(n):
-        own = MEAN * [1, 0.6] + [0.4, 0.2] * MEAN[::-1] + rng.normal(0, 3, (6, 2))
+        own = MEAN * [1, 0.6] + [0.4, 0.2] * MEAN[::-1] + rng.normal(0, 3, (6, 2)) + rng.normal(0, common, (6, 2))
         for side, sign in (("left", -1), ("right", 1)):
             points = (own + rng.normal(0, deviation, (6, 2))) * [sign, 1] + 500
             found.append(Specimen(f"fly{i}_{side}", points, **facts))
@@ -113,6 +114,28 @@ def test_errors_of_fits_are_the_error_term_without_replicates(rng) -> None:
     assert larger.analysis.shape_anova["P"][2] == pytest.approx(0.01)
 
 
+def test_errors_that_both_sides_have_in_common_are_reported(rng) -> None:
+    covariances = np.tile(np.eye(2), (6, 1, 1))
+    alike = analysed(wings(rng, 20, 0.6, 0.8, covariances=covariances), "matching", permutations=99)
+    assert alike.analysis.shape_anova["F"][2] == pytest.approx(0.36, rel=0.3)
+    assert alike.analysis.shape_anova["P"][2] == 1
+    assert alike.error_exceeds_differences and alike.to_dict()["error_exceeds_differences"] is True
+    assert alike.drawing()["error_label"].startswith("by the stated error, which is alike on both\nsides or too large")
+    independent = analysed(wings(rng, 20, 1.0, covariances=covariances), "matching", permutations=99)
+    assert not independent.error_exceeds_differences
+    assert independent.drawing()["error_label"] == "by the stated error, if independent on both sides"
+
+
+def test_replicates_and_too_few_permutations_say_nothing_of_the_stated_error(rng) -> None:
+    replicated = analysed(faces(rng, 6, records=2), "object", by="_", permutations=99)
+    assert not replicated.error_exceeds_differences
+    assert replicated.drawing()["error_label"] == "by error alone"
+    fitted = wings(rng, 20, 0.1, covariances=np.tile(np.eye(2), (6, 1, 1)))
+    assert not analysed(fitted, "matching", permutations=0).error_exceeds_differences
+    assert not analysed(fitted, "matching", permutations=38).error_exceeds_differences
+    assert analysed(fitted, "matching", permutations=39).error_exceeds_differences
+
+
 def test_estimated_landmarks_do_not_count_in_the_error_term(rng) -> None:
     fitted = wings(rng, 10, 0.3, covariances=np.tile(0.09 * np.eye(2), (6, 1, 1)))
     whole = analysed(fitted, "matching").analysis.shape_anova["MS"][ERROR]
@@ -121,10 +144,30 @@ def test_estimated_landmarks_do_not_count_in_the_error_term(rng) -> None:
     some = [*fitted[:3], replace(fitted[3], covariances=covariances, estimated=(2,)), *fitted[4:]]
     found = analysed(some, "matching", permutations=20)
     assert found.analysis.error == "covariances" and found.n_estimated == 1
+    assert found.indices()["estimated"] == ["", "3", *[""] * 8]
+    assert found.to_dict()["indices"][1]["estimated"] == "3"
+    assert "estimated" not in analysed(fitted, "matching").indices()
+    by_fit = [*fitted[:3], replace(fitted[3], estimated=(2,), covariances=100 * np.array(fitted[3].covariances))]
+    marked = analysed([*by_fit, *fitted[4:]], "matching").analysis.shape_anova["MS"][ERROR]
+    assert marked == pytest.approx(whole, rel=0.05)
     assert found.analysis.shape_anova["MS"][ERROR] == pytest.approx(whole, rel=0.05)
     assert 0 < found.analysis.shape_anova["P"][2] <= 1
     every = [replace(each, covariances=np.full((6, 2, 2), np.nan), estimated=(2,)) for each in fitted]
     assert analysed(every, "matching").analysis.error == ""
+
+
+def test_the_figure_marks_individuals_with_estimated_landmarks(rng) -> None:
+    fitted = faces(rng, 6, covariances=np.tile(0.09 * np.eye(2), (6, 1, 1)))
+    given = [*fitted[:2], replace(fitted[2], estimated=(0, 4)), *fitted[3:]]
+    found = analysed(given, "object")
+    assert found.estimated == ("", "", "left_eye top", "", "", "")
+    axis = figure_of_asymmetry(**found.drawing()).axes[2]
+    marked = next(line for line in axis.lines if line.get_label() == "with estimated landmarks")
+    np.testing.assert_allclose(marked.get_ydata(), found.analysis.fluctuating_distances[2])
+    assert sum(len(line.get_xdata()) for line in axis.lines if line.get_marker() == "o") == 5
+    assert "with estimated landmarks" in [text.get_text() for text in axis.get_legend().get_texts()]
+    plain = figure_of_asymmetry(**analysed(fitted, "object").drawing()).axes[2]
+    assert len(plain.get_legend().get_texts()) == 1
 
 
 def test_replicates_with_estimated_landmarks_are_no_error(rng) -> None:

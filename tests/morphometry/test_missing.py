@@ -10,7 +10,7 @@ import pytest
 from geomorph_results import read_set
 from liaam.errors import LiaamError
 from liaam.model.shape import align
-from liaam.morphometry import Specimen, measure, with_estimated_landmarks
+from liaam.morphometry import Specimen, far_estimates, measure, with_estimated_landmarks
 from liaam.morphometry.missing import METHODS, estimate_missing
 from liaam.morphometry.superimposition import superimpose
 
@@ -164,3 +164,51 @@ def test_sizes_are_those_by_the_scale_if_it_is_known_of_all(method, known, rng) 
     in_pixels = estimate_missing(points[:, :6], method)[0][3, 4]
     if known != "bar":
         np.testing.assert_allclose(with_estimated_landmarks(some, method)[0][3].points[4], in_pixels, atol=1e-8)
+
+
+WING = np.array([[0.0, 0], [30, -12], [60, -14], [80, -7], [88, 2], [78, 11], [52, 15], [28, 11], [30, 0], [48, -3]])
+TIP = [3, 4, 5]
+
+
+def wings(rng: np.random.Generator, n: int) -> np.ndarray:
+    """Return similar wings, whose tips are far from the centre of the other landmarks."""
+    own = WING + rng.normal(0, 1.0, (n, *WING.shape))
+    return 5 * own * rng.uniform(0.9, 1.1, (n, 1, 1)) + rng.uniform(0, 200, (n, 1, 2))
+
+
+@pytest.mark.parametrize("has_bar", [False, True])
+def test_estimates_far_from_complete_specimens_are_named(rng, has_bar) -> None:
+    shapes = wings(rng, 36)
+    truth = shapes[[4, 20]].copy()
+    shapes[4, TIP] = np.nan
+    shapes[20, 8] = np.nan
+    if has_bar:  # whose ends are anywhere
+        shapes = np.concatenate([shapes, rng.uniform(-1e3, 1e3, (36, 2, 2))], axis=1)
+    bar = "11-12=10" if has_bar else None
+    names = tuple("abcdefghijkl"[: shapes.shape[1]])
+    specimens = [Specimen(f"w{i}", each, names=names, scale=None) for i, each in enumerate(shapes)]
+    found, _ = with_estimated_landmarks(specimens, "tps", bar)
+    assert far_estimates(found, bar) == ()
+    right = [*found[:4], replace(found[4], points=np.concatenate([truth[0], shapes[4, 10:]])), *found[5:]]
+    assert far_estimates(right, bar) == ()
+    if has_bar:  # whose lengths make sizes differ too much for a regression
+        wrong = found[4].points.copy()
+        wrong[TIP] += [0, 150]
+        found = [*found[:4], replace(found[4], points=wrong), *found[5:]]
+    else:
+        found, _ = with_estimated_landmarks(specimens, "regression")
+        error = np.linalg.norm(found[4].points[TIP] - truth[0, TIP], axis=1)
+        assert error.min() > 40  # a regression about other centres; the wings are 440 long
+    lines = far_estimates(found, bar)
+    assert len(lines) == 1
+    ratios = re.fullmatch(r"w4: d \((\d+) times\), e \((\d+) times\), f \((\d+) times\)", lines[0])
+    assert ratios and min(map(int, ratios.groups())) > 4
+
+
+def test_few_complete_specimens_do_not_say_what_is_far(rng) -> None:
+    shapes = wings(rng, 5)
+    specimens = [Specimen(f"w{i}", each) for i, each in enumerate(shapes)]
+    moved = replace(specimens[0], points=shapes[0] + 300 * (np.arange(10)[:, None] == 4), estimated=(4,))
+    assert far_estimates([moved, *specimens[1:]]) == ()
+    assert len(far_estimates([moved, *specimens[1:], Specimen("w5", wings(rng, 1)[0])])) == 1
+    assert far_estimates(()) == () and far_estimates([moved]) == ()

@@ -83,6 +83,14 @@ def test_a_folder_of_fits_counts_each_once(tmp_path: Path) -> None:
     assert read_specimens(tmp_path / "wing10.csv")[0].covariances is None
 
 
+def test_names_of_images_may_be_longer_than_those_of_files(tmp_path: Path) -> None:
+    name = f"{'s' * 300}.png"
+    rows = "".join(f"{name},{i},{x},{y}\n" for i, (x, y) in enumerate(POINTS, 1))
+    (tmp_path / "all.csv").write_text(f"image,landmark,x,y\n{rows}")
+    (specimen,) = read_specimens(tmp_path / "all.csv")
+    np.testing.assert_array_equal(specimen.points, POINTS)
+
+
 def test_numbers_of_landmarks_count_from_1_whatever_their_names() -> None:
     specimen = Specimen("a", np.array([[0.0, 0], [1, 0], [3, 0], [7, 0]]), names=("0", "1", "2", "tip"))
     found = measure([specimen], ["distance:1-2", "distance:2-tip"])
@@ -134,6 +142,34 @@ def test_landmarks_corrected_after_the_fit_are_measured(tmp_path: Path, suffix: 
     for other in others:
         np.testing.assert_allclose(other.points, corrected)
         assert (other.covariances, other.status, other.scale, other.names) == (None, "", 0.5, ("a", "b", "c"))
+
+
+@pytest.mark.parametrize("of", ["files", "table"])
+def test_positions_of_absent_landmarks_of_fits_are_estimates(tmp_path: Path, of: str) -> None:
+    statuses = {"whole": "converged", "torn": "converged", "empty": "converged", "doubtful": "doubtful"}
+    present = {"whole": [1.0, 0.9, 0.51], "torn": [0.2, 1.0, 0.49], "empty": [1.0, 1.0, 0.1], "doubtful": [0.1] * 3}
+    gap = np.where(np.arange(3)[:, None] == 2, np.nan, POINTS)
+    if of == "files":
+        for name, status in statuses.items():
+            facts = {"status": status, "present": present[name]}
+            write_fit(tmp_path / f"{name}.json", Landmarks(gap if name == "empty" else POINTS), facts, (30, 40))
+    else:
+        rows = [row_of(f"{name}.png") | {"status": statuses[name], "present": present[name]} for name in statuses]
+        rows[2]["landmarks"] = [*POINTS[:2].ravel().tolist(), None, None]
+        write_table(tmp_path / "fits.csv", BatchTable([(json.dumps(row), row) for row in rows], 3, True, {}))
+    specimens = {each.name: each for each in read_specimens(tmp_path, [].append)}
+    assert {name: each.estimated for name, each in specimens.items()} == {
+        "whole": (), "torn": (0, 2), "empty": (), "doubtful": ()
+    }  # fmt: skip
+    columns = measure(specimens.values())
+    assert dict(zip(columns["specimen"], columns["estimated"], strict=True))["torn"] == "1 3"
+
+
+def test_estimates_that_a_person_has_moved_are_none(tmp_path: Path) -> None:
+    add_fit(tmp_path, "torn", present=[0.2, 1.0, 0.3])
+    assert read_specimens(tmp_path)[0].estimated == (0, 2)
+    write_landmarks(tmp_path / "torn.pts", Landmarks(POINTS + np.eye(3, 2)), (30, 40))
+    assert read_specimens(tmp_path, [].append)[0].estimated == (2,)
 
 
 def test_a_correction_counts_also_beside_a_file_that_cannot_be_read(tmp_path: Path) -> None:

@@ -20,6 +20,7 @@ from liaam.io.files import count_of, real_path, some_names
 from liaam.io.landmarks.formats import KNOWN_FILES
 from liaam.io.landmarks.reading import Reading
 from liaam.morphometry.asymmetry import MATCHING
+from liaam.morphometry.symmetry import INTERACTION
 from liaam.morphometry.table import scales_in, sizes_in, unit_of_table
 from liaam.scale.choice import TRAINING
 from liaam.scale.lengths import UNITS, Length, unlike
@@ -58,6 +59,9 @@ ASYMMETRY_FILES = (ANOVA_TABLE, ASYMMETRY_BY_INDIVIDUAL, ASYMMETRY_BY_COMPONENT,
 
 LEAST_REPEATABLE = 5
 """Number of landmarks with the largest measurement errors to name."""
+
+MOST_FAR = 5
+"""Largest number of specimens with doubtful estimates to name."""
 
 
 def measure(
@@ -193,6 +197,7 @@ def measure(
     if estimate is not None:
         specimens, incomplete = morphometry.with_estimated_landmarks(specimens, estimate, scale)
         _refuse_or_complain(incomplete, "keep missing landmarks", strict)
+    _refuse_or_complain_of_far_estimates(morphometry.far_estimates(specimens, scale), estimate, strict)
 
     # Everything is computed before anything is written, so that an error leaves no part of the files.
     columns = morphometry.measure(specimens, measures or (), scale, slide)
@@ -228,6 +233,8 @@ def measure(
         say(reflected)
     if asymmetry is not None:
         _write_asymmetry(asymmetry, output)
+        _complain_of_error(asymmetry)
+        _complain_of_estimated_differences(asymmetry, output)
     if variation is not None:
         _write_variation(variation, output)
     if agreement is not None:
@@ -279,6 +286,24 @@ def _refuse_or_complain(lines: Sequence[str], what: str, strict: bool) -> None:
         raise LiaamError(f"{len(lines)} specimens {what}: {'; '.join(lines)}")
     for line in lines:
         complain(line)
+
+
+def _refuse_or_complain_of_far_estimates(lines: Sequence[str], method: str | None, strict: bool) -> None:
+    """Name specimens with estimates that cannot be right, or raise if strict."""
+    if not lines:
+        return
+    remedy = "check the other landmarks of these specimens"
+    if method == "regression":
+        remedy = "regression does not suit these specimens: take --estimate tps"
+    more = f"; and {len(lines) - MOST_FAR} more" if len(lines) > MOST_FAR else ""
+    text = (
+        f"{count_of(len(lines), 'specimen')} with landmarks estimated far from where they lie in complete specimens, "
+        f"in multiples of their root mean square distance from the mean there: {'; '.join(lines[:MOST_FAR])}{more}. "
+        f"They cannot be right; {remedy}"
+    )
+    if strict:
+        raise LiaamError(text)
+    complain(text)
 
 
 def _twins(pairs: str | None, results: Path, specimens: "Sequence[Specimen]") -> str | tuple[int, ...] | None:
@@ -407,11 +432,36 @@ def _about_error(asymmetry: "AsymmetryResult") -> str:
         what = "side" if analysis.kind == MATCHING else "individual"
         return f"error: from {asymmetry.replicates} replicates of each {what}{without}"
     if analysis.error == "covariances":
-        return f"error: expected from the covariances of the fitted landmarks, as there are no replicates{without}"
+        stated = f"error: expected from the covariances of the fitted landmarks, as there are no replicates{without}"
+        return f"{stated}; taken as independent on both sides"
     return (
         "error: unknown, so that fluctuating asymmetry is not tested, and includes it; digitise twice, and give "
         "--replicates"
     )
+
+
+def _complain_of_error(asymmetry: "AsymmetryResult") -> None:
+    """Say that fluctuating asymmetry is not tested if the error that is stated exceeds what the sides differ by."""
+    if not asymmetry.error_exceeds_differences:
+        return
+    ratio = asymmetry.analysis.shape_anova["F"][INTERACTION]
+    complain(
+        f"the stated error exceeds the differences between the sides (F = {ratio:.2g} of individual x side, where "
+        "independent error makes about 1), so the errors of both sides are alike, or smaller than stated. Fluctuating "
+        "asymmetry is not tested by this: photograph or digitise each side twice, and give --replicates"
+    )
+
+
+def _complain_of_estimated_differences(asymmetry: "AsymmetryResult", output: Path) -> None:
+    """Name the individuals whose sides also differ by the error of estimated landmarks."""
+    named = [name for name, labels in zip(asymmetry.individuals, asymmetry.estimated, strict=True) if labels]
+    if named:
+        table = _beside(output, ASYMMETRY_BY_INDIVIDUAL).name
+        complain(
+            f"{len(named)} of {len(asymmetry.individuals)} individuals have estimated landmarks, whose error is part "
+            f"of their asymmetry: {some_names(named)}; see 'estimated' in {table}, and compare with an analysis that "
+            "leaves them out"
+        )
 
 
 def _draw(columns: Columns, asymmetry: "AsymmetryResult | None", specimens: "Sequence[Specimen]", plot: Path) -> None:
@@ -520,7 +570,9 @@ def _complain_of_specimens_without_shape(columns: Columns) -> None:
     names = columns["specimen"]
     named = [name for name, has_shape in zip(names, _have_shapes(columns), strict=True) if not has_shape]
     if named:
-        why = "because landmarks are missing or the fit is not to be used (see 'status')"
+        why = "because landmarks are missing"
+        if "status" in columns:
+            why += " or the fit is not to be used (see 'status')"
         complain(f"{len(named)} of {len(names)} have no shape, {why}: {some_names(named)}")
 
 

@@ -72,6 +72,14 @@ def real_path(path: AnyPath) -> Path:
     return Path(os.path.realpath(path))
 
 
+def is_file(path: Path) -> bool:
+    """Return whether a path is that of a file. A name that is longer than files may have is not."""
+    try:
+        return path.is_file()
+    except OSError:
+        return False
+
+
 def existing_file(path: AnyPath, error: type[LiaamError], kind: str) -> Path:
     """Return the path of a file of a kind, such as "image". Raise if it is missing, a folder, empty or not readable."""
     path = Path(path)

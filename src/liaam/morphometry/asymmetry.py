@@ -19,7 +19,15 @@ from liaam.model.shape import align
 from liaam.morphometry.pairs import checked_twins, parse_pairs
 from liaam.morphometry.sides import are_unreflected, object_name, refuse_uneven, structure_name
 from liaam.morphometry.specimens import Specimen
-from liaam.morphometry.symmetry import ERROR, FEWEST, PERMUTATIONS, Asymmetry, matching_asymmetry, object_asymmetry
+from liaam.morphometry.symmetry import (
+    ERROR,
+    FEWEST,
+    INTERACTION,
+    PERMUTATIONS,
+    Asymmetry,
+    matching_asymmetry,
+    object_asymmetry,
+)
 from liaam.morphometry.table import comparable, size_column
 from liaam.progress import Progress
 from liaam.tables import Columns
@@ -29,6 +37,9 @@ MATCHING = "matching"
 KINDS = (OBJECT, MATCHING)
 
 _SHOWN = 3  # individuals that a message describes
+
+_TOO_SMALL = 0.025
+"""Probability of so small an interaction by the covariances below which they exceed what the sides differ by."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -55,6 +66,9 @@ class AsymmetryResult:
         A sentence for each individual that is left out.
     n_estimated : int
         Number of records with estimated landmarks, which do not count in the error term.
+    estimated : tuple of str
+        Of each individual, the landmarks that are estimated on either side, by name or number, with blanks between
+        them. The differences between its sides include the error of these estimates.
     """
 
     analysis: Asymmetry
@@ -67,8 +81,23 @@ class AsymmetryResult:
     seed: int
     left_out: tuple[str, ...]
     n_estimated: int = 0
+    estimated: tuple[str, ...] = ()
 
     __repr__ = short_repr
+
+    @property
+    def error_exceeds_differences(self) -> bool:
+        """Whether the sides differ less than the covariances state, if errors of the two sides were independent.
+
+        Then errors of both sides are alike, or the covariances too large, and fluctuating asymmetry cannot be tested
+        by them: what counts is the part of the error by which the sides differ, which is unknown. It is so if fewer
+        than one in 40 sets of random errors have as small an interaction.
+        """
+        if self.analysis.error != "covariances":
+            return False
+        # P counts those as large, and the observed one, which counts on both sides.
+        as_small = 1 - self.analysis.shape_anova["P"][INTERACTION] + 1 / (self.permutations + 1)
+        return bool(as_small <= _TOO_SMALL)
 
     def anova(self) -> Columns:
         """Return the analyses of variance as a table: rows of shape, and of centroid size for matching symmetry."""
@@ -79,7 +108,7 @@ class AsymmetryResult:
         return {"trait": traits} | {name: [each for _, part in parts for each in part[name]] for name in parts[0][1]}
 
     def indices(self) -> Columns:
-        """Return the asymmetry of each individual as a table."""
+        """Return the asymmetry of each individual as a table; with the column ``estimated`` if any landmark is."""
         analysis = self.analysis
         table: Columns = {
             "individual": list(self.individuals),
@@ -89,6 +118,8 @@ class AsymmetryResult:
         }
         if analysis.kind == MATCHING:
             table["log_size_ratio"] = analysis.size_ratios.tolist()
+        if any(self.estimated):
+            table["estimated"] = list(self.estimated)
         return table
 
     def components(self) -> Columns:
@@ -122,6 +153,7 @@ class AsymmetryResult:
             "landmarks": list(self.landmarks),
             "twins": list(self.twins) if analysis.kind == OBJECT else None,
             "error_term": analysis.error or None,
+            "error_exceeds_differences": self.error_exceeds_differences,
             "without_estimated": self.n_estimated,
             "permutations": self.permutations,
             "seed": self.seed,
@@ -150,8 +182,10 @@ class AsymmetryResult:
             "fluctuating": analysis.fluctuating,
             "distances": analysis.fluctuating_distances,
             "names": self.individuals,
+            "estimated": [bool(labels) for labels in self.estimated],
             "sides": self.sides,
             "error": self._distance_by_error(),
+            "error_label": self._error_label(),
             "numbers": self.landmarks,
             "lines": [[place[index] for index in line if index in place] for line in lines],
         }
@@ -162,6 +196,14 @@ class AsymmetryResult:
         For object symmetry this takes half of the error as asymmetric.
         """
         return math.sqrt(2 * self.analysis.shape_anova["MS"][ERROR] / self.replicates)
+
+    def _error_label(self) -> str:
+        """What the figure calls the distance by the error."""
+        if self.analysis.error != "covariances":
+            return "by error alone"
+        if self.error_exceeds_differences:
+            return "by the stated error, which is alike on both\nsides or too large, so that it tests nothing"
+        return "by the stated error, if independent on both sides"
 
 
 def _rows(columns: Columns) -> list[dict[str, Any]]:
@@ -262,6 +304,7 @@ def asymmetry(
         seed=seed,
         left_out=left_out,
         n_estimated=int(estimated.sum()),
+        estimated=tuple(_labels_of_estimates([specimens[i] for i in each.flat]) for each in order),
     )
 
 
@@ -322,6 +365,13 @@ def _chosen(groups: Groups, sides: Sequence[str]) -> tuple[list[str], tuple[str,
 def _described(counts: dict[str, int]) -> str:
     """Describe the number of records of each side."""
     return " and ".join(f"{count} {side}".strip() for side, count in counts.items()) + " records"
+
+
+def _labels_of_estimates(specimens: Sequence[Specimen]) -> str:
+    """Return the names or numbers of the landmarks that are estimated in any of the records of an individual."""
+    indices = sorted({index for specimen in specimens for index in specimen.estimated})
+    names = next((specimen.names for specimen in specimens if specimen.names), ())
+    return " ".join(names[index] if names else str(index + 1) for index in indices)
 
 
 def _too_few(n_individuals: int, chosen: Sequence[str], left_out: Sequence[str], kind: str) -> str:

@@ -10,13 +10,13 @@ Two methods, of which each takes what the landmarks that are there say of those 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from liaam.errors import LiaamError
 from liaam.fitting.result import USABLE
-from liaam.io.files import some_names
+from liaam.io.files import count_of, some_names
 from liaam.model.shape import Similarity, align
 from liaam.morphometry.measures import ScaleBar, indices_of, parse_scale
 from liaam.morphometry.specimens import Specimen
@@ -30,6 +30,14 @@ FEWEST = 2
 
 FEWEST_POINTS = 3
 """Least number of landmarks of a specimen that is completed, which an affine map needs."""
+
+FAR = 4.0
+"""Distance of an estimate from the mean position of the landmark, in root mean square distances of the same landmark in
+complete specimens, beyond which it is doubtful. Of normal positions, about one in 15,000 or fewer are so far, if the
+spread is that of many specimens."""
+
+_FEWEST_TO_JUDGE = 5  # complete specimens, of which the spread can be known
+_LEAST_SPREAD = 1e-4  # of the centroid size: below it, landmarks are in one place but for rounding
 
 _THINNEST = 1e-6  # width of the landmarks that are there, relative to their length, below which they lie on one line
 
@@ -58,6 +66,10 @@ def with_estimated_landmarks(
     left : tuple of str
         A sentence for each specimen whose landmarks could not be estimated.
 
+    See Also
+    --------
+    far_estimates : Which estimates cannot be right.
+
     Raises
     ------
     LiaamError
@@ -70,8 +82,7 @@ def with_estimated_landmarks(
     if not used:
         return specimens, ()
     first = specimens[used[0]]
-    bar = scale if scale is None or isinstance(scale, ScaleBar) else parse_scale(str(scale))
-    ends = indices_of("scale bar", bar.ends, first.names, len(first.points)) if isinstance(bar, ScaleBar) else []
+    bar, ends = _bar(first, scale)
     inside = [index for index in range(len(first.points)) if index not in ends]
     points = np.array([specimens[i].points[inside] for i in used])
     pixels = _lengths_of_pixels([specimens[i] for i in used], bar, ends)[:, None, None]
@@ -87,9 +98,119 @@ def with_estimated_landmarks(
         covariances = specimen.covariances
         if covariances is not None:
             covariances = np.where(gaps[:, None, None], np.nan, covariances)
-        which = tuple(np.flatnonzero(gaps).tolist())
+        which = tuple(sorted({*specimen.estimated, *np.flatnonzero(gaps).tolist()}))
         completed[i] = replace(specimen, points=filled, covariances=covariances, estimated=which)
     return tuple(completed), faults
+
+
+def _bar(
+    specimen: Specimen, scale: str | float | ScaleBar | None
+) -> tuple[ScaleBar | Length | str | None, Sequence[int]]:
+    """Return a scale, and if it is a scale bar, which landmarks its ends are."""
+    rule = scale if scale is None or isinstance(scale, ScaleBar) else parse_scale(str(scale))
+    if not isinstance(rule, ScaleBar):
+        return rule, []
+    return rule, indices_of("scale bar", rule.ends, specimen.names, len(specimen.points))
+
+
+def far_estimates(specimens: Sequence[Specimen], scale: str | float | ScaleBar | None = None) -> tuple[str, ...]:
+    """Report estimated landmarks that lie far from where the same landmark lies in complete specimens.
+
+    The landmarks that are not estimated are superimposed on their mean shape, by translation, rotation and scale. An
+    estimate is far if its distance from the mean position of its landmark is more than :data:`FAR` times the root mean
+    square distance of this landmark in complete specimens.
+
+    Parameters
+    ----------
+    specimens : sequence of Specimen
+        As :func:`with_estimated_landmarks` gives them.
+    scale : str, float or ScaleBar, optional
+        As in :func:`liaam.measure`. The ends of a scale bar are not used.
+
+    Returns
+    -------
+    tuple of str
+        For each specimen with such an estimate, its name, and each landmark with the ratio of the two distances. Empty
+        if fewer than five specimens are complete.
+    """
+    usable = {"", *USABLE}
+    used = [specimen for specimen in specimens if specimen.status in usable and len(specimen.points)]
+    ends = [*_bar(used[0], scale)[1]] if used else []
+    whole = np.array([specimen.points for specimen in used if not specimen.estimated])
+    spots: dict[tuple[bytes, tuple[int, ...]], _Spots | None] = {}  # of specimens that lack the same landmarks
+    lines = []
+    for specimen in used:
+        if not specimen.estimated:
+            continue
+        is_there = np.isfinite(specimen.points[:, 0])
+        is_there[ends] = False
+        key = is_there.tobytes(), specimen.estimated
+        if key not in spots:
+            spots[key] = _spots(whole, is_there, specimen.estimated)
+        usual = spots[key]
+        if usual is None:
+            continue
+        ratios = usual.distances(specimen.points[None])[0] / usual.spreads
+        labels = specimen.names or [str(number) for number in range(1, len(specimen.points) + 1)]
+        far = [f"{labels[i]} ({ratio:.0f} times)" for i, ratio in zip(usual.gaps, ratios, strict=True) if ratio > FAR]
+        if far:
+            lines.append(f"{specimen.name}: {', '.join(far)}")
+    return tuple(lines)
+
+
+@dataclass(frozen=True, eq=False)
+class _Spots:
+    """Where some landmarks lie in complete specimens that are superimposed by other landmarks.
+
+    Attributes
+    ----------
+    known, gaps : list of int
+        The landmarks by which shapes are superimposed, and the g others.
+    target : (k,) complex128
+        Mean positions of the first.
+    centres : (g,) complex128
+        Mean positions of the others.
+    spreads : (g,) float64
+        Root mean square distances of the others from these.
+    """
+
+    known: list[int]
+    gaps: list[int]
+    target: np.ndarray
+    centres: np.ndarray
+    spreads: np.ndarray
+
+    def distances(self, shapes: np.ndarray) -> np.ndarray:
+        """Return the distances (m, g) of the landmarks of shapes (m, n, 2) from their mean positions."""
+        return np.abs(_placed(shapes, self.known, self.gaps, self.target) - self.centres)
+
+
+def _spots(whole: np.ndarray, is_there: np.ndarray, gaps: Sequence[int]) -> _Spots | None:
+    """Return where landmarks lie in the shapes (m, n, 2) that have all that are there; None if too few have."""
+    gaps = [*gaps]
+    known = [index for index in np.flatnonzero(is_there).tolist() if index not in gaps]
+    if len(whole) < _FEWEST_TO_JUDGE or len(known) < FEWEST_POINTS:
+        return None
+    complete = whole[np.isfinite(whole[:, is_there]).all(axis=(1, 2))]
+    complete = complete[np.ptp(complete[:, known], axis=1).any(axis=1)]  # not all in one place
+    if len(complete) < _FEWEST_TO_JUDGE:
+        return None
+    mean = superimpose(complete[:, known]).mean
+    target = mean[:, 0] + 1j * mean[:, 1]
+    positions = _placed(complete, known, gaps, target)
+    centres = positions.mean(axis=0)
+    squares = np.square(np.abs(positions - centres)).sum(axis=0) / (len(complete) - 1)
+    return _Spots(known, gaps, target, centres, np.maximum(np.sqrt(squares), _LEAST_SPREAD))
+
+
+def _placed(shapes: np.ndarray, known: Sequence[int], gaps: Sequence[int], target: np.ndarray) -> np.ndarray:
+    """Return landmarks (m, g) complex of shapes (m, n, 2), superimposed on a centred target by those that are known."""
+    numbers = shapes[..., 0] + 1j * shapes[..., 1]
+    numbers = numbers - numbers[:, known].mean(axis=1, keepdims=True)
+    own = numbers[:, known]
+    squares = np.square(np.abs(own)).sum(axis=1)
+    turn = (own.conj() @ target) / np.where(squares > 0, squares, 1.0)
+    return numbers[:, gaps] * turn[:, None]
 
 
 def _lengths_of_pixels(
@@ -198,14 +319,20 @@ def _by_regression(reference: np.ndarray, complete: np.ndarray, shape: np.ndarra
     """Predict missing points from the others by the regression among complete specimens (m, k, 2).
 
     As in geomorph, the points that are there are turned, but not scaled, to those of the reference, about the centroid
-    of both, and the axes are those of the sums of products of the coordinates, not of their covariances.
+    of both, and the axes are those of the sums of products of the coordinates, not of their covariances. The complete
+    specimens keep the centroid of all their points. The predictors of an incomplete specimen are thus moved by the
+    distance of both centroids, to where no complete specimen is, and the regression extrapolates. The more points of
+    one end are missing, the farther; :func:`far_estimates` finds what it makes of that.
     """
     known = ~gaps
     _check_known(int(known.sum()), int(gaps.sum()))
-    if len(complete) < 2 * gaps.sum() + 2:
+    n_missing = int(gaps.sum())
+    needed = 2 * n_missing + 2  # one more than the regression has coefficients
+    if len(complete) < needed:
+        are = "is" if n_missing == 1 else "are"
         raise _UndeterminedError(
-            f"{gaps.sum()} landmarks are missing, for which regression needs {2 * gaps.sum() + 2} complete specimens, "
-            f"and there are {len(complete)}; they are not estimated: take --estimate tps"
+            f"{count_of(n_missing, 'landmark')} {are} missing, for which regression needs {needed} complete specimens, "
+            f"and there are {len(complete)}; nothing is estimated here: take --estimate tps"
         )
     centre = shape[known].mean(axis=0)
     target = reference[known] - reference[known].mean(axis=0)

@@ -17,9 +17,11 @@ import numpy as np
 from liaam.batch.tables import TABLE_SUFFIXES, is_table, read_rows
 from liaam.datasets.units import CORNER, FEWEST
 from liaam.errors import LandmarkError, LiaamError
+from liaam.fitting.result import USABLE
 from liaam.io.files import existing_file, is_copy, natural_key, some_names
-from liaam.io.fit_files import corrected_file, points_of_fit, read_fit
+from liaam.io.fit_files import ROUNDING, corrected_file, points_of_fit, read_fit
 from liaam.io.landmarks import LANDMARK_SUFFIXES, Contour, LandmarkFile, Landmarks
+from liaam.io.landmarks.base import PRESENT
 from liaam.io.landmarks.formats import ALSO_OTHER, name_of
 from liaam.io.landmarks.matching import shared_folder, unique_names
 from liaam.io.landmarks.reading import USUAL, Reading, UnrecognisedError
@@ -173,6 +175,7 @@ def _specimen(path: Path, name: str, facts: dict[str, Any], covariances: Any) ->
             xx, xy, yy = _numbers(covariances).reshape(len(points), 3).T
             spread = np.stack([xx, xy, xy, yy], axis=1).reshape(-1, 2, 2)
         scale = facts.get("scale") or None
+        is_used = facts["status"] in USABLE
         return Specimen(
             name,
             points,
@@ -183,6 +186,7 @@ def _specimen(path: Path, name: str, facts: dict[str, Any], covariances: Any) ->
             curves=Contour.all_of(facts.get("contours") or ()),
             file=path.name,
             side=str(facts.get("side") or ""),
+            estimated=_estimated(points, facts.get("present")) if is_used else (),
             unit=unit_of(str(facts.get("scale_unit") or "")),
             scale_source=str(facts.get("scale_from") or ""),
             image=str(facts.get("image") or ""),
@@ -192,6 +196,14 @@ def _specimen(path: Path, name: str, facts: dict[str, Any], covariances: Any) ->
         raise LandmarkError(f"{path}: the landmarks of {name} are damaged ({fault}): fit the image again") from fault
 
 
+def _estimated(points: np.ndarray, present: Any) -> tuple[int, ...]:
+    """Return the landmarks of a fit that are absent and have positions, which are then estimates."""
+    if not present:
+        return ()
+    is_absent = _numbers(present).reshape(len(points)) < PRESENT
+    return tuple(np.flatnonzero(is_absent & np.isfinite(points).all(axis=1)).tolist())
+
+
 def _corrected(path: Path, fit: dict, fitted: Specimen, complain: Callable[[str], object]) -> Specimen:
     """Return a fit's specimen with the points of a landmark file beside it that was changed since, if there is one."""
     file = corrected_file(path, fit)
@@ -199,8 +211,12 @@ def _corrected(path: Path, fit: dict, fitted: Specimen, complain: Callable[[str]
         return fitted
     try:
         points = points_of_fit(file, fit)
-        names, curves = (fitted.names, fitted.curves) if len(points) == len(fitted.points) else ((), ())
-        corrected = replace(fitted, points=points, covariances=None, names=names, status="", curves=curves)
+        is_alike = len(points) == len(fitted.points)
+        names, curves = (fitted.names, fitted.curves) if is_alike else ((), ())
+        kept = tuple(i for i in fitted.estimated if is_alike and np.abs(points[i] - fitted.points[i]).max() <= ROUNDING)
+        corrected = replace(
+            fitted, points=points, covariances=None, names=names, status="", curves=curves, estimated=kept
+        )
     except LandmarkError as fault:
         complain(f"{path.stem}: {fault}; the points of the fit are used")
         return fitted

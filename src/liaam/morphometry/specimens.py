@@ -50,7 +50,8 @@ class Specimen:
     reflected : bool
         Whether x was reversed, to compare it with specimens of the other side.
     estimated : tuple of int
-        Landmarks that were missing, and were estimated from other specimens, counted from 0.
+        Landmarks that were missing, and were estimated from other specimens, or by the fit from its other landmarks,
+        counted from 0.
     unit : str
         Unit of the scale, one of `liaam.scale.UNITS`, or empty if unknown.
     scale_se : float

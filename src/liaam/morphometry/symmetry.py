@@ -10,6 +10,8 @@ The model is that of Palmer & Strobeck (1986): individuals (random), sides (fixe
 - Sides differ on average: directional asymmetry.
 - The interaction is fluctuating asymmetry, against which individuals and sides are tested.
 - The error comes from replicates, against which the interaction is tested, or from the covariances of the landmarks.
+  These are taken as independent between the sides. Errors that the sides have in common cancel in their differences, so
+  that the interaction is then compared with too much error, and individuals, which they add to, with too little.
 
 Numbers are those of ``bilat.symmetry`` of the R package geomorph, which counts degrees of freedom in configurations.
 """
@@ -36,7 +38,7 @@ FEWEST = 2
 
 _INDIVIDUAL = 0  # places among the effects
 _SIDE = 1
-_INTERACTION = 2
+INTERACTION = 2
 ERROR = 3
 
 _TINY = 1e-6  # added to F before its logarithm, as in geomorph
@@ -309,8 +311,8 @@ def _freedom(shape: tuple[int, ...], is_measured: np.ndarray) -> np.ndarray:
 
 def _ratios(squares: np.ndarray) -> np.ndarray:
     """F of individuals and sides over the interaction, and of the interaction over the error, (3,) of (4,)."""
-    numerators = squares[[_INDIVIDUAL, _SIDE, _INTERACTION]]
-    return numerators / squares[[_INTERACTION, _INTERACTION, ERROR]]
+    numerators = squares[[_INDIVIDUAL, _SIDE, INTERACTION]]
+    return numerators / squares[[INTERACTION, INTERACTION, ERROR]]
 
 
 def _anova(
@@ -390,13 +392,13 @@ def _permuted(
             sums_of_squares(each[order].reshape(n, sides, replicates, -1), is_measured) / freedom for each in residuals
         ]  # one for each effect
         own[i] = [_ratios(each)[effect] for effect, each in enumerate(means)]
-        last = means[_INTERACTION]
-        mixed[i] = [means[_INDIVIDUAL][_INDIVIDUAL], means[_SIDE][_SIDE], last[_INTERACTION]]
-        mixed[i] /= last[[_INTERACTION, _INTERACTION, ERROR]]
+        last = means[INTERACTION]
+        mixed[i] = [means[_INDIVIDUAL][_INDIVIDUAL], means[_SIDE][_SIDE], last[INTERACTION]]
+        mixed[i] /= last[[INTERACTION, INTERACTION, ERROR]]
         if draw is not None:
-            null = sums_of_squares(draw(generator))[_INTERACTION] / freedom[_INTERACTION] / error
-            own[i, _INTERACTION] = null
-            mixed[i, _INTERACTION] = np.nan
+            null = sums_of_squares(draw(generator))[INTERACTION] / freedom[INTERACTION] / error
+            own[i, INTERACTION] = null
+            mixed[i, INTERACTION] = np.nan
         tell(i, permutations, "permutations")
     return *_effect_sizes(own), *_effect_sizes(mixed)
 

@@ -63,6 +63,8 @@ def figure_of_asymmetry(
     error: float = np.nan,
     numbers: Sequence[int] = (),
     lines: Sequence[Sequence[int]] = (),
+    error_label: str = "by error alone",
+    estimated: Sequence[bool] = (),
 ) -> "Figure":
     """Draw directional and fluctuating asymmetry at the landmarks, and the fluctuating asymmetry of each individual.
 
@@ -86,6 +88,10 @@ def figure_of_asymmetry(
         Numbers of the landmarks; from 1 by default.
     lines : sequence of sequence of int
         Landmarks along lines, by their place.
+    error_label : str
+        What the legend calls that distance.
+    estimated : sequence of bool
+        Which individuals have estimated landmarks, whose error the distance includes; none by default.
 
     Returns
     -------
@@ -107,10 +113,16 @@ def figure_of_asymmetry(
     axis.set_title(f"fluctuating asymmetry of {len(names)} individuals, {factor:g} times", fontsize=10)
     axis = axes[0, 2]
     order = np.argsort(distances)
-    axis.plot(distances[order], "o", color=INK, ms=5)
+    is_estimated = np.array(estimated or [False] * len(distances), bool)[order]
+    places = np.arange(len(distances))
+    axis.plot(places[~is_estimated], distances[order][~is_estimated], "o", color=INK, ms=5)
+    if is_estimated.any():
+        spots = {"mfc": "none", "mec": INK, "mew": 1.2, "ms": 6}
+        axis.plot(places[is_estimated], distances[order][is_estimated], "D", label="with estimated landmarks", **spots)
     if np.isfinite(error):
-        axis.axhline(error, color="0.5", ls="--", lw=1, label="by error alone")
-        axis.legend(frameon=False, loc="lower right")
+        axis.axhline(error, color="0.5", ls="--", lw=1, label=error_label)
+    if np.isfinite(error) or is_estimated.any():
+        axis.legend(frameon=False, loc="lower right", fontsize=8)
     if len(names) <= MOST_NAMED:
         axis.set_xticks(range(len(names)), [names[i] for i in order], rotation=90, fontsize=7, parse_math=False)
     else:

@@ -16,7 +16,7 @@ import numpy as np
 
 from liaam.errors import ImageError, LandmarkError
 from liaam.io.atomic import write_text_atomically
-from liaam.io.files import AnyPath, existing_file, read_bytes
+from liaam.io.files import AnyPath, existing_file, is_file, read_bytes
 from liaam.io.images import PICTURE_SUFFIXES, size_and_orientation
 from liaam.io.landmarks import formats, writers
 from liaam.io.landmarks.base import Contour, Landmarks, Placing, Size
@@ -282,12 +282,12 @@ class ImagesBeside:
     def image_of(self, name: str, file: Path) -> Path | None:
         """Return the image of a name, or without one that of a landmark file, if it is in the folder."""
         image = self._path_of(name) if name else self._names.of_file(file, formats.name_of(file))
-        return image if image is not None and image.is_file() else None
+        return image if image is not None and is_file(image) else None
 
     def _path_of(self, name: str) -> Path:
         """Return the path of the image that a name means; if there is none, the path that it would have."""
         path = self._folder / name
-        if path.is_file():  # which spares the list of a folder that holds a file for each image
+        if is_file(path):  # which spares the list of a folder that holds a file for each image
             return path
         image, _ = self._names.find(name, self._folder)
         return image or path
