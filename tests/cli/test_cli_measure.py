@@ -222,12 +222,23 @@ def faces(rng, n: int = 6) -> dict[str, Landmarks]:
     return {f"face{i}.png": Landmarks(FACE + rng.normal(0, 1.5, (6, 2)), names=FACE_NAMES) for i in range(n)}
 
 
-def test_object_symmetry_takes_pairs_from_names_and_errors_from_fits(run, tmp_path, rng):
-    folder = tmp_path / "fits"
+def write_fits_of_faces(folder: Path, rng, variance: float, present: dict[int, float] | None = None) -> Path:
+    """Write fits of faces to a new folder; of some, the first landmark is present with a probability only."""
     folder.mkdir()
-    for name, marks in faces(rng).items():
-        facts = {"status": "converged", "covariance": np.tile([0.09, 0, 0.09], (6, 1)), "landmark_names": FACE_NAMES}
+    for i, (name, marks) in enumerate(faces(rng).items()):
+        facts = {
+            "status": "converged",
+            "covariance": np.tile([variance, 0, variance], (6, 1)),
+            "landmark_names": FACE_NAMES,
+        }
+        if present is not None:
+            facts["present"] = [present.get(i, 1.0), *[1.0] * 5]
         write_fit(folder / name.replace(".png", ".json"), marks, facts, (300, 300))
+    return folder
+
+
+def test_object_symmetry_takes_pairs_from_names_and_errors_from_fits(run, tmp_path, rng):
+    folder = write_fits_of_faces(tmp_path / "fits", rng, 0.09)
     given = ("measure", folder, "-o", tmp_path / "t.csv", "--symmetry", "object", "--permutations", 99)
     code, out, err = run(*given)
     assert (code, err) == (0, "")
@@ -240,11 +251,7 @@ def test_object_symmetry_takes_pairs_from_names_and_errors_from_fits(run, tmp_pa
 
 
 def test_a_stated_error_beyond_the_differences_between_sides_is_reported(run, tmp_path, rng):
-    folder = tmp_path / "fits"
-    folder.mkdir()
-    for name, marks in faces(rng).items():
-        facts = {"status": "converged", "covariance": np.tile([25.0, 0, 25.0], (6, 1)), "landmark_names": FACE_NAMES}
-        write_fit(folder / name.replace(".png", ".json"), marks, facts, (300, 300))
+    folder = write_fits_of_faces(tmp_path / "fits", rng, 25.0)
     given = ("measure", folder, "-o", tmp_path / "t.csv", "--symmetry", "object", "--permutations", 99)
     code, out, err = run(*given)
     assert code == 0 and "taken as independent on both sides" in out
@@ -273,12 +280,7 @@ def test_object_symmetry_takes_pairs_from_the_studios_template(run, tmp_path, rn
 
 
 def test_estimates_of_fits_are_named_in_tables_of_asymmetry(run, tmp_path, rng):
-    folder = tmp_path / "fits"
-    folder.mkdir()
-    for i, (name, marks) in enumerate(faces(rng).items()):
-        facts = {"status": "converged", "covariance": np.tile([0.09, 0, 0.09], (6, 1)), "landmark_names": FACE_NAMES}
-        facts["present"] = [0.1 if i == 2 else 1.0, *[1.0] * 5]
-        write_fit(folder / name.replace(".png", ".json"), marks, facts, (300, 300))
+    folder = write_fits_of_faces(tmp_path / "fits", rng, 0.09, present={2: 0.1})
     given = ("measure", folder, "-o", tmp_path / "t.csv", "--symmetry", "object", "--permutations", 9)
     code, out, err = run(*given, "--plot", tmp_path / "t.png")
     assert code == 0 and "without 1 record with estimated landmarks" in out

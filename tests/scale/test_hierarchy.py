@@ -126,10 +126,8 @@ def test_the_gaps_of_short_periods_show_the_longest_ticks(rng: np.random.Generat
     grey = photograph(canvas, rng).astype(np.float32)
     first, last = 20.0, 20.0 + 59 * 9
     for shift in (0.0, 4.5):
-        assert (
-            hierarchy.longest_ticks(grey, np.array([[first - shift, 104.0], [last + shift, 104.0]]), 60 + (shift > 0))
-            == 10
-        )
+        ends = np.array([[first - shift, 104.0], [last + shift, 104.0]])
+        assert hierarchy.longest_ticks(grey, ends, 60 + (shift > 0)) == 10
 
 
 def test_short_ticks_of_half_millimetres_are_seen(rng: np.random.Generator) -> None:

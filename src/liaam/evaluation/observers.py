@@ -6,7 +6,6 @@ import numpy as np
 
 from liaam.errors import LiaamError
 from liaam.evaluation.agreement import ShapeAgreement, compare_shapes
-from liaam.fitting.result import USABLE
 from liaam.io.files import some_names
 from liaam.model.shape import align
 from liaam.morphometry import Specimen
@@ -27,7 +26,7 @@ def points_by_name(specimens: Sequence[Specimen], landmark_names: Sequence[str] 
     """
     found = {}
     for specimen in specimens:
-        if specimen.status not in ("", *USABLE):
+        if not specimen.is_usable:
             continue
         points = specimen.points
         if landmark_names and specimen.names and tuple(specimen.names) != tuple(landmark_names):

@@ -370,8 +370,8 @@ def _described(counts: dict[str, int]) -> str:
 def _labels_of_estimates(specimens: Sequence[Specimen]) -> str:
     """Return the names or numbers of the landmarks that are estimated in any of the records of an individual."""
     indices = sorted({index for specimen in specimens for index in specimen.estimated})
-    names = next((specimen.names for specimen in specimens if specimen.names), ())
-    return " ".join(names[index] if names else str(index + 1) for index in indices)
+    named = next((specimen for specimen in specimens if specimen.names), specimens[0])
+    return " ".join(named.labels[index] for index in indices)
 
 
 def _too_few(n_individuals: int, chosen: Sequence[str], left_out: Sequence[str], kind: str) -> str:

@@ -15,7 +15,6 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from liaam.errors import LiaamError
-from liaam.fitting.result import USABLE
 from liaam.io.files import count_of, some_names
 from liaam.model.shape import Similarity, align
 from liaam.morphometry.measures import ScaleBar, indices_of, parse_scale
@@ -77,8 +76,7 @@ def with_estimated_landmarks(
     """
     _check_method(method)
     specimens = tuple(specimens)
-    usable = {"", *USABLE}
-    used = [i for i, specimen in enumerate(specimens) if specimen.status in usable and len(specimen.points)]
+    used = [i for i, specimen in enumerate(specimens) if specimen.is_usable and len(specimen.points)]
     if not used:
         return specimens, ()
     first = specimens[used[0]]
@@ -133,8 +131,7 @@ def far_estimates(specimens: Sequence[Specimen], scale: str | float | ScaleBar |
         For each specimen with such an estimate, its name, and each landmark with the ratio of the two distances. Empty
         if fewer than five specimens are complete.
     """
-    usable = {"", *USABLE}
-    used = [specimen for specimen in specimens if specimen.status in usable and len(specimen.points)]
+    used = [specimen for specimen in specimens if specimen.is_usable and len(specimen.points)]
     ends = [*_bar(used[0], scale)[1]] if used else []
     whole = np.array([specimen.points for specimen in used if not specimen.estimated])
     spots: dict[tuple[bytes, tuple[int, ...]], _Spots | None] = {}  # of specimens that lack the same landmarks
@@ -151,8 +148,11 @@ def far_estimates(specimens: Sequence[Specimen], scale: str | float | ScaleBar |
         if usual is None:
             continue
         ratios = usual.distances(specimen.points[None])[0] / usual.spreads
-        labels = specimen.names or [str(number) for number in range(1, len(specimen.points) + 1)]
-        far = [f"{labels[i]} ({ratio:.0f} times)" for i, ratio in zip(usual.gaps, ratios, strict=True) if ratio > FAR]
+        far = [
+            f"{specimen.labels[i]} ({ratio:.0f} times)"
+            for i, ratio in zip(usual.gaps, ratios, strict=True)
+            if ratio > FAR
+        ]
         if far:
             lines.append(f"{specimen.name}: {', '.join(far)}")
     return tuple(lines)

@@ -183,11 +183,10 @@ def doubts_about(records: Sequence[Record]) -> list[str]:
     n_zeros = Counter(i for record in records for i in record.zeros)
     named = []
     for record in records:
-        names = record.specimen.names
         # A landmark that most records have at 0, 0 is the origin of their coordinates.
         zeros = [i for i in record.zeros if 2 * n_zeros[i] < len(records) or len(records) == 1]
         if zeros:
-            which = ", ".join(names[i] if names else str(i + 1) for i in zeros)
+            which = ", ".join(record.specimen.labels[i] for i in zeros)
             named.append(f"{record.specimen.name} (landmark {which})")
     lines = []
     if named:

@@ -10,7 +10,6 @@ from typing import Any
 import numpy as np
 
 from liaam.errors import LiaamError
-from liaam.fitting.result import USABLE
 from liaam.io.files import some_names
 from liaam.morphometry.curves import semilandmarks
 from liaam.morphometry.sides import object_name, refuse_uneven, structure_name
@@ -122,10 +121,9 @@ def _sizes_in_pixels(columns: Columns) -> np.ndarray:
 
 def _positions(specimens: Sequence[Specimen], number: int) -> np.ndarray:
     """Return where a landmark, counted from 1, is in the images of specimens, (m, 2) pixels; NaN if not to be used."""
-    usable = ("", *USABLE)
     positions = np.full((len(specimens), 2), math.nan)
     for i, specimen in enumerate(specimens):
-        if specimen.status in usable:
+        if specimen.is_usable:
             positions[i] = specimen.points[number - 1]
     return positions
 

@@ -116,8 +116,7 @@ def _are_alike_as_they_are(specimens: Sequence[Specimen], sides: Sequence[str]) 
 
     So are specimens that were reflected before, and photographs of symmetric objects from both sides.
     """
-    usable = {"", *USABLE}
-    whole = [each for each in specimens if each.status in usable and has_shape(each.points)]
+    whole = [each for each in specimens if each.is_usable and has_shape(each.points)]
     whole = [each for each in whole if len(each.points) == len(whole[0].points)]
     first = [each.points for each in whole if each.side == sides[0]]
     second = [each.points for each in whole if each.side == sides[1]]

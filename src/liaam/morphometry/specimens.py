@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from liaam.errors import LandmarkError
+from liaam.fitting.result import USABLE
 from liaam.formatting import short_repr
 from liaam.io.landmarks import Contour
 from liaam.scale.lengths import UNITS
@@ -107,6 +108,16 @@ class Specimen:
             raise LandmarkError(f"specimen {self.name}: a covariance is not positive definite: give square pixels")
         if any(not 0 <= index < n for curve in self.curves for index in curve.indices):
             raise LandmarkError(f"specimen {self.name}: a curve has a landmark that does not exist: correct the curve")
+
+    @property
+    def is_usable(self) -> bool:
+        """Whether its landmarks may be measured: those of a fit that may be used, or of a person."""
+        return not self.status or self.status in USABLE
+
+    @property
+    def labels(self) -> tuple[str, ...]:
+        """Names of its landmarks; without names, their numbers from 1."""
+        return self.names or tuple(str(number) for number in range(1, len(self.points) + 1))
 
     def to_columns(self, name: str | None = None) -> Columns:
         """Return the landmarks as a table of lists, one row per landmark; see :func:`liaam.to_dataframe`."""

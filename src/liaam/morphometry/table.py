@@ -12,7 +12,6 @@ from typing import NamedTuple
 import numpy as np
 
 from liaam.errors import LiaamError
-from liaam.fitting.result import USABLE
 from liaam.io.landmarks import Contour
 from liaam.model.shape import procrustes_mean
 from liaam.morphometry.curves import slide as slid
@@ -33,7 +32,6 @@ from liaam.tables import Columns
 
 SpecimenRow = dict[str, str | float]
 
-_USABLE = {"", *USABLE}
 _SIZE = "centroid_size"
 _SCALE = "scale"
 
@@ -91,7 +89,7 @@ def measure(
     specimens, left_out = alike(specimens)
     for line in left_out:
         warnings.warn(line, stacklevel=2)
-    usable = [specimen for specimen in specimens if specimen.status in _USABLE]
+    usable = [specimen for specimen in specimens if specimen.is_usable]
     if not usable:
         raise LiaamError(f"there are {len(specimens)} specimens, none with landmarks to use: fit the images again.")
     if are_unreflected(usable):
@@ -113,9 +111,7 @@ def measure(
         for item, place in zip(wanted, places, strict=True)
     ]
     items.append(_Item(in_unit(_SIZE, unit, 1), centroid_size, inside, 1))
-    whole = [
-        i for i, specimen in enumerate(specimens) if specimen.status in _USABLE and has_shape(specimen.points[inside])
-    ]
+    whole = [i for i, specimen in enumerate(specimens) if specimen.is_usable and has_shape(specimen.points[inside])]
     specimens = specimens if slide is None else _slid(specimens, whole, inside, slide)
     mean = procrustes_mean(np.array([specimens[i].points[inside] for i in whole])) if whole else None
     with np.errstate(divide="ignore", invalid="ignore"):  # by points that are missing or coincide
@@ -191,7 +187,7 @@ def _within(specimen: Specimen, unit: str) -> Specimen:
 def _slid(specimens: Sequence[Specimen], whole: Sequence[int], inside: Sequence[int], how: str) -> tuple[Specimen, ...]:
     """Slide the semilandmarks of the specimens that are whole along the curves of the first that has any."""
     place = {index: i for i, index in enumerate(inside)}
-    curves = next((specimen.curves for specimen in specimens if specimen.curves and specimen.status in _USABLE), ())
+    curves = next((specimen.curves for specimen in specimens if specimen.curves and specimen.is_usable), ())
     chains = [Contour(tuple(place[i] for i in curve.indices if i in place), curve.closed) for curve in curves]
     if not curves:
         raise LiaamError("no specimen has curves to slide along: give landmark files with curves, such as .tps")
@@ -222,7 +218,7 @@ def alike(specimens: Iterable[Specimen]) -> tuple[tuple[Specimen, ...], tuple[st
         A sentence for each specimen that is left out.
     """
     specimens = tuple(specimens)
-    fitted = [specimen for specimen in specimens if specimen.status in _USABLE]
+    fitted = [specimen for specimen in specimens if specimen.is_usable]
     if not fitted:
         return specimens, ()
     usual = Counter(len(specimen.points) for specimen in fitted).most_common(1)[0][0]
@@ -238,7 +234,7 @@ def alike(specimens: Iterable[Specimen]) -> tuple[tuple[Specimen, ...], tuple[st
             reason = f"it has no landmark {', '.join(absent[:5])}{' …' if len(absent) > 5 else ''}; it is left out"
         else:
             reason = f"it has {n} landmarks where most have {usual}; it is left out" if n != usual else ""
-        if reason and specimen.status in _USABLE:
+        if reason and specimen.is_usable:
             left_out.append(f"{specimen.name}: {reason}")
         else:
             used.append(specimen if reason else _in_order(specimen, names))
@@ -269,7 +265,7 @@ def _row(
 ) -> SpecimenRow:
     """Measure one specimen. The last item is the centroid size. Sizes in pixels are none in a known unit."""
     row: SpecimenRow = {"specimen": specimen.name, "status": specimen.status}
-    if specimen.status not in _USABLE:
+    if not specimen.is_usable:
         return row
     length, slope, length_se = _pixel(specimen, rule, bar)
     scale = scale_column(unit)
@@ -285,8 +281,7 @@ def _row(
         row[item.column] = value * length**item.power
         of_points = float(_standard_errors(specimen.covariances, gradient[None])[0])
         row[f"{item.column}_se"] = math.hypot(of_points, by_length * length_se)
-    labels = specimen.names or [str(number) for number in range(1, len(specimen.points) + 1)]
-    row |= {"side": specimen.side, "estimated": " ".join(labels[index] for index in specimen.estimated)}
+    row |= {"side": specimen.side, "estimated": " ".join(specimen.labels[index] for index in specimen.estimated)}
     inside = items[-1].indices
     if mean is not None and has_shape(specimen.points[inside]):
         row |= _shape(specimen, inside, mean)

@@ -20,6 +20,7 @@ import numpy as np
 from liaam.fitting.loop.objective import Objective
 from liaam.fitting.methods import GRADIENT_ROWS
 from liaam.fitting.quality.segmentation import Segmentation, segmented
+from liaam.fitting.result import LEAST_PRESENT
 from liaam.io.landmarks.base import PRESENT
 from liaam.model.presence import Agreement, Presence
 from liaam.model.shape import diagonal_of
@@ -206,7 +207,7 @@ class Surroundings:
 
 def _are_mostly_absent(probabilities: np.ndarray) -> bool:
     """Return whether most landmarks are absent, by their probabilities to be present (n,)."""
-    return int((probabilities < PRESENT).sum()) > len(probabilities) / 2
+    return bool((~(probabilities < PRESENT)).mean() < LEAST_PRESENT)
 
 
 def _mesh_warp(objective: Objective) -> PiecewiseAffineWarp:
