@@ -14,6 +14,7 @@ from liaam.error_measures import point_error
 from liaam.errors import LiaamError, MethodError, ModelFileError, StartError, TrainingError
 from liaam.evaluation import compare_specimens
 from liaam.fitting import METHODS
+from liaam.fitting.search.finder import Finder
 from liaam.fitting.sides import as_fitted, reflected_result, reflected_start, reflections_of_start
 from liaam.fitting.solution import residual_at
 from liaam.io import write_image
@@ -229,6 +230,24 @@ def test_objects_of_both_sides_in_an_image_are_all_found(model, both):
         on_it = [fit for fit in fits if np.linalg.norm(fit.landmarks.mean(0) - truth.mean(0)) < 5]
         assert [fit.side for fit in on_it] == [side]
         assert point_error(on_it[0].landmarks, truth) < 0.02 * diagonal_of(truth)
+
+
+def test_a_place_of_the_other_side_counts_only_if_its_fit_is_right(model, both, monkeypatch):
+    (left, first), (other, second) = both[18], both[19]
+
+    def n_found_in(beside):
+        """Fit an image where the search for each side is certain of a place: of the object, and of what is beside."""
+        image = np.concatenate([left, beside], axis=1)
+        place = replace(liaam.fit(model, image).found, score=0.9, others=(), reflected=False)
+        there = replace(place, landmarks=second + np.array([WIDTH, 0.0]))
+        here = replace(place, landmarks=reflected_points(first, 2 * WIDTH))
+        answers = iter([there, here])
+        with monkeypatch.context() as patch:
+            patch.setattr(Finder, "first_in", lambda *_: next(answers))
+            return liaam.fit(model, image).n_found
+
+    assert n_found_in(other) == 2
+    assert n_found_in(np.full_like(other, 90)) == 1  # as on a ruler
 
 
 def test_a_mirrored_object_is_compared_and_relit(model, both):

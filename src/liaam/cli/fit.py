@@ -79,7 +79,12 @@ def fit(
         ),
     ] = None,
     every: Annotated[
-        bool, typer.Option("--all", help="Fit every object that the search finds; results are NAME_1, NAME_2 ...")
+        bool,
+        typer.Option(
+            "--all",
+            help="Fit every object that the search finds, and at least the one that is fitted without --all; results "
+            "are NAME_1, NAME_2 ...",
+        ),
     ] = False,
     name_by: inputs.NameByOption = "position",
     crops: Annotated[
