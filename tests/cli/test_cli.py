@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from liaam.cli.fit import Outputs
-from liaam.cli.inputs import unique_stems
+from liaam.cli.inputs import names_in_folders, unique_stems
 from liaam.cli.train import parse_contour
 from liaam.errors import LiaamError
 from liaam.io import read_image, read_landmarks, write_image, write_landmarks
@@ -392,6 +392,9 @@ def test_images_of_one_stem_do_not_overwrite_each_other(tmp_path):
         tmp_path / "b" / "x.jpg",
     ]
     assert unique_stems(images) == ["a_x_png", "b_x_png", "y", "b_x_jpg"]
+    assert unique_stems(images[:3]) == ["a_x", "b_x", "y"]
+    assert names_in_folders(images[:3]) == ["a/x.png", "b/x.png", "b/y.png"]
+    assert names_in_folders(images[2:]) == ["y.png", "x.jpg"]
 
 
 def test_help_and_methods(run):

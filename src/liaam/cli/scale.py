@@ -16,7 +16,6 @@ from liaam.errors import LiaamError
 from liaam.io import make_folder, read_image, write_columns, write_image
 from liaam.io.atomic import check_output
 from liaam.io.files import count_of, existing_file, natural_key, some_names
-from liaam.io.landmarks.matching import unique_names
 from liaam.scale.choice import tagged_length
 from liaam.scale.lengths import Length, parse_length, unlike
 
@@ -60,7 +59,7 @@ def scale(
         make_folder(folder)
     rows = []
     with progress_bar() as progress:
-        names = zip(images, _names_of(images), inputs.unique_stems(images), strict=True)
+        names = zip(images, inputs.names_in_folders(images), inputs.unique_stems(images), strict=True)
         for i, (image, name, stem) in enumerate(names):
             progress(i, len(images), name)
             rows.append({"image": name} | _row(image, known, find, folder / f"{stem}_scale.png"))
@@ -100,15 +99,6 @@ def _finder(tick: Length | None) -> Callable[[np.ndarray], Any]:
     from liaam.scale.rulers import find_ruler
 
     return find_bar if tick is None else partial(find_ruler, tick=tick)
-
-
-def _names_of(images: list[Path]) -> list[str]:
-    """Return the names of images, with folders where some have one name, such as those of left and right wings."""
-    names = [image.name for image in images]
-    if len(set(names)) == len(names):
-        return names
-    unique = unique_names(map(str, images))
-    return [unique[str(image)] for image in images]
 
 
 def _row(image: Path, known: Length | None, find: Callable[[np.ndarray], Any] | None, overlay: Path) -> Row:
