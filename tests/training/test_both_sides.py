@@ -133,7 +133,7 @@ def test_sides_that_cannot_be_are_refused_in_training(both):
         liaam.train([samples[0], replace(samples[1], side="up"), *samples[2:]], **QUICK)
     with pytest.raises(TrainingError, match="4 of 9 images have no side, and others have: w0, w1, w2, w3; complete"):
         liaam.train([replace(each, side="") for each in samples[:4]] + samples[4:], **QUICK)
-    with pytest.warns(UserWarning, match=r"1 image is of the other side than stated, by the shape.*w1 \(left\)"):
+    with pytest.warns(UserWarning, match=r"1 image is taken .*: w1 \(stated left, right by the shape\)"):
         model = liaam.train([samples[0], replace(samples[1], side="left"), *samples[2:]], **QUICK)
     assert model.sides == Sides("right", 6, 3)
     with pytest.raises(TrainingError, match="sides 'up': give auto, both, one"):
@@ -196,6 +196,16 @@ def test_a_reflection_of_a_result_is_undone_by_another(model, both):
     np.testing.assert_allclose(again.pose.matrix, result.pose.matrix)
     assert again.reflected and not fitted.reflected
     assert fitted.found is not None and result.found is not None and fitted.found.rotation == -result.found.rotation
+
+
+def test_a_stated_side_that_the_shape_contradicts_is_a_fault(run, both, tmp_path):
+    names = [f"w{i}_{'left' if i % 3 == 0 else 'right'}" for i in range(9)]
+    code, out, _ = run("check", folder_of(tmp_path / "right", both[:9], names))
+    assert code == 0 and "no faults found" in out
+    code, out, err = run("check", folder_of(tmp_path / "wrong", both[:9], ["w0_left", "w1_left", *names[2:]]))
+    assert code == 1 and "no other faults found" in out
+    assert "1 image is taken to be of the other side than stated: w1_left (stated left, right by the shape)" in err
+    assert "correct the sides that are stated: the column 'side', the folders or the names" in err
 
 
 def test_the_mean_shape_with_names_in_another_order_says_no_side(model):
