@@ -72,7 +72,7 @@ def test_fits_of_images_in_folders_of_sides_have_scales_of_their_own(run, model_
     for side, scene in (("left", scenes[0]), ("right", scenes[1])):
         (tmp_path / "new" / side).mkdir(parents=True)
         write_image(tmp_path / "new" / side / "a.png", (255 * scene.image.clip(0, 1)).astype(np.uint8))
-    run("fit", model_file, tmp_path / "new", "-m", "igo", "-o", tmp_path / "fits")
+    run("fit", model_file, f"{tmp_path}/new/**", "-m", "igo", "-o", tmp_path / "fits")
     assert sorted(path.name for path in (tmp_path / "fits").glob("*.json")) == ["left_a.json", "right_a.json"]
     (tmp_path / "s.csv").write_text("image,scale,unit\nleft/a.png,0.5,mm\nright/a.png,0.25,mm\n")
     given = (
@@ -99,6 +99,9 @@ def test_a_folder_stands_for_its_images(run, images, tmp_path):
     code, _, _ = run("scale", images, "--ruler", "1 mm", "-o", tmp_path / "s.csv")
     assert code == 0
     assert pd.read_csv(tmp_path / "s.csv")["image"].tolist() == ["a.png", "c.png", "b.png"]
+    code, _, _ = run("scale", f"{images}/more/**", "--ruler", "1 mm", "-o", tmp_path / "s.csv")
+    assert code == 0
+    assert pd.read_csv(tmp_path / "s.csv")["image"].tolist() == ["b.png"]
 
 
 def test_bars_are_found_too(run, tmp_path, rng):

@@ -20,7 +20,7 @@ from liaam.cli.terminal import cell, complain, progress_bar, say, show_table, ta
 from liaam.errors import LiaamError
 from liaam.io import IMAGE_SUFFIXES, Contour, Landmarks, make_folder, write_image
 from liaam.io.atomic import is_disk_full
-from liaam.io.files import count_of, natural_key
+from liaam.io.files import count_of
 from liaam.io.fit_files import FIT_SUFFIXES, corrected_file, read_fit, write_fit
 from liaam.morphometry.schemes import in_scheme
 from liaam.scale.choice import facts_of
@@ -196,12 +196,10 @@ def refuse_for_page(page: Path, options: list[str]) -> None:
 
 
 def images_in(path: Path) -> list[Path]:
-    """Return an image, or the images of a folder and its subfolders without the overlays of earlier fits."""
-    from liaam.batch import find_pictures
-
-    if not path.is_dir():
-        return [path]
-    found = sorted((Path(image) for image in find_pictures(path)), key=lambda image: natural_key(str(image)))
+    """Return an image, or those of a folder and its subfolders or of a pattern, without overlays of earlier fits."""
+    found = inputs.pictures_in(path)
+    if found == [path]:
+        return found
     images = [image for image in found if not is_overlay(image)]
     if not images:
         raise LiaamError(f"{path}: its images are overlays of earlier fits; give the folder of the images themselves")

@@ -16,7 +16,7 @@ from liaam.cli.terminal import complain, say
 from liaam.datasets import Dataset, Sample, load_folder
 from liaam.errors import CameraError, ImageError, LiaamError
 from liaam.io import is_raw
-from liaam.io.files import existing_file, is_number, real_path, some_names
+from liaam.io.files import existing_file, is_number, natural_key, real_path, some_names
 from liaam.io.images import PICTURE_SUFFIXES, UNREAD_SUFFIXES, VIDEO_SUFFIXES
 from liaam.io.landmarks.formats import KNOWN_FILES
 from liaam.io.landmarks.matching import unique_names
@@ -215,6 +215,19 @@ def unique_stems(images: list[Path]) -> list[str]:
         taken.add(name)
         names.append(name)
     return names
+
+
+def pictures_in(path: Path) -> list[Path]:
+    """Return an image, or those of a folder and its subfolders or of a pattern, in natural order.
+
+    A path that is missing is returned as it is.
+    """
+    from liaam.batch import find_pictures
+
+    is_pattern = has_magic(str(path)) and not path.exists()
+    if not (path.is_dir() or is_pattern):
+        return [path]
+    return sorted(map(Path, find_pictures(path)), key=lambda image: natural_key(str(image)))
 
 
 def names_in_folders(images: list[Path]) -> list[str]:

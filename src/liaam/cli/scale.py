@@ -15,7 +15,7 @@ from liaam.cli.terminal import cell, complain, progress_bar, say, show_table, ta
 from liaam.errors import LiaamError
 from liaam.io import make_folder, read_image, write_columns, write_image
 from liaam.io.atomic import check_output
-from liaam.io.files import count_of, existing_file, natural_key, some_names
+from liaam.io.files import count_of, existing_file, some_names
 from liaam.scale.choice import tagged_length
 from liaam.scale.lengths import Length, parse_length, unlike
 
@@ -24,7 +24,12 @@ Row = dict[str, Any]
 
 def scale(
     images: Annotated[
-        list[Path], typer.Argument(metavar="IMAGE...", readable=False, help="The images, or folders of images.")
+        list[Path],
+        typer.Argument(
+            metavar="IMAGE...",
+            readable=False,
+            help="The images, folders of images, or quoted patterns such as 'images/**'.",
+        ),
     ],
     output: Annotated[
         Path, typer.Option("--output", "-o", help="Table to write: .csv. Beside it, a folder of overlays to check.")
@@ -48,7 +53,7 @@ def scale(
     """
     if ruler is not None and scale_bar is not None:
         raise LiaamError("--ruler and --scale-bar: give one of them; crop the images to what they show")
-    images = [image for path in images for image in _images_in(path)]
+    images = [image for path in images for image in inputs.pictures_in(path)]
     check_output(output)
     if output.suffix.lower() != ".csv":
         raise LiaamError(f"{output}: the table is written as CSV; give a name that ends in .csv")
@@ -74,15 +79,6 @@ def scale(
     write_columns(output, {name: [row[name] for row in rows] for name in rows[0]})
     drawn = f"; overlays in {folder}" if find is not None else ""
     say(f"{output}: the scale of {n_found} of {count_of(len(rows), 'image')}{drawn}")
-
-
-def _images_in(path: Path) -> list[Path]:
-    """Return an image, or the images of a folder and its subfolders in natural order."""
-    from liaam.batch import find_pictures
-
-    if not path.is_dir():
-        return [path]  # its row reports if it is missing
-    return sorted(map(Path, find_pictures(path)), key=lambda image: natural_key(str(image)))
 
 
 def _known_length(text: str | None, option: str) -> Length | None:
