@@ -83,8 +83,10 @@ def check_pixels(data: Dataset) -> bool:
     from liaam.datasets.units import units_fault
     from liaam.photometry import is_grey
     from liaam.photometry.encoding import as_colour, refuse_unscaled
-    from liaam.training.images import describe_outside, grey_use
+    from liaam.training.images import count_outside, describe_cut_off, describe_outside, grey_use
     from liaam.workers import in_threads
+
+    outside_of: dict[str, tuple[int, int]] = {}
 
     def look(sample: Sample) -> bool | str:
         try:
@@ -93,10 +95,11 @@ def check_pixels(data: Dataset) -> bool:
             refuse_unscaled(image, sample.name, "linear" if raw else "srgb")
         except LiaamError as error:
             return str(error)
-        placed = sample.landmarks.points[~sample.landmarks.missing]
-        outside = describe_outside(placed, image.shape) if len(placed) else ""
-        if outside:
-            return f"{sample.name}: {outside}: they belong to another image, or to one of another size"
+        if not sample.landmarks.missing.all():
+            outside = describe_outside(sample.landmarks.points, image.shape)
+            if outside:
+                return f"{sample.name}: {outside}: they belong to another image, or to one of another size"
+            outside_of[sample.name] = count_outside(sample.landmarks.points, image.shape)
         return is_grey(image)
 
     verdicts = in_threads(look, data.samples)
@@ -106,6 +109,8 @@ def check_pixels(data: Dataset) -> bool:
         unusable = [units]
     for fault in unusable:
         complain(fault)
+    if cut_off := describe_cut_off({sample.name: outside_of.get(sample.name, (0, 0)) for sample in data}):
+        complain(cut_off)
     grey, colour = (
         [sample.name for sample, each in zip(data, verdicts, strict=True) if each is g] for g in (True, False)
     )
