@@ -339,3 +339,13 @@ def test_landmarks_in_subfolders_of_sides_are_read(tmp_path: Path) -> None:
     (tmp_path / "left").rename(tmp_path / "hand")
     with pytest.raises(LiaamError, match=r"holds no results that can be read: .*/\*\*' also reads its subfolders"):
         read_specimens(tmp_path)
+
+
+def test_individuals_may_be_added_to_a_table_of_a_batch(tmp_path: Path) -> None:
+    path, row = tmp_path / "t.csv", row_of("a.png")
+    write_table(path, BatchTable([(json.dumps(row), row)], 3, True, {}))
+    header, line = path.read_text(encoding="utf-8").splitlines()
+    path.write_text(f"{header},individual\n{line},fly 1\n", encoding="utf-8")
+    (specimen,) = read_specimens(path)
+    assert specimen.individual == "fly 1"
+    assert_fit(specimen)

@@ -219,6 +219,7 @@ def _specimen(path: Path, name: str, facts: dict[str, Any], covariances: Any) ->
             scale_source=str(facts.get("scale_from") or ""),
             image=str(facts.get("image") or ""),
             code=str(facts.get("code") or ""),
+            individual=str(facts.get("individual") or ""),
         )
     except (TypeError, ValueError, OverflowError, LandmarkError) as fault:
         raise LandmarkError(f"{path}: the landmarks of {name} are damaged ({fault}): fit the image again") from fault

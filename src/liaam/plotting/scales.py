@@ -34,7 +34,7 @@ def overlay_of_scale(image: np.ndarray, found: Ruler | Bar, label: str) -> np.nd
     picture, zoom = enlarged(image)
     places = (found.ends + 0.5) * zoom - 0.5
     if isinstance(found, Ruler):
-        places = _seen(picture, np.linspace(*places, found.n_ticks), zoom)
+        places = _seen(picture, np.linspace(places[0], places[1], found.n_ticks), zoom)
         places = places[:: -(-len(places) // _MOST_MARKS)]
     first, last = places[0], places[-1]
     axis = (last - first) / max(float(np.hypot(*(last - first))), 1e-9)

@@ -159,13 +159,12 @@ def describe_outside(
     Most of the points (k, 2), pixels of the mesh, must lie inside; by default the landmarks, which is less strict.
     Estimated landmarks, which are not ``known`` (n,), may lie anywhere.
     """
-    known = np.isfinite(landmarks).all(axis=1) if known is None else known
+    known = _placed(landmarks) if known is None else known
     points = landmarks[known] if points is None else points
     height, width = shape[:2]
     distances = _distances_outside(landmarks, shape, known)
     inside = float((_distances_outside(points, shape) < 0).mean())
-    placed = landmarks[np.isfinite(landmarks).all(axis=1)]
-    if inside >= LEAST_INSIDE and distances.max() <= FAR * diagonal_of(placed):
+    if inside >= LEAST_INSIDE and distances.max() <= FAR * diagonal_of(landmarks[_placed(landmarks)]):
         return ""
     n_outside, n_known = count_outside(landmarks, shape, known)
     farthest = int(distances.argmax())
@@ -173,6 +172,11 @@ def describe_outside(
         f"{n_outside} of {n_known} landmarks lie outside the image of {width}×{height} pixels (point "
         f"{farthest + 1} by {distances[farthest]:.0f} pixels)"
     )
+
+
+def _placed(landmarks: np.ndarray) -> np.ndarray:
+    """Return which landmarks (n, 2) have a place, (n,) bool; those that are missing are NaN."""
+    return np.asarray(np.isfinite(landmarks).all(axis=1))
 
 
 def _distances_outside(points: np.ndarray, shape: tuple[int, ...], known: np.ndarray | None = None) -> np.ndarray:
@@ -187,7 +191,7 @@ def _distances_outside(points: np.ndarray, shape: tuple[int, ...], known: np.nda
 
 def count_outside(landmarks: np.ndarray, shape: tuple[int, ...], known: np.ndarray | None = None) -> tuple[int, int]:
     """Return how many of the known landmarks (n, 2) lie outside an image, and how many are known."""
-    known = np.isfinite(landmarks).all(axis=1) if known is None else known
+    known = _placed(landmarks) if known is None else known
     return int((_distances_outside(landmarks, shape, known) > 0).sum()), int(known.sum())
 
 
