@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from liaam.cli.fit import Outputs
-from liaam.cli.inputs import unique_stems
+from liaam.cli.inputs import names_in_folders, unique_stems
 from liaam.cli.train import parse_contour
 from liaam.errors import LiaamError
 from liaam.io import read_image, read_landmarks, write_image, write_landmarks
@@ -255,9 +255,13 @@ def test_fit_says_when_a_search_is_in_doubt(run, model_file, tmp_path, rng):
     _, _, err = run("fit", model_file, tmp_path / "noise.png", "-m", "igo", "-o", tmp_path / "o")
     assert "noise.png: the search may have found something else" in err
     assert json.loads((tmp_path / "o" / "noise.json").read_text())["detection_doubtful"] is True
-    code, _, err = run("fit", model_file, tmp_path / "noise.png", "--all", "-o", tmp_path / "o")
+    _, _, err = run("fit", model_file, tmp_path / "noise.png", "--all", "-m", "igo", "-o", tmp_path / "o")
+    assert "noise_1: the search may have found something else" in err
+    assert json.loads((tmp_path / "o" / "noise_1.json").read_text())["detection_doubtful"] is True
+    write_image(tmp_path / "wall.png", np.full((120, 150, 3), 90, np.uint8))
+    code, _, err = run("fit", model_file, tmp_path / "wall.png", "--all", "-o", tmp_path / "o")
     assert code == 1
-    assert "error: noise.png: no object was found (the best score is 0." in err
+    assert "error: wall.png: no object was found (the best score is 0.00, 0.52 is needed); give a start" in err
 
 
 def test_fit_goes_on_after_a_bad_image_and_says_so(run, portraits, model_file, tmp_path):
@@ -388,6 +392,9 @@ def test_images_of_one_stem_do_not_overwrite_each_other(tmp_path):
         tmp_path / "b" / "x.jpg",
     ]
     assert unique_stems(images) == ["a_x_png", "b_x_png", "y", "b_x_jpg"]
+    assert unique_stems(images[:3]) == ["a_x", "b_x", "y"]
+    assert names_in_folders(images[:3]) == ["a/x.png", "b/x.png", "b/y.png"]
+    assert names_in_folders(images[2:]) == ["y.png", "x.jpg"]
 
 
 def test_help_and_methods(run):

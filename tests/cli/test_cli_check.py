@@ -71,6 +71,19 @@ def test_check_finds_landmarks_outside_of_their_image(run, scenes, tmp_path):
     assert "they belong to another image" in err
 
 
+def test_check_and_training_name_images_that_cut_an_object_off(run, scenes, tmp_path):
+    folder = write_folder(tmp_path, scenes)
+    picture = scenes[4].image
+    right = int(scenes[4].landmarks[:, 0].max()) - 1  # the outermost landmark is just outside
+    write_image(folder / "face4.png", picture[:, :right])
+    n = int((scenes[4].landmarks[:, 0] > right - 0.5).sum())
+    said = f"1 image has landmarks outside of the image: face4 ({n} of {len(scenes[4].landmarks)}); correct them"
+    _, _, err = run("check", folder)
+    assert said in " ".join(err.split())
+    _, _, err = run("train", folder, "-o", tmp_path / "m.liaam", "--copies", 0, "--no-leave-out", "--diagonal", 50)
+    assert " ".join(err.split()).count(said) == 1
+
+
 def test_check_finds_shows_and_mends(run, scenes, spoilt, tmp_path):
     before = {path.name: path.read_bytes() for path in spoilt.iterdir()}
     code, text, err = run("check", spoilt, "-o", tmp_path / "o")

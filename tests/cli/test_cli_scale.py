@@ -7,6 +7,7 @@ from PIL import Image, TiffImagePlugin
 
 from liaam.drawing import LOST, rgb
 from liaam.io import Landmarks, read_image, write_collection, write_image
+from liaam.morphometry import of_one_side, read_specimens
 from scenes.ruler import draw
 
 MARKS = np.array([[1.0, 2.0], [11.0, 2.0], [5.0, 9.0]])
@@ -67,12 +68,40 @@ def test_wings_in_folders_of_sides_have_scales_of_their_own(run, tmp_path):
     assert pd.read_csv(tmp_path / "t.csv")["distance_1_2_mm"].tolist() == pytest.approx([0.5, 0.5, 1.0, 1.0])
 
 
+def test_fits_of_images_in_folders_of_sides_have_scales_of_their_own(run, model_file, scenes, tmp_path):
+    for side, scene in (("left", scenes[0]), ("right", scenes[1])):
+        (tmp_path / "new" / side).mkdir(parents=True)
+        write_image(tmp_path / "new" / side / "a.png", (255 * scene.image.clip(0, 1)).astype(np.uint8))
+    run("fit", model_file, f"{tmp_path}/new/**", "-m", "igo", "-o", tmp_path / "fits")
+    assert sorted(path.name for path in (tmp_path / "fits").glob("*.json")) == ["left_a.json", "right_a.json"]
+    (tmp_path / "s.csv").write_text("image,scale,unit\nleft/a.png,0.5,mm\nright/a.png,0.25,mm\n")
+    given = (
+        "measure",
+        tmp_path / "fits",
+        "--scale",
+        tmp_path / "s.csv",
+        "--side",
+        "reflected",
+        "-o",
+        tmp_path / "t.csv",
+    )
+    code, _, err = run(*given)
+    assert code == 0 and "may be of the images" not in err
+    measured = pd.read_csv(tmp_path / "t.csv")
+    assert measured["scale_mm_per_px"].tolist() == [0.5, 0.25]
+    specimens, _ = of_one_side(read_specimens(tmp_path / "fits"))
+    assert [(each.individual, each.side) for each in specimens] == [("a", "left"), ("a", "right")]
+
+
 def test_a_folder_stands_for_its_images(run, images, tmp_path):
     (images / "more").mkdir()
     (images / "b.png").rename(images / "more" / "b.png")
     code, _, _ = run("scale", images, "--ruler", "1 mm", "-o", tmp_path / "s.csv")
     assert code == 0
     assert pd.read_csv(tmp_path / "s.csv")["image"].tolist() == ["a.png", "c.png", "b.png"]
+    code, _, _ = run("scale", f"{images}/more/**", "--ruler", "1 mm", "-o", tmp_path / "s.csv")
+    assert code == 0
+    assert pd.read_csv(tmp_path / "s.csv")["image"].tolist() == ["b.png"]
 
 
 def test_bars_are_found_too(run, tmp_path, rng):

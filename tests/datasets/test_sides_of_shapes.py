@@ -90,7 +90,10 @@ def test_a_side_that_the_shape_contradicts_is_named(rng):
     which = np.arange(12) < 5
     found = sides_in(shapes_of(rng, which), ["left"] * 4 + ["right"] * 8)
     np.testing.assert_array_equal(found.is_other, which)
-    assert found.said == "1 image is of the other side than stated, by the shape, and taken so: image 4 (right)"
+    assert found.said == (
+        "1 image is taken to be of the other side than stated: image 4 (stated right, left by the shape)"
+    )
+    assert found.n_against == 1
     with pytest.raises(LiaamError, match=r"the sides of 5 of 12 images are not those of their shapes \(image 1"):
         sides_in(shapes_of(rng, which), ["left", "right"] * 6)
 

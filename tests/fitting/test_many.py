@@ -5,7 +5,7 @@ import subprocess
 import sys
 import threading
 from collections.abc import Iterator
-from dataclasses import fields
+from dataclasses import fields, replace
 from itertools import count, islice
 from pathlib import Path
 from weakref import WeakSet
@@ -18,7 +18,7 @@ from threadpoolctl import threadpool_info
 import liaam
 from liaam import progress
 from liaam.errors import ImageError, MethodError, StartError
-from liaam.fitting import Fitter, fit_each, fit_many
+from liaam.fitting import Fitter, detection, fit_each, fit_many
 from liaam.fitting.many import _is_one_start
 from liaam.io import Landmarks, write_image
 from liaam.workers import AHEAD, BEHIND, in_order, one_blas_thread, one_thread
@@ -398,3 +398,39 @@ def test_every_object_of_each_image_is_fitted_on_request(calibrated, scenes):
     assert liaam.fit(calibrated, two, scenes[0].landmarks, max_iterations=20).n_found is None
     with pytest.raises(StartError, match="use only one"):
         fit_many(calibrated, [two], scenes[0].landmarks, every=True)
+
+
+def test_every_object_is_never_less_than_the_fit_of_one(calibrated, scenes, monkeypatch):
+    picture = scenes[2].image
+    alone = liaam.fit(calibrated, picture)
+    (certain,) = liaam.fit_all(calibrated, picture)
+    monkeypatch.setattr(detection, "DOUBTFUL", 1.1)  # no score is enough
+    assert alone.status.ok and alone.quality >= alone.least_quality
+    (fit,) = liaam.fit_all(calibrated, picture)
+    np.testing.assert_array_equal(fit.landmarks, alone.landmarks)
+    np.testing.assert_allclose(fit.landmarks, certain.landmarks, atol=1.0)
+
+
+def test_a_place_that_only_scores_as_an_object_does_not_displace_one(calibrated, scenes, monkeypatch):
+    wall = np.full_like(scenes[2].image, 0.3)
+    image = np.concatenate([scenes[2].image, wall], axis=1)
+    alone = liaam.fit(calibrated, image)
+    there = replace(alone.found, landmarks=alone.landmarks + np.array([wall.shape[1], 0.0]), score=0.9)
+    monkeypatch.setattr(Fitter, "find", lambda *_, **__: [there])  # as on a ruler
+    fits = liaam.fit_all(calibrated, image)
+    assert [fit.status.ok for fit in fits] == [True, False]
+    np.testing.assert_array_equal(fits[0].landmarks, alone.landmarks)
+    assert fits[0].n_found == 1
+
+
+def test_what_lies_on_a_code_is_no_object(calibrated, scenes):
+    scene, fitter = scenes[2], Fitter(calibrated)
+    assert len(fitter.fit_objects(scene.image, codes=[scene.landmarks + 500.0])) == 1
+    with pytest.raises(StartError, match=r"tray: no object was found beside the codes .*; give a start \(--init\)"):
+        fitter.fit_objects(scene.image, "tray", codes=[box_around(scene.landmarks)])
+
+
+def box_around(shape):
+    """Return the corners of the box around a shape (n, 2)."""
+    (left, top), (right, bottom) = shape.min(axis=0) - 9.0, shape.max(axis=0) + 9.0
+    return np.array([(left, top), (right, top), (right, bottom), (left, bottom)])

@@ -289,6 +289,9 @@ def test_one_specimen_and_one_side_are_too_few(rng) -> None:
         LiaamError, match="1 of 3 individuals can be compared, and 2 are needed: fly1: it has 1 left and 0"
     ):
         analysed(wings(rng, 3, 1.0)[:2] + wings(rng, 3, 1.0)[2::2], "matching")
+    alone = [replace(each, individual=each.name) for each in wings(rng, 3, 1.0)]  # as IMG_1 and IMG_2
+    with pytest.raises(LiaamError, match=r"0 of 6 individuals .* name their images alike .* a column 'individual'"):
+        analysed(alone, "matching")
     given = wings(rng, 3, 1.0)
     unreflected = [replace(each, side=each.name.partition("_")[2]) for each in given]
     with (

@@ -214,8 +214,10 @@ def test_fits_of_another_side_than_their_names_are_named() -> None:
     given = fits(("w1_left", "left"), ("w1_right", "right"), ("w2_left", "right"), ("w2_right", "right"))
     found, said = of_one_side(given)
     assert [each.side for each in found] == ["left", "right", "right", "right"]
-    assert said.endswith("; fits of another side than the names, which is taken: w2_left (right); check these")
+    assert said.endswith(
+        "; fits of another side than the names, which is taken: w2_left (stated left, right by the fit); check these"
+    )
     given = fits(("w1_left", "original"), ("w1_right", "mirrored"), ("w2_left", "original"), ("w2_right", "original"))
-    assert "w2_right (left)" in of_one_side(given)[1]
+    assert "w2_right (stated right, left by the fit)" in of_one_side(given)[1]
     lost = [replace(each, status="doubtful") for each in given]
     assert "another side" not in of_one_side(lost)[1]  # these are not measured

@@ -11,7 +11,7 @@ from liaam.errors import LiaamError
 from liaam.io import Landmarks, read_collection, write_collection, write_image, write_landmarks
 from liaam.io.fit_files import FIT_SUFFIXES, write_fit
 from liaam.io.landmarks import Contour
-from liaam.morphometry import Specimen, alike, measure, read_specimens
+from liaam.morphometry import Specimen, alike, measure, of_one_side, read_specimens
 
 POINTS = np.array([[1.0, 2], [11, 2], [11, 22]])
 SPREAD = np.array([[1.0, 0.5, 2], [2, 0, 2], [3, 1, 4]])
@@ -353,3 +353,35 @@ def test_specimens_of_one_name_with_other_landmarks_are_named(tmp_path):
     said: list[str] = []
     assert [own.points.tolist() for own in read_specimens(tmp_path, said.append)] == [[[1, 2], [3, 4]]]
     assert said == ["left out of c.csv, because others of these names were read before, from a.csv: wing1"]
+
+
+def test_landmarks_in_subfolders_of_sides_are_read(tmp_path: Path) -> None:
+    for side, shift in (("left", 0.0), ("right", 5.0)):
+        (tmp_path / side).mkdir()
+        for name in ("w1", "w2"):
+            write_landmarks(tmp_path / side / f"{name}.pts", Landmarks(POINTS + shift))
+    (tmp_path / ".hidden").mkdir()
+    write_landmarks(tmp_path / ".hidden" / "w3.pts", Landmarks(POINTS))
+    for path in (tmp_path, tmp_path / "**"):
+        specimens = read_specimens(path)
+        assert [each.name for each in specimens] == ["left/w1", "left/w2", "right/w1", "right/w2"]
+        assert [each.side for each in specimens] == ["left", "left", "right", "right"]
+        assert np.asarray(specimens[2].points) == pytest.approx(POINTS + 5.0)
+    assert [each.individual for each in of_one_side(specimens, "reflected")[0]] == ["w1", "w2", "w1", "w2"]
+    write_landmarks(tmp_path / "w0.pts", Landmarks(POINTS))
+    assert [each.name for each in read_specimens(tmp_path)] == ["w0"]
+    assert len(read_specimens(tmp_path / "**")) == 5
+    (tmp_path / "w0.pts").rename(tmp_path / ".hidden" / "w0.pts")
+    (tmp_path / "left").rename(tmp_path / "hand")
+    with pytest.raises(LiaamError, match=r"holds no results that can be read: .*/\*\*' also reads its subfolders"):
+        read_specimens(tmp_path)
+
+
+def test_individuals_may_be_added_to_a_table_of_a_batch(tmp_path: Path) -> None:
+    path, row = tmp_path / "t.csv", row_of("a.png")
+    write_table(path, BatchTable([(json.dumps(row), row)], 3, True, {}))
+    header, line = path.read_text(encoding="utf-8").splitlines()
+    path.write_text(f"{header},individual\n{line},fly 1\n", encoding="utf-8")
+    (specimen,) = read_specimens(path)
+    assert specimen.individual == "fly 1"
+    assert_fit(specimen)

@@ -13,6 +13,7 @@ from liaam.plotting import enlarged, overlay, overlay_of_faults, overlay_of_fit,
 from liaam.plotting.overlays import LARGE, caption_of
 from liaam.plotting.scales import overlay_of_scale
 from liaam.scale import Bar
+from liaam.scale.rulers import Ruler
 
 SHAPE = np.array([[60.0, 60], [140, 60], [100, 100], [60, 140], [140, 140]])
 
@@ -125,3 +126,27 @@ def test_small_pictures_show_the_colour_of_the_status_more_than_its_dark_edges(f
     paints = 255.0 - np.array([rgb(status.colour), (0, 0, 0)])
     colour, dark = np.linalg.lstsq(paints.T, marked.T, rcond=None)[0].mean(axis=1)
     assert colour > dark
+
+
+def test_a_scale_has_no_marks_beyond_the_ticks_of_its_ruler():
+    picture = np.full((80, 400, 3), 120, np.uint8)
+    picture[20:60, 30:371] = 235  # the card, whose edges lie where further ticks would be
+    ticks = range(50, 351, 10)
+    for x in ticks:
+        picture[25:45, x - 1 : x + 2] = 30
+    assert marks_of(picture, 30.0, 370.0) == marks_of(picture, 50.0, 350.0) == list(ticks)
+    picture[:] = 255 - picture  # bright ticks
+    assert marks_of(picture, 30.0, 370.0) == list(ticks)
+    picture[25:45, 149:152] = 255 - 235  # a worn tick among the others
+    assert marks_of(picture, 30.0, 370.0) == list(ticks)
+
+
+def marks_of(picture, first, last):
+    """Return where along a level ruler, of which the search has counted every 10th pixel as a tick, marks are drawn."""
+    n_ticks = round((last - first) / 10) + 1
+    found = Ruler(period=10.0, period_se=0.01, ends=np.array([[first, 35], [last, 35]]), n_ticks=n_ticks)
+    drawn = overlay_of_scale(picture, found, "")
+    zoom = drawn.shape[1] / picture.shape[1]
+    row = np.abs(drawn[round(29 * zoom)].astype(int) - rgb(LOST)).max(axis=1) <= 12
+    (at,) = np.nonzero(row)
+    return sorted({round((x + 0.5) / zoom - 0.5, -1) for x in at.tolist()})

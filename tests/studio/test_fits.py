@@ -170,9 +170,15 @@ class TestFit:
         assert np.asarray(specimens[1].points) == pytest.approx(there, abs=1e-3)
         assert {each.scale for each in specimens} == {0.05}
 
-    def test_where_no_specimen_is_found_it_is_said(self, fits, folder):
+    def test_where_no_specimen_is_found_it_is_said(self, fits, tmp_path):
+        write_image(tmp_path / "wall.png", np.full((160, 200, 3), 90, np.uint8))
         with pytest.raises(Refusal, match=r"no object was found .*\. Draw a box around each"):
-            fits.fit_all(source_of(folder / "dark.png", 10**6), ("picture", "dark.png"), DEFAULT_METHOD)
+            fits.fit_all(source_of(tmp_path / "wall.png", 10**6), ("picture", "wall.png"), DEFAULT_METHOD)
+
+    def test_where_no_specimen_is_certain_the_likeliest_place_is_fitted(self, fits, folder):
+        source = source_of(folder / "dark.png", 10**6)
+        (likeliest,), _ = fits.fit_all(source, ("picture", "dark.png"), DEFAULT_METHOD)
+        assert likeliest.as_json()["status"] == fit(fits, "dark.png").as_json()["status"] == "doubtful"
 
     def test_is_json_whatever_happens(self, fits, fitted):
         lost = fit(fits, start=(-20.0, -20.0, 60.0, 40.0), method="grey-plain")

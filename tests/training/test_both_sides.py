@@ -14,6 +14,7 @@ from liaam.error_measures import point_error
 from liaam.errors import LiaamError, MethodError, ModelFileError, StartError, TrainingError
 from liaam.evaluation import compare_specimens
 from liaam.fitting import METHODS
+from liaam.fitting.search.finder import Finder
 from liaam.fitting.sides import as_fitted, reflected_result, reflected_start, reflections_of_start
 from liaam.fitting.solution import residual_at
 from liaam.io import write_image
@@ -132,7 +133,7 @@ def test_sides_that_cannot_be_are_refused_in_training(both):
         liaam.train([samples[0], replace(samples[1], side="up"), *samples[2:]], **QUICK)
     with pytest.raises(TrainingError, match="4 of 9 images have no side, and others have: w0, w1, w2, w3; complete"):
         liaam.train([replace(each, side="") for each in samples[:4]] + samples[4:], **QUICK)
-    with pytest.warns(UserWarning, match=r"1 image is of the other side than stated, by the shape.*w1 \(left\)"):
+    with pytest.warns(UserWarning, match=r"1 image is taken .*: w1 \(stated left, right by the shape\)"):
         model = liaam.train([samples[0], replace(samples[1], side="left"), *samples[2:]], **QUICK)
     assert model.sides == Sides("right", 6, 3)
     with pytest.raises(TrainingError, match="sides 'up': give auto, both, one"):
@@ -197,6 +198,16 @@ def test_a_reflection_of_a_result_is_undone_by_another(model, both):
     assert fitted.found is not None and result.found is not None and fitted.found.rotation == -result.found.rotation
 
 
+def test_a_stated_side_that_the_shape_contradicts_is_a_fault(run, both, tmp_path):
+    names = [f"w{i}_{'left' if i % 3 == 0 else 'right'}" for i in range(9)]
+    code, out, _ = run("check", folder_of(tmp_path / "right", both[:9], names))
+    assert code == 0 and "no faults found" in out
+    code, out, err = run("check", folder_of(tmp_path / "wrong", both[:9], ["w0_left", "w1_left", *names[2:]]))
+    assert code == 1 and "no other faults found" in out
+    assert "1 image is taken to be of the other side than stated: w1_left (stated left, right by the shape)" in err
+    assert "correct the sides that are stated: the column 'side', the folders or the names" in err
+
+
 def test_the_mean_shape_with_names_in_another_order_says_no_side(model):
     names = tuple(f"n{i}" for i in range(model.n_points))
     named = replace(model, landmark_names=names)
@@ -229,6 +240,24 @@ def test_objects_of_both_sides_in_an_image_are_all_found(model, both):
         on_it = [fit for fit in fits if np.linalg.norm(fit.landmarks.mean(0) - truth.mean(0)) < 5]
         assert [fit.side for fit in on_it] == [side]
         assert point_error(on_it[0].landmarks, truth) < 0.02 * diagonal_of(truth)
+
+
+def test_a_place_of_the_other_side_counts_only_if_its_fit_is_right(model, both, monkeypatch):
+    (left, first), (other, second) = both[18], both[19]
+
+    def n_found_in(beside):
+        """Fit an image where the search for each side is certain of a place: of the object, and of what is beside."""
+        image = np.concatenate([left, beside], axis=1)
+        place = replace(liaam.fit(model, image).found, score=0.9, others=(), reflected=False)
+        there = replace(place, landmarks=second + np.array([WIDTH, 0.0]))
+        here = replace(place, landmarks=reflected_points(first, 2 * WIDTH))
+        answers = iter([there, here])
+        with monkeypatch.context() as patch:
+            patch.setattr(Finder, "first_in", lambda *_: next(answers))
+            return liaam.fit(model, image).n_found
+
+    assert n_found_in(other) == 2
+    assert n_found_in(np.full_like(other, 90)) == 1  # as on a ruler
 
 
 def test_a_mirrored_object_is_compared_and_relit(model, both):

@@ -18,7 +18,7 @@ from liaam.model.shape import align, diagonal_of, mirror_order
 from liaam.photometry import CameraModel
 from liaam.training import train as train_as_users_do
 from liaam.training.entries import read_entries, with_all_landmarks
-from liaam.training.images import describe_outside
+from liaam.training.images import count_outside, describe_cut_off, describe_outside
 from liaam.training.lamps import Copies
 from liaam.training.left_out import folds_of
 from liaam.training.reliability import OPTIONS, _fit
@@ -258,3 +258,16 @@ def test_real_images_that_lack_landmarks_are_learnt_from_nearly_as_well(shared_d
             errors.append(point_error(fit.landmarks, truth) / diagonal_of(truth))
         medians.append(np.median(errors))
     assert medians[1] < 1.05 * medians[0]
+
+
+def test_landmarks_outside_are_counted_of_those_that_are_known():
+    shape = np.array([[5.0, 5], [30, 5], [30, 30], [42, 20], [np.nan, np.nan]])
+    assert count_outside(shape, (40, 40)) == (1, 4)
+    estimated = np.where(np.isnan(shape), 60.0, shape)
+    assert count_outside(estimated, (40, 40), np.arange(5) < 4) == (1, 4)
+    shape[3] = 90.0
+    assert "1 of 4 landmarks" in describe_outside(shape, (40, 40)) and "point 4 by" in describe_outside(shape, (40, 40))
+    assert describe_cut_off({"a": (1, 4), "b": (0, 5), "c": (2, 5)}).startswith(
+        "2 images have landmarks outside of the image: a (1 of 4), c (2 of 5); correct them, unless"
+    )
+    assert describe_cut_off({"b": (0, 5)}) == ""

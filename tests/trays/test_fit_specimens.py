@@ -7,7 +7,6 @@ from typing import Any
 import numpy as np
 import pytest
 
-from liaam.errors import StartError
 from liaam.fitting import FitStatus, specimens
 from liaam.fitting.specimens import fit_specimens
 from liaam.trays import Code
@@ -21,11 +20,10 @@ class Finder:
     """A fitter whose objects were fitted before."""
 
     fits: list[SimpleNamespace] = field(default_factory=list)
+    codes: list[np.ndarray] = field(default_factory=list)
 
-    def find_all(self, *_) -> list[SimpleNamespace]:
-        return [SimpleNamespace(landmarks=SQUARE)]
-
-    def fit_each_of(self, *_) -> list[SimpleNamespace]:
+    def fit_objects(self, _image, _name, codes) -> list[SimpleNamespace]:
+        self.codes = codes
         return self.fits
 
 
@@ -38,11 +36,12 @@ def fit_at(left: float, status: FitStatus = FitStatus.CONVERGED) -> SimpleNamesp
     return SimpleNamespace(landmarks=place, place=place, status=status, message=status.message)
 
 
-def test_where_nothing_is_left_beside_the_codes_it_is_said(monkeypatch):
+def test_what_lies_on_a_code_is_no_object(monkeypatch):
     monkeypatch.setattr(specimens, "read_codes", lambda _: [Code("A1", SQUARE + 200.0)])
     monkeypatch.setattr(specimens, "check_name_by", lambda _: None)
-    with pytest.raises(StartError, match=r"tray\.png: no object was found beside the codes; give a start \(--init\)"):
-        fit_specimens(fitter(), PAPER, name="tray.png", name_by="code")
+    of_codes = fitter(fit_at(0))
+    fit_specimens(of_codes, PAPER, name="tray.png", name_by="code")
+    np.testing.assert_array_equal(of_codes.codes, [SQUARE + 200.0])
 
 
 @pytest.mark.parametrize("status", [FitStatus.DOUBTFUL, FitStatus.DIVERGED])

@@ -18,6 +18,7 @@ from liaam.io.landmarks.reading import Reading
 
 if TYPE_CHECKING:
     from liaam.datasets.label_faults import LabelFault
+    from liaam.datasets.sides import SidesOfShapes
 
 MAX_WARNINGS = 3  # Faults that liaam train prints before it refers to liaam check
 
@@ -48,16 +49,20 @@ def check(
         check_output_folder(output, folder)
     data = inputs.read_folder(folder, Reading(strict, category, y_down, stored_orientation))
     unusable = check_pixels(data)
-    faults = faults_by_sample(list(data), inputs.parse_shapes(shapes), sides)
+    samples = with_enough_landmarks(list(data))
+    found = compared_sides(samples, sides)
+    faults = faults_among(samples, found.is_other, inputs.parse_shapes(shapes))
+    if found.n_against:
+        complain("correct the sides that are stated: the column 'side', the folders or the names")
     if not faults:
-        say(f"no {'other ' if unusable else ''}faults found in the landmarks")
+        say(f"no {'other ' if unusable or found.n_against else ''}faults found in the landmarks")
         n_landmarks = len(data.samples[0].landmarks.points)
         if n_landmarks < LEAST_POINTS:
             say(
                 f"misplaced and mirrored landmarks were not looked for: {LEAST_POINTS} landmarks are needed, and each "
                 f"image has {n_landmarks}"
             )
-        if unusable:
+        if unusable or found.n_against:
             raise typer.Exit(1)
         return
     table = table_of("image", "fault")
@@ -78,8 +83,10 @@ def check_pixels(data: Dataset) -> bool:
     from liaam.datasets.units import units_fault
     from liaam.photometry import is_grey
     from liaam.photometry.encoding import as_colour, refuse_unscaled
-    from liaam.training.images import describe_outside, grey_use
+    from liaam.training.images import count_outside, describe_cut_off, describe_outside, grey_use
     from liaam.workers import in_threads
+
+    outside_of: dict[str, tuple[int, int]] = {}
 
     def look(sample: Sample) -> bool | str:
         try:
@@ -88,10 +95,11 @@ def check_pixels(data: Dataset) -> bool:
             refuse_unscaled(image, sample.name, "linear" if raw else "srgb")
         except LiaamError as error:
             return str(error)
-        placed = sample.landmarks.points[~sample.landmarks.missing]
-        outside = describe_outside(placed, image.shape) if len(placed) else ""
-        if outside:
-            return f"{sample.name}: {outside}: they belong to another image, or to one of another size"
+        if not sample.landmarks.missing.all():
+            outside = describe_outside(sample.landmarks.points, image.shape)
+            if outside:
+                return f"{sample.name}: {outside}: they belong to another image, or to one of another size"
+            outside_of[sample.name] = count_outside(sample.landmarks.points, image.shape)
         return is_grey(image)
 
     verdicts = in_threads(look, data.samples)
@@ -101,6 +109,8 @@ def check_pixels(data: Dataset) -> bool:
         unusable = [units]
     for fault in unusable:
         complain(fault)
+    if cut_off := describe_cut_off({sample.name: outside_of.get(sample.name, (0, 0)) for sample in data}):
+        complain(cut_off)
     grey, colour = (
         [sample.name for sample, each in zip(data, verdicts, strict=True) if each is g] for g in (True, False)
     )
@@ -114,6 +124,17 @@ def faults_by_sample(
 ) -> "list[tuple[Sample, list[LabelFault]]]":
     """Return each sample that has faults, with its faults.
 
+    Those with too few landmarks are left out. Lines say so.
+    """
+    samples = with_enough_landmarks(samples)
+    return faults_among(samples, compared_sides(samples, sides).is_other, shapes)
+
+
+def faults_among(
+    samples: list[Sample], is_other: np.ndarray, shapes: int | str
+) -> "list[tuple[Sample, list[LabelFault]]]":
+    """Return each sample that has faults, with its faults.
+
     Objects of the other side are compared reflected, missing landmarks are estimated from the other images, and samples
     of different kinds of shape are compared with their own kind. Lines say so.
     """
@@ -121,10 +142,8 @@ def faults_by_sample(
     from liaam.datasets.sides import reflected_shapes
     from liaam.training.shapes import shape_groups
 
-    samples = with_enough_landmarks(samples)
     if not samples:
         return []
-    is_other = reflected_before(samples, sides)
     marks = reflected_shapes(np.array([sample.landmarks.points for sample in samples]), is_other)
     known = ~np.isnan(marks[..., 0])
     marks = with_estimates(marks, samples)
@@ -152,12 +171,12 @@ def with_enough_landmarks(samples: list[Sample]) -> list[Sample]:
     return [sample for sample in samples if sample.name not in poor]
 
 
-def reflected_before(samples: list[Sample], sides: str) -> np.ndarray:
-    """Return which samples are compared reflected, (m,) bool, and say how many."""
-    from liaam.datasets.sides import sides_for_check
+def compared_sides(samples: list[Sample], sides: str) -> "SidesOfShapes":
+    """Return which samples are compared reflected, and say how many, and whose side is not as stated."""
+    from liaam.datasets.sides import SidesOfShapes, sides_for_check
 
-    if sides == "one":
-        return np.zeros(len(samples), bool)
+    if sides == "one" or not samples:
+        return SidesOfShapes(np.zeros(len(samples), bool))
     stated = [sample.side for sample in samples]
     marks = np.array([sample.landmarks.points for sample in samples])
     found = sides_for_check(marks, stated, [sample.name for sample in samples])
@@ -167,7 +186,7 @@ def reflected_before(samples: list[Sample], sides: str) -> np.ndarray:
         which = some_names([samples[i].name for i in np.flatnonzero(found.is_other).tolist()])
         count = f"{found.sides.n_other} of {count_of(len(samples), 'image')}"
         say(f"side {found.sides.other}: {count}, whose landmarks are compared reflected: {which}")
-    return found.is_other
+    return found
 
 
 def with_estimates(marks: np.ndarray, samples: list[Sample]) -> np.ndarray:

@@ -20,7 +20,7 @@ from liaam.cli.terminal import cell, complain, progress_bar, say, show_table, ta
 from liaam.errors import LiaamError
 from liaam.io import IMAGE_SUFFIXES, Contour, Landmarks, make_folder, write_image
 from liaam.io.atomic import is_disk_full
-from liaam.io.files import count_of, natural_key
+from liaam.io.files import count_of
 from liaam.io.fit_files import FIT_SUFFIXES, corrected_file, read_fit, write_fit
 from liaam.morphometry.schemes import in_scheme
 from liaam.scale.choice import facts_of
@@ -79,7 +79,12 @@ def fit(
         ),
     ] = None,
     every: Annotated[
-        bool, typer.Option("--all", help="Fit every object that the search finds; results are NAME_1, NAME_2 ...")
+        bool,
+        typer.Option(
+            "--all",
+            help="Fit every object that the search finds, and at least the one that is fitted without --all; results "
+            "are NAME_1, NAME_2 ...",
+        ),
     ] = False,
     name_by: inputs.NameByOption = "position",
     crops: Annotated[
@@ -150,11 +155,11 @@ def fit(
         in_scheme(model.shape_model.mean, model.landmark_names, scheme)  # its errors come before any work
     make_folder(outputs.folder)
 
-    def fit_or_error(image_and_stem: tuple[Path, str]) -> "tuple[FittedSpecimens, list[str]] | LiaamError":
+    def fit_or_error(task: tuple[Path, str, str]) -> "tuple[FittedSpecimens, list[str]] | LiaamError":
         """Fit an image file. An error is returned, so that the other images are fitted all the same."""
-        image, stem = image_and_stem
+        image, name, stem = task
         try:
-            return fit_file(fitter, image, stem, init=init, every=every, outputs=outputs)
+            return fit_file(fitter, image, stem, name=name, init=init, every=every, outputs=outputs)
         except LiaamError as error:
             return error
 
@@ -163,7 +168,7 @@ def fit(
     # With a single image, its search may use all cores.
     with one_thread() if threads > 1 else one_blas_thread(), progress_bar() as progress:
         progress(0, len(images), images[0].name)
-        tasks = zip(images, inputs.unique_stems(images), strict=True)
+        tasks = zip(images, inputs.names_in_folders(images), inputs.unique_stems(images), strict=True)
         with closing(in_order(fit_or_error, tasks, threads)) as outcomes:  # at a full disk, fits under way end first
             for i, (image, outcome) in enumerate(zip(images, outcomes, strict=True), 1):
                 progress(i, len(images), image.name)
@@ -191,12 +196,10 @@ def refuse_for_page(page: Path, options: list[str]) -> None:
 
 
 def images_in(path: Path) -> list[Path]:
-    """Return an image, or the images of a folder and its subfolders without the overlays of earlier fits."""
-    from liaam.batch import find_pictures
-
-    if not path.is_dir():
-        return [path]
-    found = sorted((Path(image) for image in find_pictures(path)), key=lambda image: natural_key(str(image)))
+    """Return an image, or those of a folder and its subfolders or of a pattern, without overlays of earlier fits."""
+    found = inputs.pictures_in(path)
+    if found == [path]:
+        return found
     images = [image for image in found if not is_overlay(image)]
     if not images:
         raise LiaamError(f"{path}: its images are overlays of earlier fits; give the folder of the images themselves")
@@ -424,10 +427,11 @@ class Outputs:
 
 
 def fit_file(
-    fitter: "Fitter", image: Path, stem: str, *, init: str | None, every: bool, outputs: Outputs
+    fitter: "Fitter", image: Path, stem: str, *, name: str, init: str | None, every: bool, outputs: Outputs
 ) -> "tuple[FittedSpecimens, list[str]]":
     """Fit an image file, and write its fits: from `init` or, without, of the first object found, or of `every` one.
 
+    ``name`` is that of the image in its files, which has its folder where images of several folders have one name.
     Return the fits and the names of their files: ``stem``, or ``stem_1``, ``stem_2``, ... in reading order if `every`
     object is fitted.
     """
@@ -442,20 +446,20 @@ def fit_file(
     stems = [stem]
     if every:
         stems = [f"{stem}_{i}" for i in range(1, len(fitted.results) + 1)]
-        for name in stems:
-            refuse_to_overwrite([outputs.path_of(name, suffix) for suffix in outputs.suffixes])
+        for each in stems:
+            refuse_to_overwrite([outputs.path_of(each, suffix) for suffix in outputs.suffixes])
     if outputs.crops:
-        refuse_images([outputs.path_of(name, CROP) for name in stems])
-    for i, (name, result, specimen) in enumerate(zip(stems, fitted.results, fitted.named, strict=True)):
+        refuse_images([outputs.path_of(each, CROP) for each in stems])
+    for i, (stem_of_object, result, specimen) in enumerate(zip(stems, fitted.results, fitted.named, strict=True)):
         facts = result.to_dict(outputs.absent)
-        facts["image"] = image.name
+        facts["image"] = name
         facts["specimen"] = specimen.name
         if every:
             facts["object"] = i + 1
         if specimen.code:
             facts["code"] = specimen.code
         facts["message"] = fitted.message(i)
-        write_object(fitter.model, pixels, result, name, facts, length, outputs)
+        write_object(fitter.model, pixels, result, stem_of_object, facts, length, outputs)
         outputs.add_fit(result, pixels, image, facts, length)
     return fitted, stems
 

@@ -1,6 +1,7 @@
 """Options and checks that several commands share."""
 
 import math
+from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from fnmatch import fnmatchcase
@@ -15,9 +16,10 @@ from liaam.cli.terminal import complain, say
 from liaam.datasets import Dataset, Sample, load_folder
 from liaam.errors import CameraError, ImageError, LiaamError
 from liaam.io import is_raw
-from liaam.io.files import existing_file, is_number, real_path, some_names
+from liaam.io.files import existing_file, is_number, natural_key, real_path, some_names
 from liaam.io.images import PICTURE_SUFFIXES, UNREAD_SUFFIXES, VIDEO_SUFFIXES
 from liaam.io.landmarks.formats import KNOWN_FILES
+from liaam.io.landmarks.matching import unique_names
 from liaam.io.landmarks.reading import USUAL, Reading
 from liaam.models import FACE, MODELS, model_file
 
@@ -195,17 +197,45 @@ def read_sample(image: Path) -> Sample:
 
 
 def unique_stems(images: list[Path]) -> list[str]:
-    """Return a unique name for each image: its stem, with the folder's name where stems collide."""
+    """Return a unique name for each image: its stem, after the folder's name where stems collide.
+
+    The suffix follows if folder and stem of some images are the same, too.
+    """
     stems = [image.stem for image in images]
+    counts = Counter(stems)
+    in_folders = [f"{real_path(image).parent.name}_{image.stem}" for image in images]
+    if max(Counter(in_folders).values(), default=0) > 1:
+        in_folders = [f"{real_path(image).parent.name}_{image.name.replace('.', '_')}" for image in images]
     taken: set[str] = set()
     names = []
-    for image, stem in zip(images, stems, strict=True):
-        name = stem if stems.count(stem) == 1 else f"{real_path(image).parent.name}_{image.name.replace('.', '_')}"
+    for stem, in_folder in zip(stems, in_folders, strict=True):
+        name = stem if counts[stem] == 1 else in_folder
         while name in taken:
             name += "_"
         taken.add(name)
         names.append(name)
     return names
+
+
+def pictures_in(path: Path) -> list[Path]:
+    """Return an image, or those of a folder and its subfolders or of a pattern, in natural order.
+
+    A path that is missing is returned as it is.
+    """
+    from liaam.batch import find_pictures
+
+    is_pattern = has_magic(str(path)) and not path.exists()
+    if not (path.is_dir() or is_pattern):
+        return [path]
+    return sorted(map(Path, find_pictures(path)), key=lambda image: natural_key(str(image)))
+
+
+def names_in_folders(images: list[Path]) -> list[str]:
+    """Return the file name of each image, or its path below the folder of all if some have one stem."""
+    if len({image.stem for image in images}) == len(images):
+        return [image.name for image in images]
+    unique = unique_names(map(str, images))
+    return [f"{unique[str(image)].removesuffix(image.suffix)}{image.suffix}" for image in images]
 
 
 def camera_for(paths: Sequence[Path], camera: str | None, otherwise: "CameraModel | None" = None) -> "CameraModel":

@@ -69,7 +69,8 @@ def measure(
         Path,
         typer.Argument(
             metavar="RESULTS",
-            help=f"Folder of 'liaam fit', table of 'liaam batch', or landmarks, a file or a folder: {KNOWN_FILES}.",
+            help=f"Folder of 'liaam fit', table of 'liaam batch', or landmarks, a file or a folder: {KNOWN_FILES}. "
+            "'folder/**' also reads subfolders, and the folder alone those named left and right if it holds no others.",
         ),
     ],
     output: Annotated[Path, typer.Option("--output", "-o", help="Table to write: .csv.")],

@@ -15,8 +15,7 @@ from liaam.cli.terminal import cell, complain, progress_bar, say, show_table, ta
 from liaam.errors import LiaamError
 from liaam.io import make_folder, read_image, write_columns, write_image
 from liaam.io.atomic import check_output
-from liaam.io.files import count_of, existing_file, natural_key, some_names
-from liaam.io.landmarks.matching import unique_names
+from liaam.io.files import count_of, existing_file, some_names
 from liaam.scale.choice import tagged_length
 from liaam.scale.lengths import Length, parse_length, unlike
 
@@ -25,7 +24,12 @@ Row = dict[str, Any]
 
 def scale(
     images: Annotated[
-        list[Path], typer.Argument(metavar="IMAGE...", readable=False, help="The images, or folders of images.")
+        list[Path],
+        typer.Argument(
+            metavar="IMAGE...",
+            readable=False,
+            help="The images, folders of images, or quoted patterns such as 'images/**'.",
+        ),
     ],
     output: Annotated[
         Path, typer.Option("--output", "-o", help="Table to write: .csv. Beside it, a folder of overlays to check.")
@@ -49,7 +53,7 @@ def scale(
     """
     if ruler is not None and scale_bar is not None:
         raise LiaamError("--ruler and --scale-bar: give one of them; crop the images to what they show")
-    images = [image for path in images for image in _images_in(path)]
+    images = [image for path in images for image in inputs.pictures_in(path)]
     check_output(output)
     if output.suffix.lower() != ".csv":
         raise LiaamError(f"{output}: the table is written as CSV; give a name that ends in .csv")
@@ -60,7 +64,7 @@ def scale(
         make_folder(folder)
     rows = []
     with progress_bar() as progress:
-        names = zip(images, _names_of(images), inputs.unique_stems(images), strict=True)
+        names = zip(images, inputs.names_in_folders(images), inputs.unique_stems(images), strict=True)
         for i, (image, name, stem) in enumerate(names):
             progress(i, len(images), name)
             rows.append({"image": name} | _row(image, known, find, folder / f"{stem}_scale.png"))
@@ -77,15 +81,6 @@ def scale(
     say(f"{output}: the scale of {n_found} of {count_of(len(rows), 'image')}{drawn}")
 
 
-def _images_in(path: Path) -> list[Path]:
-    """Return an image, or the images of a folder and its subfolders in natural order."""
-    from liaam.batch import find_pictures
-
-    if not path.is_dir():
-        return [path]  # its row reports if it is missing
-    return sorted(map(Path, find_pictures(path)), key=lambda image: natural_key(str(image)))
-
-
 def _known_length(text: str | None, option: str) -> Length | None:
     """Parse the length that an option gives, which needs a unit."""
     length = None if text is None else parse_length(text)
@@ -100,15 +95,6 @@ def _finder(tick: Length | None) -> Callable[[np.ndarray], Any]:
     from liaam.scale.rulers import find_ruler
 
     return find_bar if tick is None else partial(find_ruler, tick=tick)
-
-
-def _names_of(images: list[Path]) -> list[str]:
-    """Return the names of images, with folders where some have one name, such as those of left and right wings."""
-    names = [image.name for image in images]
-    if len(set(names)) == len(names):
-        return names
-    unique = unique_names(map(str, images))
-    return [unique[str(image)] for image in images]
 
 
 def _row(image: Path, known: Length | None, find: Callable[[np.ndarray], Any] | None, overlay: Path) -> Row:

@@ -15,7 +15,7 @@ import numpy as np
 from liaam.errors import LiaamError
 from liaam.formatting import short_repr
 from liaam.io.files import count_of, some_names
-from liaam.io.sides import OTHER_SIDE
+from liaam.io.sides import OTHER_SIDE, contradiction
 from liaam.model.shape import align, mirror_order, procrustes_mean
 from liaam.model.sides import ORIGINAL, Sides
 
@@ -50,11 +50,14 @@ class SidesOfShapes:
         The sides; None if there is only one as far as is known, or if shapes of both are alike as they are.
     said : str
         What is not as stated, or may be wrong; empty if nothing.
+    n_against : int
+        Number of shapes that contradict the stated side.
     """
 
     is_other: np.ndarray
     sides: Sides | None = None
     said: str = ""
+    n_against: int = 0
 
     __repr__ = short_repr
 
@@ -106,10 +109,10 @@ def sides_of_shapes(shapes: np.ndarray, stated: Sequence[str], names: Sequence[s
         )
     said = ""
     if len(against):
-        listed = some_names([f"{names[i]} ({stated[i]})" for i in against])
+        listed = some_names([f"{names[i]} ({contradiction(stated[i], 'shape')})" for i in against])
         is_or_are = "image is" if len(against) == 1 else "images are"
-        said = f"{len(against)} {is_or_are} of the other side than stated, by the shape, and taken so: {listed}"
-    return SidesOfShapes(by_shape, _sides(own, by_shape), said)
+        said = f"{len(against)} {is_or_are} taken to be of the other side than stated: {listed}"
+    return SidesOfShapes(by_shape, _sides(own, by_shape), said, len(against))
 
 
 def sides_for_check(shapes: np.ndarray, stated: Sequence[str], names: Sequence[str]) -> SidesOfShapes:
@@ -120,7 +123,7 @@ def sides_for_check(shapes: np.ndarray, stated: Sequence[str], names: Sequence[s
     found = sides_of_shapes(shapes, stated, names)
     is_few = found.is_other.sum() <= max(FEW_MISTAKES, FEW * len(shapes))
     if found.sides is None or (is_few and not any(stated)):
-        return SidesOfShapes(np.zeros(len(shapes), bool), said=found.said)
+        return replace(found, is_other=np.zeros(len(shapes), bool), sides=None)
     return found
 
 

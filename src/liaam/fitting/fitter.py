@@ -45,7 +45,7 @@ from liaam.photometry import CameraModel, is_grey
 from liaam.photometry.camera import check_camera
 from liaam.photometry.encoding import refuse_unscaled, stored_values
 from liaam.photometry.picture import load_picture, path_of
-from liaam.trays.order import reading_order
+from liaam.trays.order import is_inside, reading_order
 
 OWN_SETTINGS = ("camera", "rotations", "restarts", "margin", "side")  # Fields of a fitter that users set by name
 
@@ -56,10 +56,32 @@ AS_LARGE = 1.4
 """Greatest ratio of the sizes of such a detection and of the best one, either way."""
 
 
+WHAT_TO_DO = "give a start (--init), or search for rotated objects (--rotations all)"
+"""What to do about an image in which nothing was found."""
+
+
 def _is_like(detection: Detection, best: Detection) -> bool:
     """Return whether a detection scores nearly as high as the best one, and is about as large."""
     ratio = detection.scale / best.scale
     return detection.score >= NEARLY * best.score and 1 / AS_LARGE < ratio < AS_LARGE
+
+
+def _likely(detections: Sequence[Detection]) -> list[Detection]:
+    """Return the certain ones of detections, and those like the best of these; none if none is certain."""
+    best = next((each for each in detections if not each.doubtful), None)
+    if best is None:
+        return []
+    return [each for each in detections if not each.doubtful or _is_like(each, best)]
+
+
+def _best_score(detections: Sequence[Detection]) -> str:
+    """Return what is said of the best score where no detection is certain."""
+    return f"(the best score is {detections[0].score:.2f}, {DOUBTFUL:g} is needed)"
+
+
+def _is_believed(fit: FitResult) -> bool:
+    """Return whether a fit may be used, and its detection or its quality says that the object is there."""
+    return fit.status.ok and not fit.detection_doubtful
 
 
 @dataclass(frozen=True, eq=False)
@@ -224,14 +246,10 @@ class Fitter(OneShapeFitter):
         """
         image, name = load_picture(image, name)
         detections = self.find(image, limit=None, name=name)
-        certain = [detection for detection in detections if not detection.doubtful]
-        if not certain:
-            raise StartError(
-                f"{name}: no object was found (the best score is {detections[0].score:.2f}, {DOUBTFUL:g} is needed); "
-                "give a start (--init), search for rotated objects (--rotations all), or fit the best place anyway "
-                "(without --all)"
-            )
-        return [each for each in detections if not each.doubtful or _is_like(each, certain[0])]
+        likely = _likely(detections)
+        if not likely:
+            raise StartError(f"{name}: no object was found {_best_score(detections)}; {WHAT_TO_DO}")
+        return likely
 
     def fit(self, image, init=None, name: str = "image") -> FitResult:
         """Fit the model to one image.
@@ -279,10 +297,8 @@ class Fitter(OneShapeFitter):
         for other in begun[1:]:
             if not is_clear(best, replace(other.fit.result, found=other.fit.detection)):
                 best = likelier_side(best, other.completed(), self.model)
-        detections_of_others = [
-            each.detection for each in begun if each.reflected != best.reflected and each.detection is not None
-        ]
-        best = with_detections(best, detections_of_others)
+        right = [each for each in begun if each.reflected != best.reflected and each.fit.result.status.ok]
+        best = with_detections(best, [each.detection for each in right if each.detection is not None])
         assert self._sides is not None
         return replace(best, side=self._sides.of(best.reflected))
 
@@ -294,7 +310,7 @@ class Fitter(OneShapeFitter):
         return _FirstFit(fitter, fitter._first_fit(image, init, name), init, is_reflected, part)
 
     def fit_all(self, image, name: str = "image") -> list[FitResult]:
-        """Fit every object that the search finds in an image, in reading order.
+        """Fit every object that the search finds in an image, in reading order: at least that of :meth:`fit`.
 
         Raises
         ------
@@ -303,19 +319,51 @@ class Fitter(OneShapeFitter):
         """
         path = path_of(image)
         image, name = load_picture(image, name)
-        fits = self.fit_each_of(image, self.find_all(image, name), name)
-        return [replace(fit, image=path) for fit in fits]
+        return [replace(fit, image=path) for fit in self.fit_objects(image, name)]
 
-    def fit_each_of(self, image: np.ndarray, detections: Sequence[Detection], name: str = "image") -> list[FitResult]:
-        """Fit the objects that were found in an image; return the fits in reading order.
+    def fit_objects(self, image: np.ndarray, name: str = "image", codes: Sequence[np.ndarray] = ()) -> list[FitResult]:
+        """Fit the objects of an image that is read already, in reading order; see :meth:`fit_all`.
 
-        Where several are of one object, as where the search found parts of it, the most likely is kept. Uncertain
-        detections count if their fits are right.
+        Where several fits are of one object, as where the search found parts of it, the most likely is kept. Uncertain
+        detections count if their fits are right. If the fit to the best detection may not be used, or no detection is
+        certain, the likeliest place is fitted as :meth:`fit` does: that fit judges places by their quality, too.
+
+        Parameters
+        ----------
+        image : (h, w, 3) uint8, uint16 or float array
+        name : str
+            Name of the image in errors.
+        codes : sequence of (k, 2) arrays
+            Corners of codes that name objects, pixels: what lies on one is no object.
+
+        Raises
+        ------
+        ImageError, StartError
+            For invalid input, and if no object is found.
         """
-        tried = [(detection, self.fit(image, detection, name)) for detection in detections]
+
+        def is_object(place: np.ndarray) -> bool:
+            return not any(is_inside(place, corners) for corners in codes)
+
+        detections = self.find(image, limit=None, name=name)
+        likely = [each for each in _likely(detections) if is_object(each.landmarks)]
+        tried = [(detection, self.fit(image, detection, name)) for detection in likely]
         fits = [fit for detection, fit in tried if fit.status.ok or not detection.doubtful]
+        if not tried or not _is_believed(tried[0][1]):
+            likeliest = self._alone(image, name)
+            is_needed = not any(map(_is_believed, fits)) and not likeliest.status.lost
+            if (_is_believed(likeliest) or is_needed) and is_object(likeliest.place):
+                fits.append(likeliest)
+        if not fits:
+            where = " beside the codes" if codes else ""
+            raise StartError(f"{name}: no object was found{where} {_best_score(detections)}; {WHAT_TO_DO}")
         kept = without_other_sides(choose(sorted(fits, key=likeliness, reverse=True), are_apart), self.model)
         return [kept[i] for i in reading_order([fit.place for fit in kept])]
+
+    def _alone(self, image: np.ndarray, name: str) -> FitResult:
+        """Fit the likeliest place of an image, and leave out which further objects its search has seen."""
+        fit = self.fit(image, None, name)
+        return fit if fit.found is None else replace(fit, found=replace(fit.found, others=()))
 
     @cached_property
     def _sides(self) -> Sides | None:

@@ -170,7 +170,11 @@ def explained_contrast(result: FitResult, model: AAM) -> float:
 
 
 def with_detections(result: FitResult, detections: Sequence[Detection]) -> FitResult:
-    """Return a result that was searched for, with further objects among the detections of both sides."""
+    """Return a result that was searched for, with further objects of the other side.
+
+    ``detections`` are those of the other side from which fits are right: a place that only looks like an object, such
+    as a ruler, may score as one.
+    """
     if result.found is None:
         return result
     certain = [each for each in detections if not each.doubtful and are_beside(each.landmarks, result.landmarks)]

@@ -8,7 +8,6 @@ from typing import Any
 
 import numpy as np
 
-from liaam.errors import StartError
 from liaam.fitting.fitter import Fitter
 from liaam.fitting.result import FitResult
 from liaam.fitting.search.starts import read_with_start
@@ -18,16 +17,10 @@ from liaam.scale.choice import length_for
 from liaam.scale.lengths import Length
 from liaam.trays.codes import read_codes
 from liaam.trays.naming import POSITION, Named, check_name_by, in_sentences, name_specimens
-from liaam.trays.order import diagonal, is_inside, touching, unplaced
+from liaam.trays.order import diagonal, touching, unplaced
 
 SMALL = 0.7
 """Size, of the median of fits that are not lost, below which a place with a lost fit is no specimen."""
-
-
-NOTHING_FOUND = (
-    "give a start (--init), search for rotated objects (--rotations all), or fit the best place anyway (without --all)"
-)
-"""What to do about a photograph in which nothing was found."""
 
 
 @dataclass(frozen=True)
@@ -137,11 +130,7 @@ def fit_specimens(
     pixels, name = load_picture(image, name)
     codes = [] if name_by == POSITION else read_codes(pixels)
     if every:
-        found = fitter.find_all(pixels, name)
-        objects = [each for each in found if not any(is_inside(each.landmarks, code.corners) for code in codes)]
-        fits = fitter.fit_each_of(pixels, objects, name)
-        if not fits:  # uncertain detections alone are left beside codes
-            raise StartError(f"{name}: no object was found beside the codes; {NOTHING_FOUND}")
+        fits = fitter.fit_objects(pixels, name, [code.corners for code in codes])
     else:
         fits = [fitter.fit(pixels, init, name)]
     results = without_small_lost(fits)

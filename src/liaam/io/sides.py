@@ -39,6 +39,11 @@ def side_of_text(text: str) -> str:
     return _VALUES.get(text.strip().casefold(), text.strip())
 
 
+def contradiction(stated: str, by: str) -> str:
+    """Return what is said of an object that is of the other side than stated, by its shape or its fit."""
+    return f"stated {stated}, {OTHER_SIDE[stated]} by the {by}"
+
+
 def folder_side(path: str) -> str:
     """Return the side of the folders of a path, such as ``left/wing1.jpg``, or ""."""
     folders = re.split(r"[\\/]", path)[:-1]

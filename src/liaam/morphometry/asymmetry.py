@@ -374,11 +374,18 @@ def _labels_of_estimates(specimens: Sequence[Specimen]) -> str:
     return " ".join(named.labels[index] for index in indices)
 
 
+_STATE_INDIVIDUALS = (
+    "if both sides of an individual are there, name their images alike but for the side (fly1_left and fly1_right, or "
+    "left/fly1 and right/fly1), or state it in a column 'individual' of the table of landmarks or of 'liaam batch'"
+)
+
+
 def _too_few(n_individuals: int, chosen: Sequence[str], left_out: Sequence[str], kind: str) -> str:
     """Say that there are too few individuals, and why."""
     found = f"{len(chosen)} of {n_individuals} individuals can be compared, and {FEWEST} are needed"
     if left_out:
-        return f"{found}: {'; '.join(left_out[:_SHOWN])}"
+        remedy = f"; {_STATE_INDIVIDUALS}" if kind == MATCHING and not chosen else ""
+        return f"{found}: {'; '.join(left_out[:_SHOWN])}{remedy}"
     if kind == MATCHING:
         return f"{found}: digitise both sides of more of them"
     return f"{found}: digitise more of them"

@@ -49,7 +49,9 @@ def read_specimens(
     path : path-like
         A ``.json`` of ``liaam fit``; a table of ``liaam batch``; a landmark file in any format, also with many images;
         or a folder of such files. Of several files of an image, its ``.json`` is read, or else the first in the order
-        of `liaam.io.LANDMARK_SUFFIXES`. Images are not needed, except for ``.asf``.
+        of `liaam.io.LANDMARK_SUFFIXES`. Images are not needed, except for ``.asf``. The files of subfolders are read,
+        too, if the path ends in ``**``, or if the folder itself holds none and its subfolders are named left and right.
+        Their names begin with the subfolder.
     on_fault : callable, optional
         Called with a message for each file of a folder that is skipped because it cannot be read, and about records
         that are left out. Default: a warning.
@@ -73,6 +75,9 @@ def read_specimens(
     """
     path = Path(path)
     complain = on_fault or partial(warnings.warn, stacklevel=2)
+    is_recursive = path.name == "**"
+    if is_recursive:
+        path = path.parent
     if not path.is_dir():
         records = list(_of_file(existing_file(path, LiaamError, "file of results"), complain, reading))
         records = with_unique_codes(records, complain)
@@ -80,19 +85,19 @@ def read_specimens(
             complain(line)
         return tuple(objects_of_records(records))
     read: list[Record] = []
-    for file in _chosen(path):
+    for file in _chosen_below(path) if is_recursive else _chosen(path) or _of_sides(path):
         try:
-            read += list(_of_file(file, complain, reading))
+            read += _below(path, file, _of_file(file, complain, reading))
         except LiaamError as fault:
             if isinstance(fault, UnrecognisedError) and file.suffix.lower() in ALSO_OTHER:
                 continue
             if reading.strict:
                 raise
-            complain(f"skipped {file.name}: {str(fault).removeprefix(f'{file}: ')}")
+            complain(f"skipped {file.relative_to(path).as_posix()}: {str(fault).removeprefix(f'{file}: ')}")
     if not read:
         raise LiaamError(
             f"{path} holds no results that can be read: name a folder of 'liaam fit', a table of 'liaam batch', or "
-            f"landmark files ({', '.join(LANDMARK_SUFFIXES)})"
+            f"landmark files ({', '.join(LANDMARK_SUFFIXES)}); '{path}/**' also reads its subfolders"
         )
     read = with_unique_codes(read, complain)
     for line in doubts_about(read):
@@ -146,6 +151,33 @@ def _chosen(folder: Path) -> list[Path]:
     return list(chosen.values())
 
 
+def _chosen_below(folder: Path) -> list[Path]:
+    """Return one file per stem of a folder, and of each of its subfolders that is not hidden, in natural order."""
+    folders = [folder, *(each for each in folder.rglob("*") if each.is_dir())]
+    seen = [each for each in folders if not any(part.startswith(".") for part in each.relative_to(folder).parts)]
+    return [file for each in sorted(seen, key=lambda each: natural_key(str(each))) for file in _chosen(each)]
+
+
+def _of_sides(folder: Path) -> list[Path]:
+    """Return the files below a folder if all are in subfolders that are named after sides."""
+    files = _chosen_below(folder)
+    return files if all(folder_side(file.relative_to(folder).as_posix()) for file in files) else []
+
+
+def _below(folder: Path, file: Path, records: Iterable[Record]) -> list[Record]:
+    """Return the records of a file, whose names and sides are also by the subfolder of a folder that it is in."""
+    inside = file.parent.relative_to(folder).as_posix()
+    if inside == ".":
+        return list(records)
+    placed = []
+    for record in records:
+        specimen = record.specimen
+        name = specimen.name if specimen.code else f"{inside}/{specimen.name}"
+        specimen = replace(specimen, name=name, side=specimen.side or folder_side(f"{inside}/"))
+        placed.append(record._replace(image=f"{inside}/{record.image}", specimen=specimen))
+    return placed
+
+
 def _of_file(path: Path, complain: Callable[[str], object], reading: Reading) -> Iterator[Record]:
     fit = read_fit(path) if path.suffix.lower() == ".json" else None
     if fit:  # other .json files hold landmarks only
@@ -191,6 +223,7 @@ def _specimen(path: Path, name: str, facts: dict[str, Any], covariances: Any) ->
             scale_source=str(facts.get("scale_from") or ""),
             image=str(facts.get("image") or ""),
             code=str(facts.get("code") or ""),
+            individual=str(facts.get("individual") or ""),
         )
     except (TypeError, ValueError, OverflowError, LandmarkError) as fault:
         raise LandmarkError(f"{path}: the landmarks of {name} are damaged ({fault}): fit the image again") from fault

@@ -11,7 +11,7 @@ import numpy as np
 from liaam.errors import LiaamError
 from liaam.fitting.result import USABLE
 from liaam.io.files import count_of, some_names
-from liaam.io.sides import LEFT, OTHER_SIDE, RIGHT, Named, by_letters, by_word, folder_side, side_of_text
+from liaam.io.sides import LEFT, OTHER_SIDE, RIGHT, Named, by_letters, by_word, contradiction, folder_side, side_of_text
 from liaam.model.shape import align, procrustes_mean
 from liaam.model.sides import MIRRORED, ORIGINAL, reflected_covariances
 from liaam.morphometry.specimens import Specimen, has_shape
@@ -216,7 +216,7 @@ def _sides_of(specimens: Sequence[Specimen], by: str | None) -> tuple[list[Named
         side = called.get(specimen.side, side_of_text(specimen.side))
         found.append(Named(side or named.side, named.rest))
         if specimen.status in USABLE and said in OTHER_SIDE and side == OTHER_SIDE[said]:
-            against.append(f"{specimen.name} ({side})")
+            against.append(f"{specimen.name} ({contradiction(said, 'fit')})")
     if not against:
         return found, ""
     return found, f"fits of another side than the names, which is taken: {some_names(against)}; check these"

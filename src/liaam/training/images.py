@@ -1,7 +1,7 @@
 """Check the training images before any work: landmarks outside the image, exposure, and grey among colour images."""
 
 import warnings
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 
@@ -33,7 +33,8 @@ class _Inspection:
 
     is_grey: bool = False
     damage: str = ""
-    outside: str = ""  # landmarks outside the image
+    outside: str = ""  # landmarks outside the image, too many or too far
+    outside_of: tuple[int, int] = (0, 0)  # how many landmarks are outside, and how many are known
     exposure: str = ""
 
 
@@ -61,12 +62,15 @@ def check_images(
 ) -> tuple[list[Entry], np.ndarray]:
     """Read and check all images, and return them with whether each is grey, (n,) bool.
 
-    If too few are in colour, all are converted to grey; there is a warning if only some are grey. Raises an ImageError
-    if images cannot be read, and a TrainingError if objects, which the warp's mesh covers, are outside their images,
-    black or saturated. The messages name all these images.
+    If too few are in colour, all are converted to grey; there is a warning if only some are grey, and one if landmarks
+    are outside of their images. Raises an ImageError if images cannot be read, and a TrainingError if objects, which
+    the warp's mesh covers, are outside their images, black or saturated. The messages name all these images.
     """
     inspections = in_threads(partial(_inspect, warp, response), entries)
     _refuse_faults(inspections)
+    counts = {entry.name: each.outside_of for entry, each in zip(entries, inspections, strict=True)}
+    if cut_off := describe_cut_off(counts):
+        warnings.warn(cut_off, stacklevel=5)  # the caller of train, which is decorated
     grey = np.array([inspection.is_grey for inspection in inspections])
     if not grey.any() or grey.all():
         return list(entries), grey
@@ -94,6 +98,7 @@ def _inspect(warp: PiecewiseAffineWarp, response: Response, entry: Entry) -> _In
     return _Inspection(
         is_grey=is_grey(image),
         outside=f"{entry.name}: {outside}" if outside else "",
+        outside_of=count_outside(entry.points, image.shape, entry.known),
         exposure=f"{entry.name}: {exposure}" if exposure else "",
     )
 
@@ -154,21 +159,49 @@ def describe_outside(
     Most of the points (k, 2), pixels of the mesh, must lie inside; by default the landmarks, which is less strict.
     Estimated landmarks, which are not ``known`` (n,), may lie anywhere.
     """
-    if points is None:
-        points = landmarks
+    known = _placed(landmarks) if known is None else known
+    points = landmarks[known] if points is None else points
+    height, width = shape[:2]
+    distances = _distances_outside(landmarks, shape, known)
+    inside = float((_distances_outside(points, shape) < 0).mean())
+    if inside >= LEAST_INSIDE and distances.max() <= FAR * diagonal_of(landmarks[_placed(landmarks)]):
+        return ""
+    n_outside, n_known = count_outside(landmarks, shape, known)
+    farthest = int(distances.argmax())
+    return (
+        f"{n_outside} of {n_known} landmarks lie outside the image of {width}×{height} pixels (point "
+        f"{farthest + 1} by {distances[farthest]:.0f} pixels)"
+    )
+
+
+def _placed(landmarks: np.ndarray) -> np.ndarray:
+    """Return which landmarks (n, 2) have a place, (n,) bool; those that are missing are NaN."""
+    return np.asarray(np.isfinite(landmarks).all(axis=1))
+
+
+def _distances_outside(points: np.ndarray, shape: tuple[int, ...], known: np.ndarray | None = None) -> np.ndarray:
+    """Return how far points (n, 2) lie outside an image, pixels; negative inside, and -inf for those not known."""
     height, width = shape[:2]
     # The borders of the first and of the last pixel, whose centres are 0 and the number of pixels less 1.
     first = -0.5
     last = np.array([width, height]) - 0.5
-    distances = np.maximum(first - landmarks, landmarks - last).max(axis=1)
-    if known is not None:
-        distances = np.where(known, distances, -np.inf)
-    inside = float(((points > first) & (points < last)).all(axis=1).mean())
-    if inside >= LEAST_INSIDE and distances.max() <= FAR * diagonal_of(landmarks):
+    distances = np.maximum(first - points, points - last).max(axis=1)
+    return distances if known is None else np.where(known, distances, -np.inf)
+
+
+def count_outside(landmarks: np.ndarray, shape: tuple[int, ...], known: np.ndarray | None = None) -> tuple[int, int]:
+    """Return how many of the known landmarks (n, 2) lie outside an image, and how many are known."""
+    known = _placed(landmarks) if known is None else known
+    return int((_distances_outside(landmarks, shape, known) > 0).sum()), int(known.sum())
+
+
+def describe_cut_off(counts: Mapping[str, tuple[int, int]]) -> str:
+    """Say which images have some landmarks outside, from the results of :func:`count_outside`; empty if none has."""
+    outside = [f"{name} ({n} of {n_known})" for name, (n, n_known) in counts.items() if n]
+    if not outside:
         return ""
-    n_outside = int((distances > 0).sum())
-    farthest = int(distances.argmax())
+    have = "image has" if len(outside) == 1 else "images have"
     return (
-        f"{n_outside} of {len(landmarks)} landmarks lie outside the image of {width}×{height} pixels (point "
-        f"{farthest + 1} by {distances[farthest]:.0f} pixels)"
+        f"{len(outside)} {have} landmarks outside of the image: {some_names(outside)}; correct them, unless the object "
+        "is cut off there"
     )
