@@ -1,5 +1,9 @@
 """Rulers on rough and patterned grounds are found along their straight edges."""
 
+import subprocess
+import sys
+from pathlib import Path
+
 import cv2
 import numpy as np
 import pytest
@@ -63,3 +67,14 @@ def test_a_board_without_ticks_is_no_ruler(ground: str, rng: np.random.Generator
 
 def test_an_even_image_has_no_strips() -> None:
     assert strips.find_strips(np.zeros((60, 80), np.float32)) == []
+
+
+def test_many_edges_do_not_crash_the_process_with_one_thread(tmp_path: Path, rng: np.random.Generator) -> None:
+    # Canny's method of OpenCV 5.0.0 for grey images did, within twenty searches of this fabric.
+    grey = tmp_path / "grey.npy"
+    np.save(grey, photograph("fabric", 13.3, rng, n=1).astype(np.float32))
+    code = (
+        "import cv2, sys, numpy; from liaam.scale.strips import _edges; cv2.setNumThreads(1)\n"
+        "for _ in range(20): _edges(numpy.load(sys.argv[1]))"
+    )
+    subprocess.run([sys.executable, "-c", code, grey], check=True, timeout=60)

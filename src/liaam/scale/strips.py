@@ -55,7 +55,9 @@ def _edges(grey: np.ndarray) -> list[np.ndarray]:
     if not high > low:
         return []
     levels = np.clip((small - low) * (255 / (high - low)), 0, 255).astype(np.uint8)
-    outlines = cv2.Canny(levels, *_CANNY)
+    # In colour, since Intel's code for grey images in OpenCV 5.0.0 writes beyond its memory where edges are many, if
+    # OpenCV uses one thread.
+    outlines = cv2.Canny(cv2.cvtColor(levels, cv2.COLOR_GRAY2BGR), *_CANNY)
     length = _LEAST_LENGTH * max(small.shape)
     lines = cv2.HoughLinesP(outlines, 1, _TURN, _VOTES, minLineLength=length, maxLineGap=_GAP)
     edges = np.empty((0, 2, 2)) if lines is None else lines.reshape(-1, 2, 2).astype(float)
