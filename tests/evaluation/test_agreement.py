@@ -201,3 +201,14 @@ def test_specimens_are_paired_by_name(rng):
         compare_specimens(fits, [[Specimen("x0", truth[0])]])
     with pytest.raises(LiaamError, match="labels: w3 has 5 landmarks where the others have 7"):
         compare_specimens(fits, [[Specimen("w3", truth[3][:5])]])
+
+
+def test_estimated_landmarks_are_compared_with_nobody_s(rng):
+    truth = specimens(rng, 8)
+    fits = [
+        Specimen(f"w{i}", points, estimated=(2,) if i == 3 else ())
+        for i, points in enumerate(truth + rng.normal(0, 0.02, truth.shape))
+    ]
+    labels = [Specimen(f"w{i}", points, estimated=(0, 4) if i == 5 else ()) for i, points in enumerate(truth)]
+    found = compare_specimens(fits, [labels])
+    assert (found.n_specimens, found.n_left_out) == (6, 2)

@@ -17,7 +17,7 @@ MOST_OBSERVERS = 2  # People whose landmarks automatic ones are compared with
 def points_by_name(specimens: Sequence[Specimen], landmark_names: Sequence[str] = ()) -> dict[str, np.ndarray]:
     """Return the landmarks (n, 2) of specimens by name, in the order of these landmark names if both have names.
 
-    Those of fits that are not to be used are left out.
+    Those of fits that are not to be used are left out. Landmarks that were estimated are missing: nobody saw them.
 
     Raises
     ------
@@ -28,7 +28,7 @@ def points_by_name(specimens: Sequence[Specimen], landmark_names: Sequence[str] 
     for specimen in specimens:
         if not specimen.is_usable:
             continue
-        points = specimen.points
+        points = specimen.measured
         if landmark_names and specimen.names and tuple(specimen.names) != tuple(landmark_names):
             absent = [name for name in landmark_names if name not in specimen.names]
             if absent:

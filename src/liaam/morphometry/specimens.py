@@ -115,6 +115,13 @@ class Specimen:
         return not self.status or self.status in USABLE
 
     @property
+    def measured(self) -> np.ndarray:
+        """Its points (n, 2) without those that were estimated, which are NaN."""
+        points = self.points.copy()
+        points[list(self.estimated)] = np.nan
+        return points
+
+    @property
     def labels(self) -> tuple[str, ...]:
         """Names of its landmarks; without names, their numbers from 1."""
         return self.names or tuple(str(number) for number in range(1, len(self.points) + 1))
