@@ -459,7 +459,7 @@ def test_other_settings_are_refused(world, tmp_path, stopped):
         batch_of(world, output)
     other = Settings("rgb", world.settings.init, 30)
     with pytest.raises(
-        LiaamError, match=r"another method \(grey, now rgb\); give another name with -o, or add --restart"
+        LiaamError, match=r"an earlier batch had method grey and not rgb; give another name with -o, or add --restart"
     ):
         batch_of(world, output, settings=other)
     batch_of(world, output, settings=other, restart=True)
@@ -479,7 +479,7 @@ def test_a_batch_that_has_done_nothing_leaves_nothing(world, expected, tmp_path,
     assert rows_of(output) == expected
     with Journal(tmp_path / "r.csv.parts") as journal:
         journal.restart({"method": "rgb"})
-    with pytest.raises(LiaamError, match="another method"):  # the table is there still
+    with pytest.raises(LiaamError, match="had method grey and not rgb"):  # the table is there still
         batch_of(world, output, settings=other)
     assert files_beside(output) == ["r.csv", "r.csv.json"]
     assert rows_of(output) == expected

@@ -70,6 +70,9 @@ def test_grey_pictures_are_fitted_by_their_gradients(fine_model, lit_scene):
     result = Fitter(fine_model).fit(grey, disturb(lit_scene.landmarks))
     assert result.status.ok
     assert model_pixels(fine_model, result.landmarks, lit_scene.landmarks) < 1.0
+    assert result.without_colour and "The image is grey, unlike those of training" in result.message
+    assert not Fitter(fine_model).fit(lit_scene.image, disturb(lit_scene.landmarks)).without_colour
+    assert not Fitter(fine_model, "grey").fit(grey, disturb(lit_scene.landmarks)).without_colour
 
 
 def test_a_model_of_grey_pictures_fits_colour(scenes, lit_scene):

@@ -143,7 +143,8 @@ def test_some_names() -> None:
     assert some_names(["a"]) == "a"
     assert some_names(list("abcdef")) == "a, b, c, d, e, f"
     assert some_names(list("abcdefgh")) == "a, b, c, d, e, f and 2 more"
-    assert some_names(list("abc"), most=2, joint="; ") == "a; b and 1 more"
+    assert some_names(list("abcd"), most=2, joint="; ") == "a; b and 2 more"
+    assert some_names(list("abc"), most=2) == "a, b, c"  # the number of one name is as long as the name
 
 
 def test_a_read_only_folder_is_refused_before_the_work(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -32,7 +32,7 @@ def test_the_larger_the_image_the_same_the_ruler(rng: np.random.Generator) -> No
 
 @pytest.mark.parametrize("ground", GROUNDS)
 def test_no_ruler_is_found_where_there_is_none(ground: str, rng: np.random.Generator) -> None:
-    with pytest.raises(LiaamError, match="no ruler with 10 even ticks or more is found: give the scale with --scale"):
+    with pytest.raises(LiaamError, match="no ruler with 10 even ticks or more is found: crop the image to its ruler"):
         find_ruler(draw("none", rng, ground=ground, shape=(300, 400)).image)
 
 

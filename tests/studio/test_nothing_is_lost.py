@@ -319,7 +319,7 @@ def test_what_is_passed_over_is_told(small, tmp_path):
     (small.root / "p1.png").rename(small.root / "renamed.png")
     small.overview()
     pictures, links, orphans = small.problems
-    assert pictures.startswith("4 pictures (a.svg, b.PSD, c.jxl and 1 more) skipped")
+    assert pictures.startswith("4 pictures (a.svg, b.PSD, c.jxl, d.jxl) skipped")
     assert "(2 .jxl, 1 .psd, 1 .svg)" in pictures
     assert links.startswith("1 file (link.png) skipped")
     assert orphans.startswith("1 landmark file (p1.ljson) without a picture of the same name")

@@ -199,13 +199,13 @@ class _Batch:
     def _refuse_others(self, before: dict[str, Any]) -> None:
         facts = self.facts
         changed = [
-            f"{key} ({_in_words(before.get(key))}, now {_in_words(facts[key])})"
+            f"{key} {_in_words(before.get(key))} and not {_in_words(facts[key])}"
             for key in facts
             if before.get(key) != facts[key]
         ]
         if changed:
             raise LiaamError(
-                f"{self.output}: an earlier batch had another {', '.join(changed)}; give another name with -o, or add "
+                f"{self.output}: an earlier batch had {', '.join(changed)}; give another name with -o, or add "
                 "--restart to start over"
             )
 

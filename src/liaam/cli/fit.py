@@ -256,6 +256,8 @@ class FitReport:
             yield f"{result.status}: {result.message}"
         elif result.absent.any():
             yield self.on_absent
+        if result.status.ok and result.without_colour:
+            yield "the image is grey, unlike those of training, so that its landmarks are less certain"
         if result.detection_doubtful and not result.status.unusable:
             yield inputs.LOW_SCORE + (inputs.TURNED if self.only_upright else "")
 

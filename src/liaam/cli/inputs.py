@@ -298,7 +298,7 @@ def refuse_inputs(outputs: Sequence[Path], inputs: Sequence[Path]) -> None:
 def say_advice(advice: Mapping[str, Sequence[str]]) -> None:
     """Print each piece of advice once, with the names of the images that it is for."""
     for text, names in advice.items():
-        complain(f"{', '.join(names[:5])}{' …' if len(names) > 5 else ''}: {text}")
+        complain(f"{some_names(names)}: {text}")
 
 
 def names_of(paths: Sequence[Path]) -> str:

@@ -49,7 +49,8 @@ def scale(
 ) -> None:
     """Find the length of a pixel of images: from a ruler, a scale bar, or else the tags of TIFF images.
 
-    What is not clear is refused, not guessed. Give the table to 'liaam measure --scale'.
+    What is not clear is refused, not guessed. If you know the scale of such an image, write it into its line. Give the
+    table to 'liaam measure --scale'.
     """
     if ruler is not None and scale_bar is not None:
         raise LiaamError("--ruler and --scale-bar: give one of them; crop the images to what they show")
@@ -152,4 +153,5 @@ def _show_scales(rows: list[Row]) -> None:
     if len(units) == 1:
         odd = [rows[i]["image"] for i in np.flatnonzero(unlike([row["scale"] for row in rows])).tolist()]
         if odd:
-            complain(f"{len(odd)} of {len(rows)} have a scale unlike that of the others; check them: {some_names(odd)}")
+            n_found = sum(not math.isnan(row["scale"]) for row in rows)
+            complain(f"{len(odd)} of {n_found} scales are unlike the others; check them: {some_names(odd)}")

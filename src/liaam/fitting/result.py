@@ -126,6 +126,8 @@ _MOSTLY_ABSENT = (
     "well be in the wrong place. Check the landmarks, and start nearer to the object if they are wrong."
 )
 
+_GREY = "The image is grey, unlike those of training, so that its landmarks are less certain."
+
 _AT_START = "It ended far from its start, so that the landmarks are those of the start."
 
 
@@ -250,6 +252,8 @@ class FitResult:
     at_start : bool
         Whether the landmarks are those of the start, since the fit may not be used and ended far from there
         (:mod:`liaam.fitting.fallback`). ``history`` then ends with the start.
+    without_colour : bool
+        Whether the image is grey, and the method would compare colours, too, so that the landmarks are less certain.
     contours : tuple of (indices, closed)
         Lines through landmarks, for drawing, and along which landmarks are less certain than across.
     landmark_names : tuple of str
@@ -285,6 +289,7 @@ class FitResult:
     expansion: float = 1.0
     shift: np.ndarray | None = None
     at_start: bool = False
+    without_colour: bool = False
     contours: Contours = ()
     landmark_names: tuple[str, ...] = ()
     image: np.ndarray | Path | None = None
@@ -319,16 +324,20 @@ class FitResult:
         names = [self.landmark_names[i] if self.landmark_names else str(i + 1) for i in indices]
         return (
             f" Absent: {some_names(names, MOST_NAMED)}. The image there is not what the model expects, so the fit goes "
-            "without it, and these positions are estimates from the other landmarks."
+            "without it; it only estimates these positions, from the other landmarks."
         )
 
     @property
     def message(self) -> str:
         """What happened, and what to do."""
+        sentences = [self._doubt if self.status is FitStatus.DOUBTFUL else f"{self.status.message}{self._absent_text}"]
         if self.status.ok and not self.calibrated:
-            return f"{self.status.message} {_NO_QUALITY}"
-        message = self._doubt if self.status is FitStatus.DOUBTFUL else f"{self.status.message}{self._absent_text}"
-        return f"{message} {_AT_START}" if self.at_start else message
+            sentences = [self.status.message, _NO_QUALITY]
+        if self.status.ok and self.without_colour:
+            sentences.append(_GREY)
+        if self.at_start:
+            sentences.append(_AT_START)
+        return " ".join(sentences)
 
     @property
     def _doubt(self) -> str:

@@ -45,8 +45,9 @@ def name_key(name: str) -> str:
 
 
 def some_names(names: Sequence[str], most: int = 6, joint: str = ", ") -> str:
-    """Join the first names, and add the number of the rest."""
-    return joint.join(names[:most]) + (f" and {len(names) - most} more" if len(names) > most else "")
+    """Join the first names, and add the number of the rest. A single further name is as short as its number."""
+    n = most if len(names) > most + 1 else len(names)
+    return joint.join(names[:n]) + (f" and {len(names) - n} more" if len(names) > n else "")
 
 
 def count_of(number: int, what: str) -> str:

@@ -44,8 +44,8 @@ _MARKED = 0.1  # least share by which an end mark is darker than the bar, which 
 _OF_MARK = 0.25  # from the outer edge of an end mark to where the bar ends, of its width: some count from its middle
 _SHARED = 0.06  # standard error of the place of an edge by the shape of pixels and the ground, pixels
 _NOT_FOUND = (
-    "no even, straight stroke with sharp ends is found that could be a scale bar: give the scale with --scale, or crop "
-    "the image to its bar"
+    "no even, straight stroke with sharp ends is found that could be a scale bar: crop the image to its bar, or state "
+    "its scale (--scale, or a line of a table of scales)"
 )
 _WITHOUT_NUMBER = (
     "strokes of {} pixels could be a scale bar, but none has a number beside it: if one is the bar, give its length "

@@ -45,12 +45,12 @@ _SAME = 0.02  # greatest relative difference of periods of one ruler
 _CROSSED = 5.0  # greatest difference from a right angle, degrees, of lines that cross
 _MOST_LEVEL = 1e9  # of an image
 _NOT_FOUND = (
-    f"no ruler with {FEWEST_TICKS} even ticks or more is found: "
-    "give the scale with --scale, or crop the image to its ruler"
+    f"no ruler with {FEWEST_TICKS} even ticks or more is found: crop the image to its ruler, or state its scale "
+    "(--scale, or a line of a table of scales)"
 )
 _WITHOUT_HEAVY = (
-    "lines are found every {:.4g} pixels, but not every {}th is heavier, as on graph paper of {}: give the scale with "
-    "--scale, or crop the image to its ruler"
+    "lines are found every {:.4g} pixels, but not every {}th is heavier, as on graph paper of {}: crop the image to "
+    "its ruler, or state its scale (--scale, or a line of a table of scales)"
 )
 
 

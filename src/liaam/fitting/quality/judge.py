@@ -169,6 +169,7 @@ class Judge:
             expansion=expansion,
             shift=shift,
             present=self._present_in(last),
+            without_colour=method.encoding == "soft" and self.model.is_colour and target.linear.grey,
         )
         return self._with_quality(result, last)
 
