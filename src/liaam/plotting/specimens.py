@@ -36,7 +36,7 @@ def figure_of_specimens(columns: Mapping[str, list]) -> "Figure":
     axis.plot(table[:, ::2].ravel(), table[:, 1::2].ravel(), "o", label="specimens", **spots)
     for name, point in zip(places[::2], mean.reshape(-1, 2), strict=True):
         axis.annotate(name[1:], point, (6, 6), textcoords="offset points", fontsize=10, weight="bold")
-    axis.legend(loc="lower right", frameon=False)
+    axis.legend(loc="upper center", bbox_to_anchor=(0.5, 0.0), ncols=2, frameon=False)  # where no landmark is
     axis.margins(0.1)
     axis.set(title=f"{len(table)} superimposed shapes, and the mean", aspect="equal")
     axis.set_axis_off()
@@ -45,12 +45,26 @@ def figure_of_specimens(columns: Mapping[str, list]) -> "Figure":
     scores = np.pad((table - mean) @ modes[:2].T, ((0, 0), (0, max(0, 2 - len(modes)))))
     axis = axes[0, 1]
     axis.plot(*scores.T, "o", color=INK, mec="white", mew=0.6, ms=7)
-    for name, score in zip(names, scores, strict=True) if len(names) <= MOST_NAMED else ():
-        axis.annotate(name, score, (4, 4), textcoords="offset points", fontsize=8, parse_math=False)
     labels = [f"PC {i + 1} ({share:.0f} % of the variance)" for i, share in enumerate([*shares, 0.0][:2])]
     axis.set(title="principal components of shape", xlabel=labels[0], ylabel=labels[1])
     axis.spines[["top", "right"]].set_visible(False)
+    if len(names) <= MOST_NAMED:
+        figure.draw_without_rendering()  # the room of a name depends on the size of the axes
+        _write_names(axis, names.tolist(), scores)
     return figure
+
+
+def _write_names(axis: "Axes", names: Sequence[str], places: np.ndarray) -> None:
+    """Write names beside places (n, 2), first those far from the middle, and none on another."""
+    away = np.linalg.norm(places - places.mean(axis=0), axis=1)
+    written = []
+    for _, name, (x, y) in sorted(zip(-away, names, places.tolist(), strict=True)):
+        text = axis.annotate(name, (x, y), (4, 4), textcoords="offset points", fontsize=8, parse_math=False)
+        room = text.get_window_extent()
+        if any(room.overlaps(other) for other in written):
+            text.remove()
+        else:
+            written.append(room)
 
 
 def figure_of_asymmetry(
@@ -122,7 +136,7 @@ def figure_of_asymmetry(
     if np.isfinite(error):
         axis.axhline(error, color="0.5", ls="--", lw=1, label=error_label)
     if np.isfinite(error) or is_estimated.any():
-        axis.legend(frameon=False, loc="lower right", fontsize=8)
+        axis.legend(frameon=False, loc="best", fontsize=8)
     if len(names) <= MOST_NAMED:
         axis.set_xticks(range(len(names)), [names[i] for i in order], rotation=90, fontsize=7, parse_math=False)
     else:
