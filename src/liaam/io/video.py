@@ -270,8 +270,10 @@ class _File(_Source):
         # FFmpeg decodes some frames to open a file, so that it has a limit as well: twice ours, because some decoders
         # count what they pad frames with.
         options = {"max_pixels": str(2 * MAX_PIXELS)}
+        # Before its version 19, PyAV refused files whose titles and the like are not UTF-8 unless told otherwise.
+        lenient = {"metadata_errors": "replace"} if int(av.__version__.partition(".")[0]) < 19 else {}
         try:
-            self.container = av.open(str(path), metadata_errors="replace", options=options)
+            self.container = av.open(str(path), options=options, **lenient)
         except self.errors as fault:
             why = f"({fault.strerror}): it has another format or is cut short before its index"
             raise VideoError(f"{path} is not a video that FFmpeg can open {why}; export it as .mp4") from fault
@@ -340,7 +342,7 @@ class _File(_Source):
         """Return the frames of a packet; none, and count it as a damaged frame, if it cannot be decoded."""
         try:
             return packet.decode()
-        except self.errors:
+        except (self.errors, ValueError):  # the latter, from PyAV 19 on, where the decoder could not be opened before
             self.n_damaged += 1
             self.n_seen += 1  # keep frame numbers independent of the start frame
             self.damage = f"{self.path} is damaged: {self.n_damaged} packets could not be decoded and are missing"
