@@ -197,8 +197,8 @@ void sum_angle_products(const Objective& objective, const Samples& samples, cons
     for (std::size_t f = 0; f < n_free; ++f) {
         multiply_modes(samples.modes, fitted.sqrt_weights, room.columns[f], room.mode_products);
         for (std::size_t j = 0; j < m; ++j) room.aj[j][n_p + f] = room.mode_products[j];
-        for (std::size_t g = 0; g < n_free; ++g)
-            room.equations.hessian[n_p + f][n_p + g] =
+        for (std::size_t g = f; g < n_free; ++g)
+            room.equations.hessian[n_p + f][n_p + g] = room.equations.hessian[n_p + g][n_p + f] =
                 weighted_product(fitted.sqrt_weights, room.columns[f], room.columns[g]);
         room.equations.gradient[n_p + f] = weighted_product(fitted.sqrt_weights, room.columns[f], fitted.residual);
     }

@@ -208,10 +208,11 @@ def test_each_picture_is_a_row(world, expected):
 
 def test_rows_depend_on_nothing_else(world, expected, tmp_path):
     shuffled = random.Random(1).sample([row["path"] for row in expected] * 2, 2 * len(expected))
+    of_others = multiprocessing.active_children()  # workers of a cluster, of an earlier test, may be about to end
     batch_of(world, tmp_path / "a.csv", shuffled, jobs=2)
     assert rows_of(tmp_path / "a.csv") == expected
     assert (tmp_path / "a.csv").read_text().splitlines()[0].endswith(",seconds")
-    assert not multiprocessing.active_children()
+    assert {*multiprocessing.active_children()} <= {*of_others}
 
 
 def test_numbers_are_written_alike_whatever_numpy_prints():
