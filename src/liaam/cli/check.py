@@ -52,17 +52,17 @@ def check(
     samples = with_enough_landmarks(list(data))
     found = compared_sides(samples, sides)
     faults = faults_among(samples, found.is_other, inputs.parse_shapes(shapes))
-    if found.n_against:
+    if found.against:
         complain("correct the sides that are stated: the column 'side', the folders or the names")
     if not faults:
-        say(f"no {'other ' if unusable or found.n_against else ''}faults found in the landmarks")
+        say(f"no {'other ' if unusable or found.against else ''}faults found in the landmarks")
         n_landmarks = len(data.samples[0].landmarks.points)
         if n_landmarks < LEAST_POINTS:
             say(
                 f"misplaced and mirrored landmarks were not looked for: {LEAST_POINTS} landmarks are needed, and each "
                 f"image has {n_landmarks}"
             )
-        if unusable or found.n_against:
+        if unusable or found.against:
             raise typer.Exit(1)
         return
     table = table_of("image", "fault")

@@ -39,9 +39,9 @@ def side_of_text(text: str) -> str:
     return _VALUES.get(text.strip().casefold(), text.strip())
 
 
-def contradiction(stated: str, by: str) -> str:
-    """Return what is said of an object that is of the other side than stated, by its shape or its fit."""
-    return f"stated {stated}, {OTHER_SIDE[stated]} by the {by}"
+def contradiction(stated: str, found: str, by: str) -> str:
+    """Return what is said of an object that is found to be of another side than stated, by its shape or its fit."""
+    return f"stated {stated}, {found} by the {by}"
 
 
 def folder_side(path: str) -> str:
