@@ -50,6 +50,11 @@ def folder_side(path: str) -> str:
     return by_folder(path).side
 
 
+def side_of_folder(name: str) -> str:
+    """Return the side of a folder that is called left or right, or "": a letter may stand for something else."""
+    return _WORDS.get(name.casefold(), "")
+
+
 def by_folder(path: str) -> Named:
     """Find the side of the folders of a path, such as ``left/wing1``, if there is one."""
     *folders, name = re.split(r"[\\/]", path)
