@@ -121,6 +121,9 @@ def test_long_captions_continue_in_further_lines():
     one = np.full((300, 1200, 3), 255, np.uint8)
     write_caption(one, text, LOST)
     assert (one[:-60] == 255).all()
+    narrower = np.full((300, 520, 3), 255, np.uint8)  # of smaller letters, in one line
+    write_caption(narrower, text, LOST)
+    assert (narrower[:-25] == 255).all()
 
 
 def test_captions_have_no_signs_that_the_font_lacks():

@@ -261,9 +261,9 @@ def write_caption(picture: np.ndarray, text: str, colour: str) -> None:
     from PIL import Image, ImageDraw
 
     text = text.translate(_IN_FONT)
-    wanted = max(picture.shape[:2]) / 36
-    width = _width_of_caption(text, round(wanted))
-    size = round(max(SMALLEST_LETTERS, wanted * min(1.0, picture.shape[1] / width)))
+    size = max(SMALLEST_LETTERS, round(max(picture.shape[:2]) / 36))
+    while size > SMALLEST_LETTERS and _width_of_caption(text, size) > picture.shape[1]:
+        size -= 1
     font = _font(size)
     pad = size // 2
     lines = _lines_of_caption(text, size, picture.shape[1])
