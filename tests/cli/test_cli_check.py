@@ -212,3 +212,40 @@ def test_training_names_points_far_off(run, scenes, tmp_path):
     _, _, err = run("train", folder, "--diagonal", 40, "--no-leave-out", "--copies", 0, "-o", tmp_path / "m.liaam")
     assert err.splitlines()[0].startswith("face4: point 31")
     assert "liaam check" in err.splitlines()[1]
+
+
+def test_training_finds_the_faults_of_incomplete_images_as_check_does(run, scenes, tmp_path):
+    folder = write_folder(tmp_path, scenes)
+    for i, scene in enumerate(scenes):
+        points = scene.landmarks.copy()
+        points[4 + i] = np.nan
+        if i == 4:
+            points[30] += 25
+        write_landmarks(folder / f"face{i}.pts", points)
+    poor = scenes[8].landmarks.copy()
+    poor[2:] = np.nan
+    write_landmarks(folder / "face8.pts", poor)
+    _, text, _ = run("check", folder)
+    assert "point 31 may be misplaced" in " ".join(text.split())
+    _, text, err = run("train", folder, "--diagonal", 40, "--no-leave-out", "--copies", 0, "-o", tmp_path / "m.liaam")
+    assert "8 images with missing landmarks, which are estimated to compare the others" in " ".join(text.split())
+    assert err.splitlines()[0].startswith("face4: point 31 may be misplaced")
+    assert " ".join(err.split()).count("face8") == 1  # by training alone
+
+
+def test_training_and_check_count_sides_alike(run, tmp_path, rng):
+    shape = np.array([[40, 60], [66, 54], [92, 64], [100, 82], [74, 90], [48, 84], [64, 72], [80, 74]], float)
+    for i in range(12):
+        for side in ("left", "right"):
+            points = shape + rng.normal(0, 0.5, shape.shape)
+            points = points * [-1, 1] + [140, 0] if side == "left" else points
+            if i % 3 == 0:
+                points[i // 3] = np.nan
+            name = f"fly{i}_{side}"
+            write_image(tmp_path / f"{name}.png", rng.integers(0, 255, (120, 140, 3), np.uint8))
+            write_landmarks(tmp_path / f"{name}.pts", points)
+    lines = []
+    for command in (("check",), ("train", "--no-leave-out", "--diagonal", 40, "-o", tmp_path / "m.liaam")):
+        _, text, _ = run(command[0], tmp_path, *command[1:])
+        lines += [line for line in text.splitlines() if line.startswith("side left")]
+    assert len(lines) == 2 and lines[0] == lines[1] and "12 of 24 images" in lines[0]

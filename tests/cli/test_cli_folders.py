@@ -112,12 +112,16 @@ def test_an_image_of_three_faces_offers_all_and_init(run, model_file, scenes, tm
     assert "more object" not in err
 
 
-def test_a_turned_object_offers_rotations(run, model_file, scenes, tmp_path):
+def test_a_turned_object_offers_rotations(run, model_file, scenes, folder, tmp_path):
     image = tmp_path / "turned.png"
     write_image(image, np.ascontiguousarray(np.rot90(scenes[0].image)))
     code, _, err = run("fit", model_file, image, "-o", tmp_path / "fits")
     assert code == 1
     assert "turned.png: the search may have found something else" in err and "add --rotations all" in err
+    assert "--side both" not in err and "alone" not in err  # faces are symmetric, and there is one image
+    _, _, err = run("fit", model_file, image, folder / "face0.png", "-o", tmp_path / "fits")
+    assert "add --rotations all; fit these images alone again, with the same -o" in err
+    assert "face0.png" not in err
     code, _, err = run("fit", model_file, image, "-o", tmp_path / "none", "--all")
     assert code == 1 and "--rotations all" in err
     code, out, err = run("fit", model_file, image, "-o", tmp_path / "turned", "--rotations", "all")
@@ -131,6 +135,7 @@ def test_a_batch_of_turned_objects_offers_rotations(run, model_file, scenes, tmp
     code, out, err = run("batch", model_file, *options)
     assert code == 0 and re.search("1 row: 1 (doubtful|max iterations)", out)
     assert "fits that may be wrong: 1; check those, by the column 'status'; if the object is rotated" in err
+    assert "add --rotations all; fit these images alone again, into another table" in err
     _, out, err = run("batch", model_file, *options, "--rotations", "all", "--restart")
     assert "1 row: 1 converged" in out and "doubtful" not in err
 

@@ -11,6 +11,7 @@ from PIL import Image, TiffImagePlugin
 from liaam.io import Landmarks, write_collection
 from liaam.io.files import real_path
 from liaam.io.fit_files import write_fit
+from liaam.io.landmarks import LandmarkFile
 from liaam.plotting.specimens import figure_of_specimens
 from liaam.studio.folder import Folder
 from liaam.studio.store import Store
@@ -358,6 +359,29 @@ def test_strict_refuses_individuals_that_would_be_left_out(run, wings, tmp_path)
     assert "fly3: it has 1 left and 2 right records with a shape, where most have 2 of each side; it is left out" in err
     code, _, err = run(*given, "--strict", "-o", tmp_path / "u.csv")
     assert code == 1 and "fly3" in err and not (tmp_path / "u.csv").exists()
+
+
+def test_a_flipped_photograph_is_reported_and_not_compared(run, wings, tmp_path):
+    marks = {
+        name: Landmarks(each.points * [-1, 1] if "fly3_left" in name else each.points)
+        for name, each in LandmarkFile.read(wings).entries.items()
+    }
+    write_collection(tmp_path / "flipped.csv", marks)
+    given = ("measure", tmp_path / "flipped.csv", "-o", tmp_path / "t.csv", "--replicates", "_")
+    code, out, err = run(*given, "--symmetry", "matching", "--permutations", 9)
+    assert code == 0
+    assert "2 specimens of another side than stated: fly3_left_1 (stated left, right by the shape), fly3_left_2" in out
+    assert "if the photograph is flipped, flip it back" in out
+    assert err == "fly3: fly3_left_1 is stated left, and is right by its shape; it is left out\n"
+    assert len(pd.read_csv(tmp_path / "t_asymmetry.csv")) == 5
+    assert (
+        pd.read_csv(tmp_path / "t_replicates.csv")["specimens"].iloc[0] == 12
+    )  # these are no replicates of fly3_right
+    table = pd.read_csv(tmp_path / "t.csv")
+    assert table["side"].tolist().count("left") == 10
+    assert table.filter(regex=r"^[XY]\d+$").to_numpy().std(axis=0).max() < 0.1
+    code, _, err = run(*given, "--strict", "-o", tmp_path / "u.csv")
+    assert code == 1 and "of another side than stated: fly3_left_1" in err and not (tmp_path / "u.csv").exists()
 
 
 def tps(path, scales):

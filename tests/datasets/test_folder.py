@@ -441,3 +441,20 @@ def test_two_names_of_one_image_in_a_file_are_named(tmp_path):
     data = load_folder(tmp_path)
     assert [sample.landmarks.points.tolist() for sample in data] == [[[1, 2], [3, 4]]]
     assert "'old/a.png' and 'a.png' both name a.png; the landmarks of the second are used" in data.report()
+
+
+@pytest.mark.parametrize(
+    ("folder", "names", "sides"),
+    [
+        ("left", ["a", "b"], ["left", "left"]),
+        ("Right", ["a", "b"], ["right", "right"]),
+        ("L", ["a", "b"], ["", ""]),
+        ("left", ["a_right", "b_left"], ["right", "left"]),
+    ],
+)
+def test_a_folder_may_be_called_after_a_side(tmp_path, folder, names, sides):
+    (tmp_path / folder).mkdir()
+    for name in names:
+        write_image(tmp_path / folder / f"{name}.png", np.zeros((20, 20, 3), np.uint8))
+        write_landmarks(tmp_path / folder / f"{name}.pts", SQUARE)
+    assert [sample.side for sample in load_folder(tmp_path / folder)] == sides

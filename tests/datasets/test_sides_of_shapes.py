@@ -93,7 +93,7 @@ def test_a_side_that_the_shape_contradicts_is_named(rng):
     assert found.said == (
         "1 image is taken to be of the other side than stated: image 4 (stated right, left by the shape)"
     )
-    assert found.n_against == 1
+    assert found.against == (4,)
     with pytest.raises(LiaamError, match=r"the sides of 5 of 12 images are not those of their shapes \(image 1"):
         sides_in(shapes_of(rng, which), ["left", "right"] * 6)
 

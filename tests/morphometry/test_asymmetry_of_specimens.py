@@ -280,6 +280,32 @@ def test_bad_input_is_named(rng, kind, options, words) -> None:
     assert words in str(fault.value)
 
 
+def test_individuals_whose_side_the_shape_contradicts_are_left_out_by_name(rng) -> None:
+    given = wings(rng, 6, 1.0)
+    flipped = replace(given[4], points=given[4].points * [-1, 1])
+    found = analysed([*given[:4], flipped, *given[5:]], "matching", permutations=99)
+    assert found.left_out == ("fly2: fly2_left is stated left, and is right by its shape; it is left out",)
+    others = analysed([*given[:4], *given[6:]], "matching", permutations=99)
+    assert found.individuals == others.individuals
+    np.testing.assert_allclose(found.analysis.distances, others.analysis.distances, rtol=0.05)
+    exchanged = [replace(flipped, name="fly2_left"), replace(given[5], points=given[5].points * [-1, 1])]
+    found = analysed([*given[:4], *exchanged, *given[6:]], "matching", permutations=99)
+    assert len(found.left_out) == 1 and found.individuals == others.individuals
+
+
+def test_the_side_of_a_fit_is_taken_and_explains_why_an_individual_is_left_out(rng) -> None:
+    given = [replace(each, side=each.name.partition("_")[2], status="converged") for each in wings(rng, 6, 1.0)]
+    flipped = replace(given[4], points=given[4].points * [-1, 1], side="right")
+    found = analysed([*given[:4], flipped, *given[5:]], "matching", permutations=0)
+    assert found.left_out == (
+        "fly2: it has 0 left and 2 right records with a shape, where most have 1 of each side (fly2_left is stated "
+        "left, and is right by its fit); it is left out",
+    )
+    exchanged = [replace(given[4], name="fly2_right"), replace(given[5], name="fly2_left")]
+    found = analysed([*given[:4], *exchanged, *given[6:]], "matching", permutations=0)
+    assert found.left_out == () and len(found.individuals) == 6
+
+
 def test_one_specimen_and_one_side_are_too_few(rng) -> None:
     with pytest.raises(LiaamError, match="1 of 1 individuals can be compared, and 2 are needed: digitise more of them"):
         analysed(faces(rng, 1), "object")

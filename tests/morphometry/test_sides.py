@@ -10,6 +10,7 @@ import pytest
 from liaam.errors import LiaamError
 from liaam.io.sides import folder_side
 from liaam.morphometry import Specimen, measure, of_one_side, read_specimens
+from liaam.morphometry.sides import structure_name
 
 POINTS = np.array([[0.0, 0], [10, 1], [12, 9], [3, 14]])
 
@@ -214,10 +215,88 @@ def test_fits_of_another_side_than_their_names_are_named() -> None:
     given = fits(("w1_left", "left"), ("w1_right", "right"), ("w2_left", "right"), ("w2_right", "right"))
     found, said = of_one_side(given)
     assert [each.side for each in found] == ["left", "right", "right", "right"]
-    assert said.endswith(
-        "; fits of another side than the names, which is taken: w2_left (stated left, right by the fit); check these"
+    assert [each.stated_side for each in found] == ["", "", "left", ""]
+    assert (
+        "; 1 specimen of another side than stated: w2_left (stated left, right by the fit). The side of the fit" in said
     )
+    with pytest.raises(LiaamError, match="1 specimen of another side than stated: w2_left"):
+        of_one_side(given, strict=True)
     given = fits(("w1_left", "original"), ("w1_right", "mirrored"), ("w2_left", "original"), ("w2_right", "original"))
     assert "w2_right (stated right, left by the fit)" in of_one_side(given)[1]
     lost = [replace(each, status="doubtful") for each in given]
     assert "another side" not in of_one_side(lost)[1]  # these are not measured
+
+
+WING = np.array([[0, 0], [26, -6], [52, 4], [60, 22], [34, 30], [8, 24], [24, 12], [40, 14]], float)
+
+
+def wings(rng, *names: str, flipped: tuple[str, ...] = (), **facts) -> list[Specimen]:
+    """Give wings of the sides that their names state, but of the other if they are flipped."""
+    found = []
+    for name in names:
+        sign = -1 if ("left" in name) != (name in flipped) else 1
+        found.append(Specimen(name, (WING + rng.normal(0, 0.5, WING.shape)) * [sign, 1] + 100, **facts))
+    return found
+
+
+def names_of(n: int) -> list[str]:
+    return [f"fly{i}_{side}" for i in range(n) for side in ("left", "right")]
+
+
+@pytest.mark.parametrize("facts", [{}, {"side": "left", "status": "converged"}, {"side": "left"}])
+def test_a_shape_that_contradicts_its_side_is_named_and_compared_as_it_is(rng, facts) -> None:
+    given = wings(rng, *names_of(4), flipped=("fly2_left",))
+    given[4] = replace(
+        given[4], **facts
+    )  # also if a table that was corrected by hand says that the fit is of this side
+    found, said = of_one_side(given)
+    assert said.startswith("3 left specimens were reflected, to be compared with the right ones; 1 specimen of another")
+    assert "fly2_left (stated left, right by the shape)" in said
+    for cause in ("the name, folder or column 'side' is wrong", "the landmarks are", "the photograph is flipped"):
+        assert cause in said
+    assert [each.name for each in found if each.stated_side] == ["fly2_left"]
+    assert (found[4].side, found[4].stated_side, found[4].individual) == ("right", "left", "fly2")
+    for each in found:
+        assert np.abs(each.points - each.points.mean(axis=0) - (WING - WING.mean(axis=0))).max() < 4
+    with pytest.raises(LiaamError, match=r"fly2_left \(stated left, right by the shape\)"):
+        of_one_side(given, strict=True)
+    assert of_one_side(given, "ignore")[1] == ""
+
+
+def test_shapes_that_agree_with_their_sides_or_lack_landmarks_are_not_named(rng) -> None:
+    given = wings(rng, *names_of(4))
+    for i, each in enumerate(given):
+        each.points[i] = np.nan
+    given.append(Specimen("fly9_left", np.full((8, 2), np.nan)))
+    given.append(Specimen("fly9_right", np.full((8, 2), 5.0)))
+    given.append(Specimen("fly10_left", np.zeros((0, 2)), status="lost"))
+    assert of_one_side(given)[1] == "6 left specimens were reflected, to be compared with the right ones"
+    turned = replace(given[6], points=given[6].points * [-1, 1])
+    assert "fly3_left (stated left, right by the shape)" in of_one_side([*given[:6], turned, *given[7:]])[1]
+    one_side = wings(rng, "a_left", "b_left", "c_left", "d_left", "e_left", flipped=("e_left",))
+    found, said = of_one_side(one_side)
+    assert "e_left (stated left, right by the shape)" in said
+    assert [each.reflected for each in found] == [False] * 4 + [True]
+
+
+def test_a_shape_that_was_not_reflected_as_the_others_is_named(rng) -> None:
+    given = wings(rng, *names_of(4))
+    before = [replace(each, points=each.points * [-1, 1]) if "left" in each.name else each for each in given]
+    before[4] = given[4]
+    found, said = of_one_side(before, "reflected")
+    assert said.startswith("1 specimen of another side than stated: fly2_left (mirrored, unlike most others)")
+    assert found[4].points[1, 0] == -given[4].points[1, 0] and found[4].side == found[4].stated_side == "left"
+    assert "fly2_left (mirrored, unlike most others)" in of_one_side(before)[1]
+
+
+def test_sides_that_many_shapes_contradict_are_refused(rng) -> None:
+    given = wings(rng, *names_of(4), flipped=("fly0_left", "fly1_left", "fly3_right"))
+    with pytest.raises(LiaamError, match=r"the sides of 3 of 8 specimens are not those of .* --side ignore if"):
+        of_one_side(given)
+
+
+def test_a_flipped_photograph_is_no_replicate_of_the_other_side(rng) -> None:
+    given = wings(rng, *names_of(4), flipped=("fly2_left",))
+    assert [structure_name(each, "_") for each in of_one_side(given)[0]] == [
+        name.replace("_", " ") for name in names_of(4)
+    ]

@@ -10,7 +10,7 @@ from liaam.datasets.label_faults import find_label_faults
 from liaam.drawing import ABSENT, DOUBTFUL, LANDMARK, LOST, rgb
 from liaam.fitting import FitResult, FitStatus, Fitter
 from liaam.plotting import enlarged, overlay, overlay_of_faults, overlay_of_fit, thumbnail
-from liaam.plotting.overlays import LARGE, caption_of
+from liaam.plotting.overlays import LARGE, _lines_of_caption, _width_of_caption, caption_of, write_caption
 from liaam.plotting.scales import overlay_of_scale
 from liaam.scale import Bar
 from liaam.scale.rulers import Ruler
@@ -94,6 +94,43 @@ def test_faults_are_red_and_described_on_a_white_ground(rng):
     caption = picture[-20:, : picture.shape[1] // 2]
     assert (caption < 80).mean() > 0.5  # a dark band with letters
     assert (caption > 200).any()
+
+
+@pytest.mark.filterwarnings("error")
+def test_missing_landmarks_are_not_drawn_with_faults(rng):
+    shapes = [SHAPE + 60 + rng.normal(0, 0.5, SHAPE.shape) for _ in range(12)]
+    shapes[3] = shapes[3][[1, 0, 2, 3, 4]]
+    (fault,) = find_label_faults(shapes)
+    white = np.full((200, 200, 3), 255, np.uint8)
+    points = shapes[3].copy()
+    points[4] = np.nan
+    complete = overlay_of_faults(white, np.delete(shapes[3], 4, axis=0), [fault])
+    np.testing.assert_array_equal(overlay_of_faults(white, points, [fault]), complete)
+    points[1] = np.nan  # of the exchanged ones
+    assert is_there(overlay_of_faults(white, points, [fault]), LOST)
+
+
+def test_long_captions_continue_in_further_lines():
+    picture = np.full((300, 200, 3), 255, np.uint8)
+    text = "point 7 may be misplaced (30.4 px from where it is expected)"
+    write_caption(picture, "; ".join([text] * 4), LOST)
+    rows = (picture == 255).all(axis=2).all(axis=1)
+    assert rows[:100].all() and not rows[-60:].any()
+    lines = _lines_of_caption(text, 11, 200)
+    assert " ".join(lines) == text and max(_width_of_caption(line, 11) for line in lines) <= 200
+    one = np.full((300, 1200, 3), 255, np.uint8)
+    write_caption(one, text, LOST)
+    assert (one[:-60] == 255).all()
+    narrower = np.full((300, 520, 3), 255, np.uint8)  # of smaller letters, in one line
+    write_caption(narrower, text, LOST)
+    assert (narrower[:-25] == 255).all()
+
+
+def test_captions_have_no_signs_that_the_font_lacks():
+    pictures = [np.zeros((100, 400, 3), np.uint8) for _ in range(2)]
+    for picture, text in zip(pictures, ("points 1–3", "points 1-3"), strict=True):
+        write_caption(picture, text, LOST)
+    np.testing.assert_array_equal(*pictures)
 
 
 def test_the_label_of_a_scale_is_inside_the_picture():

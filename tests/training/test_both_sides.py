@@ -10,6 +10,7 @@ import pytest
 import liaam
 from liaam import Landmarks, Sample
 from liaam.batch import Settings, run_batch
+from liaam.cli.inputs import ALONE, ONE_SIDE, TURNED, other_ways
 from liaam.error_measures import point_error
 from liaam.errors import LiaamError, MethodError, ModelFileError, StartError, TrainingError
 from liaam.evaluation import compare_specimens
@@ -80,6 +81,13 @@ def test_a_model_of_both_sides_is_that_of_one(right, both, model):
     stated = liaam.train([replace(each, side={"l": "left", "r": "right"}[each.side]) for each in samples], **QUICK)
     assert stated.sides == Sides("right", 10, 5)
     np.testing.assert_array_equal(stated.shape_model.mean, model.shape_model.mean)
+
+
+def test_ways_to_fit_that_a_model_of_one_side_does_not_try_are_offered(right, model):
+    of_one = liaam.train(right[:N_TRAINED], **QUICK)
+    assert other_ways(of_one, "auto", None, ALONE) == f"{ONE_SIDE}; {TURNED}{ALONE}"
+    assert other_ways(of_one, "both", None, "") == other_ways(model, "auto", None, "") == TURNED
+    assert other_ways(model, "auto", "all", ALONE) == ""
 
 
 def test_images_that_are_left_out_do_not_count_among_the_sides(both):

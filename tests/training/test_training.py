@@ -22,7 +22,7 @@ from liaam.photometry import CameraModel, invariant
 from liaam.scale import Length
 from liaam.training import TrainingOptions, images as images_of_training, train as train_as_users_do
 from liaam.training.entries import known_of, read_entries, with_all_landmarks
-from liaam.training.left_out import describe_objects, folds_of
+from liaam.training.left_out import describe_objects, folds_of, groups_of
 from liaam.training.options import ARGUMENTS
 from setups import disturb, model_pixels, train_on
 
@@ -564,6 +564,41 @@ def test_pictures_whose_names_tell_nothing_are_left_out_one_by_one_or_in_a_few_f
     folds = folds_of([f"face{i}" for i in range(50)])
     assert len(folds) == 5
     assert sorted(np.concatenate(folds)) == list(range(50))
+
+
+@pytest.mark.parametrize(
+    "name",
+    [
+        "{fly}_{side}",
+        "{side}/{fly}",
+        "{side}/{fly}.png",
+        "{side}_{fly}",
+        "day 1/{side}/{fly}",
+        "day 1/{fly}_{side}",
+        "{L}/{fly}",
+        "{fly}{L}",
+        "sp_{fly}_{side}",
+    ],
+)
+def test_both_sides_of_an_individual_are_left_out_together(name):
+    names = [
+        name.format(fly=f"ind{i:02d}", side=side, L=side[0].upper()) for side in ("left", "right") for i in range(6)
+    ]
+    assert [group.tolist() for group in groups_of(names)] == [[i, i + 6] for i in range(6)]
+    assert describe_objects(names).startswith("images of the same object")
+
+
+@pytest.mark.parametrize(
+    "name", ["{fly}_{side}_{i}", "{fly}_{side}{i}", "{side}/{fly}_{i}", "{side}/{fly}-{i}.jpg", "a/{side}/{fly} {i}"]
+)
+def test_several_images_of_both_sides_are_left_out_together(name):
+    names = [name.format(fly=f"ind{fly}", side=side, i=i) for side in ("left", "right") for fly in "123" for i in "12"]
+    assert [group.tolist() for group in groups_of(names)] == [[0, 1, 6, 7], [2, 3, 8, 9], [4, 5, 10, 11]]
+
+
+def test_a_side_alone_makes_no_individuals():
+    assert describe_objects([f"left/ind{i}" for i in range(6)]) == ""
+    assert describe_objects([f"{side}/ind{i}" for i in range(2) for side in ("left", "right")]) == ""  # too few
 
 
 def test_pictures_left_out_are_given_as_they_are(pairs, left_out_images):

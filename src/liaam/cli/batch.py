@@ -9,8 +9,8 @@ from typing import Annotated
 import typer
 
 from liaam.cli.inputs import (
+    ALONE,
     AUTO,
-    TURNED,
     AbsentOption,
     CameraOption,
     NameByOption,
@@ -18,6 +18,7 @@ from liaam.cli.inputs import (
     SideOption,
     camera_in,
     model_and_inputs,
+    other_ways,
 )
 from liaam.cli.terminal import complain, progress_bar, say
 from liaam.errors import LiaamError
@@ -71,7 +72,6 @@ def batch(
     from liaam.batch.work import ERROR
     from liaam.fitting import FitStatus
     from liaam.model import load_model
-    from liaam.model.file_format import UPRIGHT
 
     camera, response = camera_in(given_camera)
     how = {"rotations": rotations, "side": side, "every": every, "name_by": name_by, "absent": absent}
@@ -107,9 +107,9 @@ def batch(
         say(f"{count_of(summary.absent, 'fit')} with absent landmarks, which are {what}: see the column 'message'")
     # A fit to another object, or to one that is turned, may also not converge.
     if uncertain := sum(summary.statuses.get(status, 0) for status in (FitStatus.DOUBTFUL, FitStatus.MAX_ITERATIONS)):
-        searched = load_model(model_file).rotations if rotations is None else rotations
-        turned = TURNED if init is None and searched == UPRIGHT else ""
-        complain(f"fits that may be wrong: {uncertain}; check those, by the column 'status'{turned}")
+        advice = f"fits that may be wrong: {uncertain}; check those, by the column 'status'"
+        ways = "" if init else other_ways(load_model(model_file), side, rotations, f"{ALONE}, into another table")
+        complain("; ".join(filter(None, (advice, ways))))
     if errors == summary.total:
         raise typer.Exit(1)
 

@@ -52,17 +52,17 @@ def check(
     samples = with_enough_landmarks(list(data))
     found = compared_sides(samples, sides)
     faults = faults_among(samples, found.is_other, inputs.parse_shapes(shapes))
-    if found.n_against:
+    if found.against:
         complain("correct the sides that are stated: the column 'side', the folders or the names")
     if not faults:
-        say(f"no {'other ' if unusable or found.n_against else ''}faults found in the landmarks")
+        say(f"no {'other ' if unusable or found.against else ''}faults found in the landmarks")
         n_landmarks = len(data.samples[0].landmarks.points)
         if n_landmarks < LEAST_POINTS:
             say(
                 f"misplaced and mirrored landmarks were not looked for: {LEAST_POINTS} landmarks are needed, and each "
                 f"image has {n_landmarks}"
             )
-        if unusable or found.n_against:
+        if unusable or found.against:
             raise typer.Exit(1)
         return
     table = table_of("image", "fault")
@@ -122,11 +122,7 @@ def check_pixels(data: Dataset) -> bool:
 def faults_by_sample(
     samples: list[Sample], shapes: int | str = inputs.AUTO, sides: str = inputs.AUTO
 ) -> "list[tuple[Sample, list[LabelFault]]]":
-    """Return each sample that has faults, with its faults.
-
-    Those with too few landmarks are left out. Lines say so.
-    """
-    samples = with_enough_landmarks(samples)
+    """Return each sample that has faults, with its faults, and say whose side is not as stated."""
     return faults_among(samples, compared_sides(samples, sides).is_other, shapes)
 
 
@@ -165,10 +161,18 @@ def with_enough_landmarks(samples: list[Sample]) -> list[Sample]:
     """Return the samples whose missing landmarks can be estimated, and name the others."""
     from liaam.training.filling import FEWEST_KNOWN
 
-    poor = [sample.name for sample in samples if (~sample.landmarks.missing).sum() < FEWEST_KNOWN]
+    enough = [sample for sample in samples if can_be_completed(sample)]
+    poor = [sample.name for sample in samples if not can_be_completed(sample)]
     if poor:
         complain(f"skipped {count_of(len(poor), 'image')} with fewer than {FEWEST_KNOWN} landmarks: {some_names(poor)}")
-    return [sample for sample in samples if sample.name not in poor]
+    return enough
+
+
+def can_be_completed(sample: Sample) -> bool:
+    """Return whether a sample has enough landmarks to estimate the others."""
+    from liaam.training.filling import FEWEST_KNOWN
+
+    return bool((~sample.landmarks.missing).sum() >= FEWEST_KNOWN)
 
 
 def compared_sides(samples: list[Sample], sides: str) -> "SidesOfShapes":
@@ -248,16 +252,19 @@ def write_faults(output: Path, faults: "list[tuple[Sample, list[LabelFault]]]") 
 
 
 def warn_of_faults(data: Dataset, folder: Path, shapes: int | str = inputs.AUTO, sides: str = inputs.AUTO) -> None:
-    """Warn, before training, about landmarks in another order than in the other images, or far off."""
+    """Warn, before training, about landmarks in another order than in the other images, or far off.
+
+    Finds the same faults as ``liaam check``. Training itself names the images with too few landmarks.
+    """
     from liaam.datasets.label_faults import LEAST_PICTURES
     from liaam.datasets.units import units_fault
 
     if units := units_fault(data.samples):
         complain(units)
-    complete = [sample for sample in data if not sample.landmarks.missing.any()]
-    if len(complete) < LEAST_PICTURES:
+    samples = [sample for sample in data if can_be_completed(sample)]
+    if len(samples) < LEAST_PICTURES:
         return
-    found = [(sample, fault) for sample, faults in faults_by_sample(complete, shapes, sides) for fault in faults]
+    found = [(sample, fault) for sample, faults in faults_by_sample(samples, shapes, sides) for fault in faults]
     # Training reflects images that are mirrored.
     pairs = [(sample, fault) for sample, fault in found if fault.kind != "mirrored" or sides == "one"]
     for sample, fault in pairs[:MAX_WARNINGS]:

@@ -130,7 +130,6 @@ def fit(
     from liaam.fitting import Fitter
     from liaam.fitting.result import check_absent
     from liaam.model import load_model
-    from liaam.model.file_format import UPRIGHT
     from liaam.workers import all_cores, in_order, one_blas_thread, one_thread
 
     if every and init is not None:
@@ -154,6 +153,7 @@ def fit(
     if scheme is not None:
         in_scheme(model.shape_model.mean, model.landmark_names, scheme)  # its errors come before any work
     make_folder(outputs.folder)
+    stems = inputs.unique_stems(images)
 
     def fit_or_error(task: tuple[Path, str, str]) -> "tuple[FittedSpecimens, list[str]] | LiaamError":
         """Fit an image file. An error is returned, so that the other images are fitted all the same."""
@@ -163,12 +163,16 @@ def fit(
         except LiaamError as error:
             return error
 
-    report = FitReport(every=every, only_upright=fitter.searched_rotations == UPRIGHT, on_absent=outputs.on_absent)
+    alone = "" if len(images) == 1 else inputs.ALONE
+    if alone and outputs.report is None and stems == [image.stem for image in images]:
+        alone += ", with the same -o"  # replaces their files, which are named alike
+    ways = inputs.other_ways(model, side, rotations, alone)
+    report = FitReport(every=every, other_ways=ways, on_absent=outputs.on_absent)
     threads = min(len(images), all_cores())
     # With a single image, its search may use all cores.
     with one_thread() if threads > 1 else one_blas_thread(), progress_bar() as progress:
         progress(0, len(images), images[0].name)
-        tasks = zip(images, inputs.names_in_folders(images), inputs.unique_stems(images), strict=True)
+        tasks = zip(images, inputs.names_in_folders(images), stems, strict=True)
         with closing(in_order(fit_or_error, tasks, threads)) as outcomes:  # at a full disk, fits under way end first
             for i, (image, outcome) in enumerate(zip(images, outcomes, strict=True), 1):
                 progress(i, len(images), image.name)
@@ -217,7 +221,7 @@ class FitReport:
     """What the command prints: a table of the fits, and below it advice with the names of the images concerned."""
 
     every: bool  # whether every object of an image is fitted
-    only_upright: bool  # whether only upright objects were searched for
+    other_ways: str  # what to try for fits that may be wrong
     on_absent: str  # what is said of absent landmarks
     rows: list[dict[str, str]] = field(default_factory=list)  # cells by the name of their column
     advice: defaultdict[str, list[str]] = field(default_factory=lambda: defaultdict(list))
@@ -258,8 +262,12 @@ class FitReport:
             yield self.on_absent
         if result.status.ok and result.without_colour:
             yield "the image is grey, unlike those of training, so that its landmarks are less certain"
-        if result.detection_doubtful and not result.status.unusable:
-            yield inputs.LOW_SCORE + (inputs.TURNED if self.only_upright else "")
+        if result.status.unusable or result.found is None:
+            return
+        if result.detection_doubtful:
+            yield "; ".join(filter(None, (inputs.LOW_SCORE, self.other_ways)))
+        elif not result.status.ok and result.calibrated and self.other_ways:
+            yield self.other_ways
 
     def table(self) -> Table:
         """Return the table of all fits, without columns that are empty in all."""

@@ -24,6 +24,7 @@ from liaam.io.landmarks.reading import USUAL, Reading
 from liaam.models import FACE, MODELS, model_file
 
 if TYPE_CHECKING:
+    from liaam.model import AAM
     from liaam.photometry import CameraModel
 
 # Warning for a start with a low search score
@@ -31,8 +32,24 @@ LOW_SCORE = (
     "the search may have found something else (low score): check the overlay; if it is wrong, give the object's "
     "place with --init"
 )
-# Ending of warnings, if only upright objects were searched for
-TURNED = "; if the object is rotated against the training images, add --rotations all"
+# Ways to fit that were not tried. They are for these images alone, as more ways mislead a few fits that were right.
+ONE_SIDE = "if the object is of the other side than in training, such as a right wing, add --side both"
+TURNED = "if the object is rotated against the training images, add --rotations all"
+ALONE = "; fit these images alone again"
+
+
+def other_ways(model: "AAM", side: str, rotations: str | None, alone: str) -> str:
+    """Return which ways to fit were not tried for fits that may be wrong; empty if all were.
+
+    ``alone`` is how to fit these images again.
+    """
+    from liaam.model.file_format import UPRIGHT
+    from liaam.model.shape import mirror_order
+
+    knows_one_side = side == AUTO and model.sides is None and mirror_order(model.shape_model.mean) is None
+    is_upright = (rotations or model.rotations) == UPRIGHT
+    ways = [*([ONE_SIDE] if knows_one_side else []), *([TURNED] if is_upright else [])]
+    return "; ".join(ways) + alone if ways else ""
 
 
 LandmarkedFolder = Annotated[

@@ -117,7 +117,8 @@ def measure(
         typer.Option(
             help="If specimens are of the left and right side (by a column 'side', folders left and right, or names "
             "such as wing1_left or wing1_L): auto reflects the left ones; left or right reflects those of the other "
-            "side to this one; reflected: they were reflected before; ignore: these are no sides."
+            "side to this one; reflected: they were reflected before; ignore: these are no sides. Those whose "
+            "shape contradicts their side are named."
         ),
     ] = "auto",
     estimate: Annotated[
@@ -191,7 +192,7 @@ def measure(
         raise LiaamError("--pairs are the landmarks of both sides of one structure: give --symmetry object, too")
     reading = Reading(strict, category)
     specimens = _comparable_specimens(results, reading, resample, has_replicates=replicates is not None)
-    specimens, reflected = morphometry.of_one_side(specimens, side, replicates)
+    specimens, reflected = morphometry.of_one_side(specimens, side, replicates, strict)
     if scale is not None and scale.lower().endswith(".csv"):
         specimens = morphometry.with_lengths(specimens, morphometry.read_lengths(scale))
         scale = None  # each specimen now has its own

@@ -27,7 +27,7 @@ from liaam.io.landmarks.formats import ALSO_OTHER, may_hold_many, name_of, rank_
 from liaam.io.landmarks.matching import ImageNames
 from liaam.io.landmarks.reading import USUAL, Notes, Reading, UnrecognisedError
 from liaam.io.landmarks.yolo import in_images, labels_of
-from liaam.io.sides import side_of_text, sides_by_place_or_name
+from liaam.io.sides import side_of_folder, side_of_text, sides_by_place_or_name
 from liaam.progress import progress_bar
 
 _BARE = "the image has no landmarks"
@@ -69,7 +69,8 @@ def load_folder(
     -------
     Dataset
         Samples in natural order of their names (2 before 10), all with the most common number of landmarks. Their sides
-        are those of a column ``side``; or of the folders ``left`` and ``right``, or of the names, if all have one.
+        are those of a column ``side``; or of the folders ``left`` and ``right``, or of the names, if all have one; or
+        that of the folder itself, if it is called ``left`` or ``right``.
         `left_out` lists the files that were not used, with reasons.
 
     Raises
@@ -110,7 +111,7 @@ def load_folder(
     left_out += [UnusedFile(file, advice.UNKNOWN_IMAGE) for file in advice.unread_images(files, orphans)]
     samples, unnamed = _in_one_order(samples, pairing.notes)
     samples, odd = _same_count(samples)
-    samples = _with_sides(samples)
+    samples = _with_sides(samples, root)
     left_out = sorted([*left_out, *unnamed, *odd], key=lambda left: natural_key(str(left.path)))
     if reading.strict:
         _refuse_faults(left_out, unlike=[*unnamed, *odd])
@@ -403,11 +404,13 @@ def _in_one_order(samples: list[Sample], notes: Notes) -> tuple[list[Sample], li
     return ordered, odd
 
 
-def _with_sides(samples: list[Sample]) -> list[Sample]:
-    """Return samples with the sides that a table states, or that the folders or the names of all images say."""
+def _with_sides(samples: list[Sample], root: Path) -> list[Sample]:
+    """Return samples with the sides that a table states, that folders or names of all images say, or that of root."""
     stated = [side_of_text(sample.landmarks.side) for sample in samples]
     if not any(stated):
         stated = sides_by_place_or_name([sample.name for sample in samples])
+    if not any(stated):
+        stated = [side_of_folder(root.resolve().name)] * len(samples)
     return [replace(sample, side=side) for sample, side in zip(samples, stated, strict=True)]
 
 

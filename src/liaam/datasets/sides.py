@@ -50,14 +50,14 @@ class SidesOfShapes:
         The sides; None if there is only one as far as is known, or if shapes of both are alike as they are.
     said : str
         What is not as stated, or may be wrong; empty if nothing.
-    n_against : int
-        Number of shapes that contradict the stated side.
+    against : tuple of int
+        Indices of the shapes that contradict the stated side.
     """
 
     is_other: np.ndarray
     sides: Sides | None = None
     said: str = ""
-    n_against: int = 0
+    against: tuple[int, ...] = ()
 
     __repr__ = short_repr
 
@@ -86,33 +86,63 @@ def sides_of_shapes(shapes: np.ndarray, stated: Sequence[str], names: Sequence[s
         If a side is neither left nor right, some lack while others are stated, or the shapes contradict many of them.
     """
     check_stated(stated, names)
-    group, ratio = two_groups(np.asarray(shapes, np.float64))
-    is_clear = ratio >= CLEARLY
+    shapes = np.asarray(shapes, np.float64)
     nothing = SidesOfShapes(np.zeros(len(shapes), bool))
     if not any(stated):
-        if not is_clear or not group.any() or is_symmetric(shapes, group) or are_upside_down(shapes, group):
+        group, ratio = two_groups(shapes)
+        if ratio < CLEARLY or not group.any() or is_symmetric(shapes, group) or are_upside_down(shapes, group):
             return nothing
         return SidesOfShapes(group, Sides(ORIGINAL, int((~group).sum()), int(group.sum())))
     own, is_other = _fewer_are_other(stated)
-    if is_symmetric(shapes, group):
-        return replace(nothing, said=_used_as_they_are("they look the same in a mirror") if is_other.any() else "")
-    if is_clear and group.mean() < FEW <= is_other.mean():
-        return replace(nothing, said=_used_as_they_are("their shapes are alike without a reflection"))
-    if not is_clear:
-        return SidesOfShapes(is_other, _sides(own, is_other))
-    by_shape = group if (group == is_other).mean() >= 0.5 else ~group
+    by_shape, why_one = others_by_shape(shapes, is_other)
+    if by_shape is None:
+        return replace(nothing, said=_used_as_they_are(why_one) if is_other.any() else "")
     against = np.flatnonzero(by_shape != is_other).tolist()
-    if len(against) > MOST_AGAINST * len(shapes):
-        raise LiaamError(
-            f"the sides of {len(against)} of {count_of(len(shapes), 'image')} are not those of their shapes "
-            f"({some_names([names[i] for i in against])}): correct the sides (column 'side', folders or names)"
-        )
+    refuse_many_against([names[i] for i in against], len(shapes), "image")
     said = ""
-    if len(against):
-        listed = some_names([f"{names[i]} ({contradiction(stated[i], 'shape')})" for i in against])
+    if against:
+        listed = some_names(
+            [f"{names[i]} ({contradiction(stated[i], OTHER_SIDE[stated[i]], 'shape')})" for i in against]
+        )
         is_or_are = "image is" if len(against) == 1 else "images are"
         said = f"{len(against)} {is_or_are} taken to be of the other side than stated: {listed}"
-    return SidesOfShapes(by_shape, _sides(own, by_shape), said, len(against))
+    return SidesOfShapes(by_shape, _sides(own, by_shape), said, tuple(against))
+
+
+def others_by_shape(shapes: np.ndarray, is_other: np.ndarray) -> tuple[np.ndarray | None, str]:
+    """Return which shapes are of the other side by themselves, to be compared with what is stated.
+
+    Parameters
+    ----------
+    shapes : (m, n, 2) float64
+        Landmarks; NaN where missing.
+    is_other : (m,) bool
+        Which are stated to be of the other side. It decides which of two groups of shapes is called the other.
+
+    Returns
+    -------
+    by_shape : (m,) bool, optional
+        As stated if the shapes do not clearly tell; None if no shape is to be reflected.
+    why_one : str
+        Why none is, or empty.
+    """
+    group, ratio = two_groups(shapes)
+    if is_symmetric(shapes, group):
+        return None, "they look the same in a mirror"
+    if ratio < CLEARLY:
+        return is_other, ""
+    if group.mean() < FEW <= is_other.mean():
+        return None, "their shapes are alike without a reflection"
+    return (group if (group == is_other).mean() >= 0.5 else ~group), ""
+
+
+def refuse_many_against(against: Sequence[str], n_shapes: int, what: str, otherwise: str = "") -> None:
+    """Raise LiaamError if the shapes of many names, of so many in all, contradict the stated side."""
+    if len(against) > MOST_AGAINST * n_shapes:
+        raise LiaamError(
+            f"the sides of {len(against)} of {count_of(n_shapes, what)} are not those of their shapes "
+            f"({some_names(against)}): correct the sides (column 'side', folders or names){otherwise}"
+        )
 
 
 def sides_for_check(shapes: np.ndarray, stated: Sequence[str], names: Sequence[str]) -> SidesOfShapes:

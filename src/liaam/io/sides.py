@@ -17,10 +17,11 @@ WORD = re.compile(r"[A-Z]?[a-z]+|[A-Z]+(?![a-z])|[^A-Za-z]+")
 
 _WORDS = {LEFT: LEFT, RIGHT: RIGHT}
 _LETTERS = {"l": LEFT, "r": RIGHT}
+_FOLDERS = _WORDS | _LETTERS
 
 # Values of tables, in the languages of many collections; names of files in these are not searched for, since they are
 # part of other words, such as the French "droit".
-_VALUES = _WORDS | _LETTERS
+_VALUES = dict(_FOLDERS)
 _VALUES |= dict.fromkeys(("links", "linke", "linker", "linkes", "gauche", "izquierda", "izquierdo", "izq"), LEFT)
 _VALUES |= dict.fromkeys(("sinistra", "sinistro", "sin", "sinister", "esquerda", "esquerdo", "left side", "lt"), LEFT)
 _VALUES |= dict.fromkeys(("rechts", "rechte", "rechter", "rechtes", "droite", "droit", "derecha", "derecho"), RIGHT)
@@ -39,25 +40,41 @@ def side_of_text(text: str) -> str:
     return _VALUES.get(text.strip().casefold(), text.strip())
 
 
-def contradiction(stated: str, by: str) -> str:
-    """Return what is said of an object that is of the other side than stated, by its shape or its fit."""
-    return f"stated {stated}, {OTHER_SIDE[stated]} by the {by}"
+def contradiction(stated: str, found: str, by: str) -> str:
+    """Return what is said of an object that is found to be of another side than stated, by its shape or its fit."""
+    return f"stated {stated}, {found} by the {by}"
 
 
 def folder_side(path: str) -> str:
     """Return the side of the folders of a path, such as ``left/wing1.jpg``, or ""."""
-    folders = re.split(r"[\\/]", path)[:-1]
-    sides = {(_WORDS | _LETTERS).get(folder.casefold(), "") for folder in folders} - {""}
-    return sides.pop() if len(sides) == 1 else ""
+    return by_folder(path).side
+
+
+def side_of_folder(name: str) -> str:
+    """Return the side of a folder that is called left or right, or "": a letter may stand for something else."""
+    return _WORDS.get(name.casefold(), "")
+
+
+def by_folder(path: str) -> Named:
+    """Find the side of the folders of a path, such as ``left/wing1``, if there is one."""
+    *folders, name = re.split(r"[\\/]", path)
+    sides = {_FOLDERS.get(folder.casefold(), "") for folder in folders} - {""}
+    if len(sides) != 1:
+        return Named("", path)
+    return Named(sides.pop(), "/".join([*(each for each in folders if each.casefold() not in _FOLDERS), name]))
+
+
+def in_places_or_names(paths: Sequence[str]) -> list[Named]:
+    """Return what each path without suffix, such as ``left/wing1`` or ``wing1_left``, says; no side unless all have."""
+    for found in ([by_folder(path) for path in paths], sides_in_names(paths)):
+        if all(each.side for each in found):
+            return found
+    return [Named("", path) for path in paths]
 
 
 def sides_by_place_or_name(paths: Sequence[str]) -> list[str]:
     """Return the side of each path without suffix, such as ``left/wing1`` or ``wing1_left``; "" unless all have one."""
-    folders = [folder_side(path) for path in paths]
-    if all(folders):
-        return folders
-    names = [named.side for named in sides_in_names(paths)]
-    return names if all(names) else [""] * len(paths)
+    return [each.side for each in in_places_or_names(paths)]
 
 
 def sides_in_names(names: Sequence[str]) -> list[Named]:

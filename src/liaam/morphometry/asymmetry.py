@@ -6,7 +6,7 @@ import json
 import math
 import re
 from collections import Counter, defaultdict
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -254,7 +254,9 @@ def asymmetry(
     Returns
     -------
     AsymmetryResult
-        Individuals that lack a side or a shape, or have another number of replicates than most, are left out. The error
+        Individuals that lack a side or a shape, or have another number of replicates than most, are left out; as are,
+        for matching symmetry, those with landmarks that contradict the stated side (`Specimen.stated_side`), unless
+        the side is that of a fit. The error
         term comes from replicates, or without any from the covariances of the landmarks, if all have them; records with
         estimated landmarks do not count in it. Individuals
         without a scale, where others have one, are left out of the analysis of centroid sizes alone.
@@ -275,7 +277,8 @@ def asymmetry(
     shapes = np.array([[columns[f"X{number}"], columns[f"Y{number}"]] for number in numbers]).transpose(2, 0, 1)
     refuse_uneven(specimens, by)
     groups = _groups(specimens, [bool(np.isfinite(shape).all()) for shape in shapes], by, sides)
-    chosen, left_out = _chosen(groups, sides)
+    doubts = _doubts_about_sides(specimens, by) if kind == MATCHING else {}
+    chosen, left_out = _chosen(groups, sides, doubts)
     if len(chosen) < FEWEST:
         raise LiaamError(_too_few(len(groups), chosen, left_out, kind))
     order = np.array([[groups[name][side] for side in sides] for name in chosen])  # (n, sides, r) specimens
@@ -310,7 +313,7 @@ def asymmetry(
 
 def _sides(specimens: Sequence[Specimen]) -> tuple[str, str]:
     """Return the two sides of specimens."""
-    sides = sorted({specimen.side for specimen in specimens} - {""})
+    sides = sorted({specimen.side for specimen in specimens if not specimen.stated_side} - {""})
     if are_unreflected(specimens):
         raise LiaamError(
             f"the specimens of the sides {some_names(sides)} are not reflected to each other: pass them to "
@@ -339,26 +342,59 @@ def _groups(specimens: Sequence[Specimen], has_shape: Sequence[bool], by: str | 
     is_matching = len(sides) > 1
     groups: Groups = defaultdict(lambda: {side: [] for side in sides})
     for i, specimen in enumerate(specimens):
-        individual = specimen.individual or object_name(specimen, by)
-        of_individual = groups[individual if is_matching else structure_name(specimen, by)]
+        of_individual = groups[_individual(specimen, by) if is_matching else structure_name(specimen, by)]
         side = specimen.side if is_matching else ""
         if has_shape[i] and side in of_individual:
             of_individual[side].append(i)
     return dict(sorted(groups.items(), key=lambda item: natural_key(item[0])))
 
 
-def _chosen(groups: Groups, sides: Sequence[str]) -> tuple[list[str], tuple[str, ...]]:
+@dataclass(frozen=True)
+class _Doubt:
+    """What contradicts a side of an individual, and whether it is a fit, whose side is taken."""
+
+    why: str
+    is_of_fit: bool
+
+
+def _doubts_about_sides(specimens: Sequence[Specimen], by: str | None) -> dict[str, _Doubt]:
+    """Return what contradicts the stated sides, by individual; what landmarks of people contradict comes first."""
+    doubts: dict[str, _Doubt] = {}
+    for specimen in sorted(specimens, key=lambda each: bool(each.status)):
+        if specimen.stated_side:
+            is_of_fit = bool(specimen.status)
+            found = f"{specimen.side} by its {'fit' if is_of_fit else 'shape'}"
+            if specimen.side == specimen.stated_side:
+                found = "mirrored, unlike most others"
+            why = f"{specimen.name} is stated {specimen.stated_side}, and is {found}"
+            doubts.setdefault(_individual(specimen, by), _Doubt(why, is_of_fit))
+    return doubts
+
+
+def _individual(specimen: Specimen, by: str | None) -> str:
+    return specimen.individual or object_name(specimen, by)
+
+
+def _chosen(groups: Groups, sides: Sequence[str], doubts: Mapping[str, _Doubt]) -> tuple[list[str], tuple[str, ...]]:
     """Return the individuals that have as many replicates of each side as most have, and why others are left out."""
     counts = {name: {side: len(found) for side, found in of_sides.items()} for name, of_sides in groups.items()}
-    even = Counter(max(each.values()) for each in counts.values() if min(each.values()) == max(each.values()) > 0)
+    sure = [each for name, each in counts.items() if name not in doubts]
+    even = Counter(max(each.values()) for each in sure if min(each.values()) == max(each.values()) > 0)
     usual = max(even, key=lambda number: (even[number], number), default=1)
-    chosen = [name for name, each in counts.items() if set(each.values()) == {usual}]
     usually = f"{usual} of each side" if len(sides) > 1 else f"{usual}"
-    left_out = [
-        f"{name}: it has {_described(each)} with a shape, where most have {usually}; it is left out"
-        for name, each in counts.items()
-        if name not in chosen
-    ]
+    chosen = []
+    left_out = []
+    for name, each in counts.items():
+        doubt = doubts.get(name)
+        if doubt and not doubt.is_of_fit:
+            left_out.append(f"{name}: {doubt.why}; it is left out")
+        elif set(each.values()) == {usual}:
+            chosen.append(name)
+        else:
+            why = f" ({doubt.why})" if doubt else ""
+            left_out.append(
+                f"{name}: it has {_described(each)} with a shape, where most have {usually}{why}; it is left out"
+            )
     return chosen, tuple(left_out)
 
 

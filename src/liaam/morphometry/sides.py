@@ -8,12 +8,13 @@ from dataclasses import replace
 
 import numpy as np
 
+from liaam.datasets.sides import FEWEST_COMMON, others_by_shape, refuse_many_against
 from liaam.errors import LiaamError
 from liaam.fitting.result import USABLE
 from liaam.io.files import count_of, some_names
 from liaam.io.sides import LEFT, OTHER_SIDE, RIGHT, Named, by_letters, by_word, contradiction, folder_side, side_of_text
 from liaam.model.shape import align, procrustes_mean
-from liaam.model.sides import MIRRORED, ORIGINAL, reflected_covariances
+from liaam.model.sides import MIRRORED, ORIGINAL, OTHER, reflected_covariances
 from liaam.morphometry.specimens import Specimen, has_shape
 
 AUTO = "auto"
@@ -28,7 +29,7 @@ _CLEARLY = 1.5  # least factor by which mean shapes must be nearer to each other
 
 
 def of_one_side(
-    specimens: Sequence[Specimen], side: str = AUTO, by: str | None = None
+    specimens: Sequence[Specimen], side: str = AUTO, by: str | None = None, strict: bool = False
 ) -> tuple[tuple[Specimen, ...], str]:
     """Reflect the specimens of one side, so that all can be compared.
 
@@ -36,6 +37,11 @@ def of_one_side(
     or else in its name: the word left or right (``wing1_left``, ``left/wing1``), or the last letter L or R
     (``wing1_L``, ``wing1R``) if all names have one. Fits by a model that does not know which of its sides is left are
     ``original`` and ``mirrored``; if all names say which is which, they are called left and right.
+
+    Landmarks on a mirrored object cannot be those of the other side, so sides are compared with the shapes, as in
+    training (:func:`liaam.datasets.sides.sides_of_shapes`). If a fit or a shape clearly contradicts the side that is
+    stated, its own side is taken, and `Specimen.stated_side` keeps the stated one. By it,
+    :func:`liaam.morphometry.asymmetry` leaves individuals out.
 
     Parameters
     ----------
@@ -47,23 +53,26 @@ def of_one_side(
         ``"reflected"``: there are sides, but they were reflected before. ``"ignore"``: the names tell no sides.
     by : str, optional
         What tells replicates, as in :func:`liaam.morphometry.measurement_error`.
+    strict : bool
+        Raise if a fit or a shape contradicts the side that is stated.
 
     Returns
     -------
     specimens : tuple of Specimen
         With `side` and `individual`, which is the name without side and number of the replicate, where sides are known.
     said : str
-        What was done, empty if nothing.
+        What was done, and which sides are contradicted; empty if nothing.
 
     Raises
     ------
     LiaamError
-        If the specimens have two sides and some have none, there are more sides, or none is that asked for.
+        If the specimens have two sides and some have none, there are more sides, or none is that asked for; if shapes
+        contradict more than a quarter of the sides; or, if ``strict``, any.
     """
     specimens = tuple(specimens)
     if side == IGNORED:
         return tuple(replace(specimen, side="") for specimen in specimens), ""
-    named, against = _sides_of(specimens, by)
+    named, by_fit = _sides_of(specimens, by)
     sides = sorted({each.side for each in named} - {""})
     if side not in (AUTO, REFLECTED) and side not in sides:
         what = f"the specimens are of the sides {some_names(sides)}" if sides else "no specimen has a known side"
@@ -71,8 +80,8 @@ def of_one_side(
     if not sides:
         return specimens, ""
     sided = tuple(
-        replace(specimen, side=each.side, individual=specimen.individual or each.rest)
-        for specimen, each in zip(specimens, named, strict=True)
+        replace(specimen, side=each.side, individual=specimen.individual or each.rest, stated_side=by_fit.get(i, ""))
+        for i, (specimen, each) in enumerate(zip(specimens, named, strict=True))
     )
     if len(sides) > 2:
         raise LiaamError(f"the specimens have more than two sides ({some_names(sides)}): correct the column 'side'")
@@ -83,32 +92,100 @@ def of_one_side(
             f"{' and '.join(sides)}, which cannot be compared unreflected: name their sides as those of the others, "
             f"such as wing1_left, or give --side {IGNORED} if the names tell no sides"
         )
-    if len(sides) < 2:
-        return sided, against
-    if side == REFLECTED:
-        return _as_reflected(sided, sides[0]), against
-    reflected_side = next(each for each in sides if each != side) if side in sides else sides[0]
-    other = next(each for each in sides if each != reflected_side)
-    if side == AUTO and _are_alike_as_they_are(sided, sides):
-        said = (
-            f"specimens of the sides {some_names(sides)} are compared as they are, since they are more alike than "
-            f"reflected (side {other} reflects those of the side {reflected_side} nonetheless)"
-        )
-        return _as_reflected(sided, sides[0]), "; ".join(filter(None, (said, against)))
-    n = sum(specimen.side == reflected_side for specimen in sided)
+    kept = side if side in sides else sides[-1]
+    turned = sides[sides[0] == kept] if len(sides) == 2 else OTHER.get(kept, "")
+    is_alike = side == AUTO and len(sides) == 2 and _are_alike_as_they_are(sided, sides)
+    if side == REFLECTED or is_alike:
+        done = ""
+        if is_alike:
+            done = (
+                f"specimens of the sides {some_names(sides)} are compared as they are, since they are more alike than "
+                f"reflected (side {kept} reflects those of the side {turned} nonetheless)"
+            )
+        found, against = _reflected_as_most(sided)
+        found = tuple(replace(each, reflected=len(sides) == 2 and each.side == sides[0]) for each in found)
+    else:
+        sided, against = _of_sides_by_shape(sided, kept, turned)
+        done = _reflection_said([each.side for each in sided].count(turned), kept, turned)
+        found = tuple(reflected(each) if each.side == turned else each for each in sided)
+    fits = {i: contradiction(stated, sided[i].side, "fit") for i, stated in by_fit.items()}
+    doubts = _doubts([(sided[i].name, why) for i, why in sorted((fits | against).items())])
+    if doubts and strict:
+        raise LiaamError(doubts)
+    return found, "; ".join(filter(None, (done, doubts)))
+
+
+def _reflection_said(n: int, kept: str, turned: str) -> str:
+    """Say that n specimens of a side were reflected; nothing if there are none."""
+    if n == 0:
+        return ""
     were = "was" if n == 1 else "were"
-    if reflected_side in _ADJECTIVES:
-        done = f"{count_of(n, f'{reflected_side} specimen')} {were} reflected, to be compared with the {other} ones"
-    else:  # what a column calls a side, such as 1
-        count = f"{count_of(n, 'specimen')} of the side {reflected_side!r}"
-        done = f"{count} {were} reflected, to be compared with {other!r}"
-    said = "; ".join(filter(None, (done, against)))
-    return tuple(reflected(each) if each.side == reflected_side else each for each in sided), said
+    if turned in _ADJECTIVES:
+        return f"{count_of(n, f'{turned} specimen')} {were} reflected, to be compared with the {kept} ones"
+    count = f"{count_of(n, 'specimen')} of the side {turned!r}"  # what a column calls a side, such as 1
+    return f"{count} {were} reflected, to be compared with {kept!r}"
 
 
-def _as_reflected(specimens: Sequence[Specimen], side: str) -> tuple[Specimen, ...]:
-    """Note that specimens of a side were reflected before."""
-    return tuple(replace(each, reflected=each.side == side) for each in specimens)
+def _of_sides_by_shape(
+    specimens: Sequence[Specimen], kept: str, turned: str
+) -> tuple[tuple[Specimen, ...], dict[int, str]]:
+    """Return specimens with the sides of their shapes, and what contradicts the sides that are stated, by index."""
+    if not turned:
+        return tuple(specimens), {}
+    found = list(specimens)
+    against = {}
+    for i in _against_shapes(specimens, turned):
+        stated = found[i].side
+        by_shape = kept if stated == turned else turned
+        found[i] = replace(found[i], side=by_shape, stated_side=stated)
+        against[i] = contradiction(stated, by_shape, "shape")
+    return tuple(found), against
+
+
+def _reflected_as_most(specimens: Sequence[Specimen]) -> tuple[tuple[Specimen, ...], dict[int, str]]:
+    """Return specimens that were reflected before, with those reflected that were not, and what is said of these."""
+    found = list(specimens)
+    against = {}
+    for i in _against_shapes(specimens, turned=""):
+        found[i] = replace(reflected(found[i]), stated_side=found[i].side)
+        against[i] = "mirrored, unlike most others"
+    return tuple(found), against
+
+
+def _against_shapes(specimens: Sequence[Specimen], turned: str) -> list[int]:
+    """Return the specimens whose shapes contradict their sides, of which one is turned against the other, by index."""
+    n = max((len(each.points) for each in specimens), default=0)
+    compared = [i for i, each in enumerate(specimens) if each.side and _shows_side(each, n)]
+    if not compared:
+        return []
+    is_turned = np.array([specimens[i].side == turned for i in compared])
+    by_shape, _ = others_by_shape(np.array([specimens[i].measured for i in compared]), is_turned)
+    if by_shape is None:
+        return []
+    against = [compared[j] for j in np.flatnonzero(by_shape != is_turned).tolist()]
+    otherwise = f", or give --side {IGNORED} if these are no sides"
+    refuse_many_against([specimens[i].name for i in against], len(compared), "specimen", otherwise)
+    return against
+
+
+def _shows_side(specimen: Specimen, n: int) -> bool:
+    """Return whether a specimen has enough of n landmarks, not all in one place, to be compared with others."""
+    if not specimen.is_usable or len(specimen.points) != n:
+        return False
+    known = specimen.measured[np.isfinite(specimen.measured).all(axis=1)]
+    return len(known) >= FEWEST_COMMON and bool(np.ptp(known, axis=0).any())
+
+
+def _doubts(against: Sequence[tuple[str, str]]) -> str:
+    """Say which specimens, by name, have another side than stated, and what to do; nothing if there are none."""
+    if not against:
+        return ""
+    listed = some_names([f"{name} ({why})" for name, why in against])
+    return (
+        f"{count_of(len(against), 'specimen')} of another side than stated: {listed}. The side of the fit or the shape "
+        "is taken. If the name, folder or column 'side' is wrong, correct it; if the landmarks are, place them again, "
+        "or fit with --side; if the photograph is flipped, flip it back, and fit it or place its landmarks again"
+    )
 
 
 def _are_alike_as_they_are(specimens: Sequence[Specimen], sides: Sequence[str]) -> bool:
@@ -198,28 +275,30 @@ def refuse_uneven(specimens: Iterable[Specimen], by: str | None) -> None:
 
 
 def structure_name(specimen: Specimen, by: str | None) -> str:
-    """Return the name of the individual that a specimen is of, and its side if known: its replicates have both."""
-    return " ".join(filter(None, (specimen.individual or object_name(specimen, by), specimen.side)))
+    """Return the name of the individual that a specimen is of, and its side if known: its replicates have both.
+
+    The side is that which is stated, as records of a structure are named alike, whether its photographs are flipped.
+    """
+    side = specimen.stated_side or specimen.side
+    return " ".join(filter(None, (specimen.individual or object_name(specimen, by), side)))
 
 
-def _sides_of(specimens: Sequence[Specimen], by: str | None) -> tuple[list[Named], str]:
+def _sides_of(specimens: Sequence[Specimen], by: str | None) -> tuple[list[Named], dict[int, str]]:
     """Return the side of each specimen, and the name of the individual that it is of.
 
-    Also return a sentence that names the specimens whose fits are of another side than their names say, or "".
+    Also return the side that names or folders state of the specimens whose fits are of the other, by index.
     """
     in_names = _in_names(specimens, by)
     stated = [folder_side(each.image) or named.side for each, named in zip(specimens, in_names, strict=True)]
     called = _called(specimens, stated)
     found = []
-    against = []
-    for specimen, named, said in zip(specimens, in_names, stated, strict=True):
+    against = {}
+    for i, (specimen, named, said) in enumerate(zip(specimens, in_names, stated, strict=True)):
         side = called.get(specimen.side, side_of_text(specimen.side))
         found.append(Named(side or named.side, named.rest))
         if specimen.status in USABLE and said in OTHER_SIDE and side == OTHER_SIDE[said]:
-            against.append(f"{specimen.name} ({contradiction(said, 'fit')})")
-    if not against:
-        return found, ""
-    return found, f"fits of another side than the names, which is taken: {some_names(against)}; check these"
+            against[i] = said
+    return found, against
 
 
 def _called(specimens: Sequence[Specimen], stated: Sequence[str]) -> dict[str, str]:

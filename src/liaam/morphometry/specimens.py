@@ -48,6 +48,9 @@ class Specimen:
         Individual that it is a structure of, such as the fly of a wing, or empty. Its name is that if unknown.
     side : str
         Side of the individual, ``left`` or ``right`` or as a table has it, or empty if unknown.
+    stated_side : str
+        Side that its name, a folder or a column states, if its fit or its shape contradicts it, or empty. `side` is
+        then by the fit or the shape.
     reflected : bool
         Whether x was reversed, to compare it with specimens of the other side.
     estimated : tuple of int
@@ -81,6 +84,7 @@ class Specimen:
     file: str = ""
     individual: str = ""
     side: str = ""
+    stated_side: str = ""
     reflected: bool = False
     estimated: tuple[int, ...] = ()
     unit: str = ""

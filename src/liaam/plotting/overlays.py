@@ -30,6 +30,7 @@ ONE = 2**FRACTION_BITS  # A pixel in these numbers
 FARTHEST = 1e6  # Largest coordinate in pixels that is drawn, so that these numbers do not overflow
 SMALLEST_RADIUS = 1.2  # Of a dot beside lines of one pixel, in pixels
 SMALLEST_LETTERS = 11  # Size of the smallest letters in pixels
+_IN_FONT = str.maketrans({"–": "-", "−": "-"})  # Signs that Pillow's font lacks
 OPACITY = 0.75  # Of ellipses and meshes, which are less important than the landmarks below them
 NEIGHBOURS = 4  # Nearest landmarks of a landmark, from which its label is moved away
 
@@ -253,23 +254,43 @@ def with_texts(picture: np.ndarray, places: np.ndarray, texts: Iterable[str], si
 
 
 def write_caption(picture: np.ndarray, text: str, colour: str) -> None:
-    """Write a text after a dot of a colour on a dark band at the bottom left of a picture, in place."""
+    """Write a text after a dot of a colour on a dark band at the bottom left of a picture, in place.
+
+    What is too long for a line of the smallest letters continues in the next.
+    """
     from PIL import Image, ImageDraw
 
-    wanted = max(picture.shape[:2]) / 36
-    width = _width_of_caption(text, round(wanted))
-    size = round(max(SMALLEST_LETTERS, wanted * min(1.0, picture.shape[1] / width)))
+    text = text.translate(_IN_FONT)
+    size = max(SMALLEST_LETTERS, round(max(picture.shape[:2]) / 36))
+    while size > SMALLEST_LETTERS and _width_of_caption(text, size) > picture.shape[1]:
+        size -= 1
     font = _font(size)
     pad = size // 2
-    height = min(round(font.getbbox("Ag")[3]) + pad, picture.shape[0])
-    corner = picture[picture.shape[0] - height :, : _width_of_caption(text, size)]
+    lines = _lines_of_caption(text, size, picture.shape[1])
+    step = round(font.getbbox("Ag")[3]) + pad
+    height = min(step * len(lines), picture.shape[0])
+    corner = picture[picture.shape[0] - height :, : max(_width_of_caption(line, size) for line in lines)]
     band = Image.fromarray((0.25 * corner).astype(np.uint8))
     draw = ImageDraw.Draw(band)
-    middle = height // 2
+    middle = step // 2
     radius = max(2, round(0.28 * size))
     draw.ellipse((pad, middle - radius, pad + 2 * radius, middle + radius), fill=rgb(colour))
-    draw.text((pad + size, middle), text, font=font, fill=BRIGHT, anchor="lm")
+    for i, line in enumerate(lines):
+        draw.text((pad + size, middle + i * step), line, font=font, fill=BRIGHT, anchor="lm")
     corner[:] = np.asarray(band)
+
+
+def _lines_of_caption(text: str, size: int, width: int) -> list[str]:
+    """Break a caption in letters of a size at blanks into lines that are as wide as a picture, pixels."""
+    first, *words = text.split(" ")
+    lines = [first]
+    for word in words:
+        longer = f"{lines[-1]} {word}"
+        if _width_of_caption(longer, size) <= width:
+            lines[-1] = longer
+        else:
+            lines.append(word)
+    return lines
 
 
 def _width_of_caption(text: str, size: int) -> int:
@@ -325,7 +346,7 @@ def overlay_of_faults(image: np.ndarray, points: np.ndarray, faults: Sequence[La
     ----------
     image : (h, w, 3) array
     points : (n, 2) float
-        Landmarks in image pixels.
+        Landmarks in image pixels; NaN where missing, which are not drawn.
     faults : sequence of LabelFault
         Faults of this image.
 
@@ -334,10 +355,12 @@ def overlay_of_faults(image: np.ndarray, points: np.ndarray, faults: Sequence[La
     (h', w', 3) uint8
         The surroundings of the landmarks, enlarged.
     """
-    margin = 0.15 * np.ptp(points, axis=0).max() + 5
+    is_known = np.isfinite(points).all(axis=1)
+    known = points[is_known]
+    margin = 0.15 * np.ptp(known, axis=0).max() + 5
     size_of_image = np.array(image.shape[1::-1])
-    low = np.clip(np.floor(points.min(axis=0) - margin), 0, size_of_image).astype(int)
-    high = np.clip(np.ceil(points.max(axis=0) + margin), 0, size_of_image).astype(int)
+    low = np.clip(np.floor(known.min(axis=0) - margin), 0, size_of_image).astype(int)
+    high = np.clip(np.ceil(known.max(axis=0) + margin), 0, size_of_image).astype(int)
     if (high - low < 8).any():  # the landmarks are outside the image
         low = np.zeros(2, int)
         high = size_of_image
@@ -349,11 +372,11 @@ def overlay_of_faults(image: np.ndarray, points: np.ndarray, faults: Sequence[La
 
     size = max(picture.shape[:2]) / LARGE
     radius = max(2.0, 5 * size)
-    faulty = sorted({i for fault in faults for i in fault.points})
-    moves = [at(np.stack([points[i], fault.expected[i]])) for fault in faults for i in fault.points]
+    faulty = sorted({i for fault in faults for i in fault.points if is_known[i]})
+    moves = [at(np.stack([points[i], fault.expected[i]])) for fault in faults for i in fault.points if is_known[i]]
     draw_lines(picture, moves, EXPECTED, max(1, round(2 * size)))
-    draw_dots(picture, np.array([end for _, end in moves]), EXPECTED, 0.7 * radius)
-    draw_dots(picture, at(points), LANDMARK, radius)
+    draw_dots(picture, np.array([end for _, end in moves]).reshape(-1, 2), EXPECTED, 0.7 * radius)
+    draw_dots(picture, at(known), LANDMARK, radius)
     draw_dots(picture, at(points[faulty]), LOST, radius)
     numbers = [str(i + 1) for i in faulty]
     picture = with_texts(picture, at(points[faulty]) + 3.5 * radius * np.array([1.0, -1.0]), numbers, 20 * size)

@@ -3,11 +3,13 @@
 import re
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from itertools import takewhile
 
 import numpy as np
 
 from liaam.fitting.methods import Method, needed_by
 from liaam.io.files import some_names
+from liaam.io.sides import LEFT, RIGHT, in_places_or_names
 from liaam.model import AAM, VIEWS, Level
 from liaam.model.appearance import COPIED_APPEARANCES, AppearanceModel, Textures, train_appearance_model
 from liaam.model.missing import Missing
@@ -28,6 +30,7 @@ LEFT_OUT_PICTURES = 20  # Largest number of left-out images to fit: each takes a
 FILE_SUFFIX = re.compile(r"\.[A-Za-z]{2,4}\d?$")  # such as .png or .jp2
 # The end of an image's name that differs between the images of an object: what follows the last separator, or a number
 NUMBER_OF_IMAGE = re.compile(r"([-_. ][^-_. /]*|\d+)$")
+AFTER_SEPARATOR = re.compile(r"[-_. ][^-_. /]*$")
 
 
 @dataclass(frozen=True, eq=False)
@@ -165,15 +168,43 @@ def fitted_of(fold: np.ndarray, folds: list[np.ndarray]) -> np.ndarray:
 def objects_of(names: Sequence[str]) -> dict[str, list[int]]:
     """Group samples by object if names such as 07-1, 07-2 or anna1, anna2 identify it; else return nothing.
 
-    There must be at least three objects, none of which has more than half of the images.
+    Both sides of an individual are of one object, in names (fly1_left) and in folders (left/fly1). There must be at
+    least three objects, none of which has more than half of the images.
     """
-    groups: dict[str, list[int]] = {}
-    for i, name in enumerate(map(image_of, names)):
-        object_name = NUMBER_OF_IMAGE.sub("", FILE_SUFFIX.sub("", name))
-        groups.setdefault(object_name or name, []).append(i)
-    if len(groups) < 3 or max(map(len, groups.values())) > len(names) / 2:
-        return {}
-    return groups
+    images = [FILE_SUFFIX.sub("", image_of(name)) for name in names]
+    for objects in (*_individuals_of(images), [_without_number(image) for image in images]):
+        groups: dict[str, list[int]] = {}
+        for i, name in enumerate(objects):
+            groups.setdefault(name, []).append(i)
+        if len(groups) >= 3 and max(map(len, groups.values())) <= len(names) / 2:
+            return groups
+    return {}
+
+
+def _individuals_of(images: Sequence[str]) -> list[list[str]]:
+    """Return what the individuals may be called of which images show both sides, the likeliest first; else nothing."""
+    named = in_places_or_names(images)
+    of_left, of_right = ({each.rest for each in named if each.side == side} for side in (LEFT, RIGHT))
+    if not of_left & of_right:
+        return []
+    without_side = [each.rest for each in named]
+    return [list(map(_individual, images, without_side)), without_side]
+
+
+def _individual(image: str, without_side: str) -> str:
+    """Return the name of an individual, without what may be the number of its image: fly1_left_2, left/fly1_2."""
+    folder, slash, name = without_side.rpartition("/")
+    of_image = image.rpartition("/")[2]
+    alike = takewhile(lambda letters: letters[0] == letters[1], zip(of_image, name, strict=False))
+    before_side = "".join(letter for letter, _ in alike).rstrip("-_. ")
+    if of_image != name and before_side:
+        return folder + slash + before_side
+    return AFTER_SEPARATOR.sub("", without_side)
+
+
+def _without_number(image: str) -> str:
+    """Return the name of an image without its number, or as it is if it is a number."""
+    return NUMBER_OF_IMAGE.sub("", image) or image
 
 
 def groups_of(names: Sequence[str]) -> list[np.ndarray]:
