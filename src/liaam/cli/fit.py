@@ -20,8 +20,15 @@ from liaam.cli.terminal import cell, complain, progress_bar, say, show_table, ta
 from liaam.errors import LiaamError
 from liaam.io import IMAGE_SUFFIXES, Contour, Landmarks, make_folder, write_image
 from liaam.io.atomic import is_disk_full
-from liaam.io.files import count_of
-from liaam.io.fit_files import FIT_SUFFIXES, corrected_file, read_fit, write_fit
+from liaam.io.files import count_of, some_names
+from liaam.io.fit_files import (
+    FIT_SUFFIXES,
+    corrected_file,
+    image_facts,
+    is_of_other_image,
+    read_fit,
+    write_fit,
+)
 from liaam.morphometry.schemes import in_scheme
 from liaam.scale.choice import facts_of
 from liaam.scale.lengths import Length
@@ -154,6 +161,8 @@ def fit(
     if scheme is not None:
         in_scheme(model.shape_model.mean, model.landmark_names, scheme)  # its errors come before any work
     make_folder(outputs.folder)
+    stems = inputs.unique_stems(images)
+    refuse_fits_of_others(images, stems, outputs, every=every)
 
     def fit_or_error(task: tuple[Path, str, str]) -> "tuple[FittedSpecimens, list[str]] | LiaamError":
         """Fit an image file. An error is returned, so that the other images are fitted all the same."""
@@ -168,7 +177,7 @@ def fit(
     # With a single image, its search may use all cores.
     with one_thread() if threads > 1 else one_blas_thread(), progress_bar() as progress:
         progress(0, len(images), images[0].name)
-        tasks = zip(images, inputs.names_in_folders(images), inputs.unique_stems(images), strict=True)
+        tasks = zip(images, inputs.names_in_folders(images), stems, strict=True)
         with closing(in_order(fit_or_error, tasks, threads)) as outcomes:  # at a full disk, fits under way end first
             for i, (image, outcome) in enumerate(zip(images, outcomes, strict=True), 1):
                 progress(i, len(images), image.name)
@@ -410,7 +419,7 @@ class Outputs:
         """Keep the fit of a specimen for the report, with its facts as in the landmark file."""
         if self.report is not None:
             entry = entry_of_fit(result, pixels, str(image), image.name, facts.get("object"), length, self.absent)
-            named = {name: facts[name] for name in ("specimen", "code", "message") if name in facts}
+            named = {name: facts[name] for name in ("specimen", "code", "message", "fingerprint") if name in facts}
             self.entries.append(replace(entry, row=entry.row | named))
 
     def add_error(self, error: LiaamError, image: Path) -> None:
@@ -453,6 +462,7 @@ def fit_file(
     for i, (stem_of_object, result, specimen) in enumerate(zip(stems, fitted.results, fitted.named, strict=True)):
         facts = result.to_dict(outputs.absent)
         facts["image"] = name
+        facts |= image_facts(image, photograph.fingerprint, outputs.folder)
         facts["specimen"] = specimen.name
         if every:
             facts["object"] = i + 1
@@ -531,6 +541,20 @@ def refuse_images(crops: list[Path]) -> None:
     for crop in crops:
         if crop.exists() and not is_overlay(crop):
             raise LiaamError(f"{crop} exists and is not from an earlier fit; give another -o to keep it, or remove it")
+
+
+def refuse_fits_of_others(images: list[Path], stems: list[str], outputs: Outputs, *, every: bool) -> None:
+    """Raise, before any work, if fits would replace those of other images of the same names."""
+    if outputs.only is not None or outputs.report is not None:
+        return
+    ending = "_1" if every else ""
+    files = [outputs.path_of(f"{stem}{ending}", ".json") for stem in stems]
+    others = [file.stem for image, file in zip(images, files, strict=True) if is_of_other_image(file, image)]
+    if others:
+        raise LiaamError(
+            f"{outputs.folder} holds fits of other images of these names: {some_names(others)}; give another folder "
+            "with -o, or fit all images in one run, into a new folder, so that each fit has a name of its own"
+        )
 
 
 def refuse_to_overwrite(paths: list[Path]) -> None:

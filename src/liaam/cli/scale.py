@@ -15,7 +15,7 @@ from liaam.cli.terminal import cell, complain, progress_bar, say, show_table, ta
 from liaam.errors import LiaamError
 from liaam.io import make_folder, read_image, write_columns, write_image
 from liaam.io.atomic import check_output
-from liaam.io.files import count_of, existing_file, some_names
+from liaam.io.files import count_of, existing_file, fingerprint_of, some_names
 from liaam.scale.choice import tagged_length
 from liaam.scale.lengths import Length, parse_length, unlike
 
@@ -99,9 +99,10 @@ def _finder(tick: Length | None) -> Callable[[np.ndarray], Any]:
 
 def _row(image: Path, known: Length | None, find: Callable[[np.ndarray], Any] | None, overlay: Path) -> Row:
     """Return the row of an image without its name, and write its overlay. What is wrong is its message."""
-    row: Row = {"scale": math.nan, "unit": "", "scale_se": math.nan, "how": "", "message": ""}
+    row: Row = {"scale": math.nan, "unit": "", "scale_se": math.nan, "how": "", "message": "", "fingerprint": ""}
     try:
         existing_file(image, LiaamError, "image")
+        row["fingerprint"] = fingerprint_of(image)
         if find is None or known is None:
             length, fault = tagged_length(image)
             lacking = "" if length else "no tag states the scale: give --ruler or --scale-bar"
