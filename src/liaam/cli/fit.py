@@ -29,6 +29,7 @@ from liaam.io.fit_files import (
     read_fit,
     write_fit,
 )
+from liaam.io.overlays import CROP, OVERLAYS, is_overlay
 from liaam.morphometry.schemes import in_scheme
 from liaam.scale.choice import facts_of
 from liaam.scale.lengths import Length
@@ -39,12 +40,6 @@ if TYPE_CHECKING:
     from liaam.fitting import FitResult, Fitter
     from liaam.fitting.specimens import FittedSpecimens
     from liaam.model import AAM
-
-OVERLAYS = ("_fit.png", "_fit.jpg")
-"""Ends of the names of overlays, of small and of large images."""
-
-CROP = "_crop.png"
-"""End of the names of the parts of images around the objects."""
 
 MOST_PNG_PIXELS = 2_000_000
 """Pixels of an overlay above which it is a JPEG, of about 1 MB instead of 4 MB."""
@@ -143,7 +138,7 @@ def fit(
     if every and init is not None:
         raise LiaamError("--all searches for every object and --init gives the place of one; use only one of them")
     model_file, paths = inputs.model_and_inputs(files, "fit")
-    images = [image for path in paths for image in images_in(path)]
+    images = inputs.given_images(paths)
     check_name_by(name_by)
     check_absent(absent)
     outputs = Outputs.asked(output, formats, scheme=scheme, several=len(images) > 1 or every)
@@ -202,23 +197,6 @@ def refuse_for_page(page: Path, options: list[str]) -> None:
     if options:
         names = ", ".join(f"--{name}" for name in options)
         raise LiaamError(f"{page} shows every fit in one way: leave {names} out, or give a folder with -o")
-
-
-def images_in(path: Path) -> list[Path]:
-    """Return an image, or those of a folder and its subfolders or of a pattern, without overlays of earlier fits."""
-    found = inputs.pictures_in(path)
-    if found == [path]:
-        return found
-    images = [image for image in found if not is_overlay(image)]
-    if not images:
-        raise LiaamError(f"{path}: its images are overlays of earlier fits; give the folder of the images themselves")
-    return images
-
-
-def is_overlay(image: Path) -> bool:
-    """Return whether an image is an overlay or a crop of an earlier fit, which is beside it."""
-    name, _, ending = image.name.rpartition("_")
-    return f"_{ending}" in (*OVERLAYS, CROP) and read_fit(image.with_name(f"{name}.json")) is not None
 
 
 @dataclass

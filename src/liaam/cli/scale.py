@@ -16,6 +16,7 @@ from liaam.errors import LiaamError
 from liaam.io import make_folder, read_image, write_columns, write_image
 from liaam.io.atomic import check_output
 from liaam.io.files import count_of, existing_file, fingerprint_of, some_names
+from liaam.io.overlays import SCALE
 from liaam.scale.choice import tagged_length
 from liaam.scale.lengths import Length, parse_length, unlike
 
@@ -53,7 +54,7 @@ def scale(
     """
     if ruler is not None and scale_bar is not None:
         raise LiaamError("--ruler and --scale-bar: give one of them; crop the images to what they show")
-    images = [image for path in images for image in inputs.pictures_in(path)]
+    images = inputs.given_images(images)
     check_output(output)
     if output.suffix.lower() != ".csv":
         raise LiaamError(f"{output}: the table is written as CSV; give a name that ends in .csv")
@@ -67,7 +68,7 @@ def scale(
         names = zip(images, inputs.names_in_folders(images), inputs.unique_stems(images), strict=True)
         for i, (image, name, stem) in enumerate(names):
             progress(i, len(images), name)
-            rows.append({"image": name} | _row(image, known, find, folder / f"{stem}_scale.png"))
+            rows.append({"image": name} | _row(image, known, find, folder / f"{stem}{SCALE}"))
         progress(len(images), len(images), "")
     _show_scales(rows)
     n_found = sum(not math.isnan(row["scale"]) for row in rows)
