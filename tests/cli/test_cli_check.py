@@ -212,3 +212,18 @@ def test_training_names_points_far_off(run, scenes, tmp_path):
     _, _, err = run("train", folder, "--diagonal", 40, "--no-leave-out", "--copies", 0, "-o", tmp_path / "m.liaam")
     assert err.splitlines()[0].startswith("face4: point 31")
     assert "liaam check" in err.splitlines()[1]
+
+
+@pytest.mark.parametrize(
+    ("given", "advice"),
+    [
+        (("drawer", "3"), "; put quotes around a name with blanks: 'drawer 3'"),
+        (("drawer", "4"), "check --help'"),
+        (("x",) * 10_000, "check --help'"),
+    ],
+)
+def test_a_folder_with_a_blank_needs_quotes(run, tmp_path, monkeypatch, given, advice):
+    (tmp_path / "drawer 3").mkdir()
+    monkeypatch.chdir(tmp_path)
+    code, _, err = run("check", *given)
+    assert code == 2 and "extra argument" in err and err.rstrip().endswith(advice)

@@ -127,7 +127,8 @@ def fit(
 ) -> None:
     """Fit a model to images, or to those of folders. Writes the landmarks and an overlay image for each.
 
-    Overlays are green if the fit may be used, amber if it is doubtful, and red if it failed.
+    Overlays are green if the fit may be used, amber if it is doubtful, and red if it failed. The exit status is 1
+    unless all fits may be used.
     """
     from liaam.fitting import Fitter
     from liaam.fitting.result import check_absent
