@@ -119,7 +119,7 @@ _FACTS = {"liaam": "0.1.0", "model": "ab", "method": "soft-li", "init": None, "c
 # fmt: off
 _COLUMNS = (
     "path", "object", "status", "message", "quality", "score", "n_found", "theta_deg", "cost", "iterations",
-    "specimen", "code", "expansion", "landmarks", "covariance", "present", "side",
+    "specimen", "code", "expansion", "landmarks", "covariance", "present", "side", "fingerprint",
     "scale", "scale_unit", "scale_from", "seconds",
 )
 # fmt: on
@@ -129,6 +129,7 @@ _ROW = {
     "specimen": "01#1",
     "code": "",
     "side": "",
+    "fingerprint": "",
     "scale_unit": "",
     "scale_from": "",
     "status": "ok",

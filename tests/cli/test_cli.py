@@ -691,6 +691,27 @@ def test_what_is_said_of_absent_landmarks_is_true_of_the_files(tmp_path, output,
     assert said in replace(asked, **more).on_absent
 
 
+@pytest.mark.parametrize("more", [(), ("--all",)])
+def test_fits_of_images_in_another_folder_are_not_replaced(run, portraits, model_file, tmp_path, more):
+    for name, other in (("a", "face0.png"), ("b", "face1.png")):
+        (tmp_path / name).mkdir()
+        write_image(tmp_path / name / "x.png", read_image(portraits[0] / other))
+    out = tmp_path / "fits"
+    fitted = (*more, "-m", "igo", "-o", out)
+    for _ in range(2):  # those of the same image are replaced
+        assert run("fit", model_file, tmp_path / "a", *fitted)[0] == 0
+    file = out / f"x{'_1' if more else ''}.json"
+    earlier = file.read_bytes()
+    assert json.loads(earlier)["path"] == "../a/x.png"
+    code, _, err = run("fit", model_file, tmp_path / "b", *fitted)
+    assert code == 1 and f"fits holds fits of other images of these names: {file.stem}; give another folder" in err
+    assert file.read_bytes() == earlier
+    (tmp_path / "a").rename(tmp_path / "moved")
+    assert run("fit", model_file, tmp_path / "moved", *fitted)[0] == 0
+    write_image(tmp_path / "moved" / "x.png", read_image(portraits[1]))
+    assert run("fit", model_file, tmp_path / "moved", *fitted)[0] == 0  # the same image, which was changed
+
+
 def test_overlays_of_earlier_fits_in_a_folder_are_not_fitted(run, portraits, model_file, tmp_path):
     write_image(tmp_path / "a.png", read_image(portraits[1]))
     for _ in range(2):

@@ -249,3 +249,18 @@ def test_training_and_check_count_sides_alike(run, tmp_path, rng):
         _, text, _ = run(command[0], tmp_path, *command[1:])
         lines += [line for line in text.splitlines() if line.startswith("side left")]
     assert len(lines) == 2 and lines[0] == lines[1] and "12 of 24 images" in lines[0]
+
+
+@pytest.mark.parametrize(
+    ("given", "advice"),
+    [
+        (("drawer", "3"), "; put quotes around a name with blanks: 'drawer 3'"),
+        (("drawer", "4"), "check --help'"),
+        (("x",) * 10_000, "check --help'"),
+    ],
+)
+def test_a_folder_with_a_blank_needs_quotes(run, tmp_path, monkeypatch, given, advice):
+    (tmp_path / "drawer 3").mkdir()
+    monkeypatch.chdir(tmp_path)
+    code, _, err = run("check", *given)
+    assert code == 2 and "extra argument" in err and err.rstrip().endswith(advice)

@@ -8,6 +8,7 @@ import pytest
 
 from liaam.io import read_image, write_image, write_landmarks
 from scenes import Head, make_set
+from scenes.ruler import draw
 
 FAST = ("--diagonal", 40, "--copies", 0, "--no-leave-out")
 
@@ -81,6 +82,64 @@ def test_subfolders_are_offered(run, folder, command):
     assert "images in its subfolders only (faces/face0.png" in err and "/**" in err
     code, out, _ = run("check", folder.parent / "**")
     assert "samples" in out
+
+
+@pytest.mark.parametrize("command", ["train", "check"])
+def test_images_of_subfolders_that_are_not_read_are_counted(run, folder, scenes, tmp_path, command):
+    (folder / "more").mkdir()
+    for i in range(2):
+        write_image(folder / "more" / f"new{i}.png", scenes[i].image)
+        write_landmarks(folder / "more" / f"new{i}.pts", scenes[i].landmarks)
+    options = ("-o", tmp_path / "m.liaam", *FAST) if command == "train" else ()
+    _, _, err = run(command, folder, *options)
+    assert f"images in subfolders that are not read: 2; give '{folder}/**' to read these, too" in err
+    for pattern in ("**", "face*"):
+        _, _, err = run(command, f"{folder}/{pattern}", *options)
+        assert "not read" not in err
+
+
+@pytest.fixture
+def overlays(run, model_file, folder, scenes, tmp_path):
+    """Folders of results of ``liaam fit`` and ``liaam scale``, which hold overlays and no photographs."""
+    image = tmp_path / "a.png"
+    write_image(image, scenes[0].image)
+    run("fit", model_file, image, "-m", "igo", "--crops", "-o", tmp_path / "results" / "fits")
+    write_image(image, draw("plain", np.random.default_rng(0), size=10.0, angle=4.0).image)
+    run("scale", image, "--ruler", "1 mm", "-o", tmp_path / "results" / "s.csv")
+    image.unlink()
+    return tmp_path / "results"
+
+
+@pytest.mark.parametrize("command", ["fit", "batch", "scale", "check", "train"])
+def test_overlays_are_not_taken_for_images(run, model_file, folder, overlays, tmp_path, command):
+    assert {path.name for path in overlays.rglob("*.png")} == {"a_fit.png", "a_crop.png", "a_scale.png"}
+    given = {"fit": (model_file,), "batch": (model_file,)}.get(command, ())
+    outputs = {"batch": "b.csv", "scale": "s.csv", "train": "m.liaam", "fit": "fits"}
+    options = ("-o", tmp_path / outputs[command]) if command in outputs else ()
+    for results in ("fits", "s"):
+        code, out, err = run(command, *given, overlays / results, *options)
+        assert code == 1 and "overlays" in err
+    overlays.rename(folder / "results")
+    more = {"train": FAST, "fit": ("-m", "igo"), "batch": ("-m", "igo")}.get(command, ())
+    source = f"{folder}/**" if command in ("check", "train") else folder
+    _, out, err = run(command, *given, source, *options, *more)
+    assert "a_fit" not in out + err and "a_scale" not in out + err and "a_crop" not in out + err
+
+
+@pytest.mark.parametrize("command", ["fit", "batch", "scale"])
+def test_an_image_that_is_given_twice_is_taken_once(run, model_file, folder, tmp_path, command):
+    given = {"fit": (model_file,), "batch": (model_file,)}.get(command, ())
+    output = tmp_path / ("fits" if command == "fit" else "t.csv")
+    image = folder / "face0.png"
+    more = ("-m", "igo") if given else ("--ruler", "1 mm")
+    _, out, err = run(command, *given, image, folder / ".." / folder.name / "face0.png", *more, "-o", output)
+    assert "1 image given more than once, and taken once: " in err
+    if command == "fit":
+        assert sorted(path.name for path in output.iterdir()) == ["face0.json", "face0_fit.png"]
+    if command == "batch":
+        assert "1 row: " in out
+    if command == "scale":
+        assert err.count("no ruler") == 1
 
 
 def test_an_unknown_format_names_those_that_can_be_read(run, folder, tmp_path):

@@ -93,6 +93,31 @@ def test_fits_of_images_in_folders_of_sides_have_scales_of_their_own(run, model_
     assert [(each.individual, each.side) for each in specimens] == [("a", "left"), ("a", "right")]
 
 
+@pytest.mark.parametrize("command", ["fit", "batch"])
+def test_scales_of_one_folder_are_not_those_of_another(run, model_file, scenes, tmp_path, command):
+    folder = tmp_path / "mag"
+    for name, scene in (("a", scenes[0]), ("b", scenes[1])):
+        (folder / name).mkdir(parents=True)
+        scene = (255 * scene.image.clip(0, 1)).astype(np.uint8)
+        Image.fromarray(scene).save(
+            folder / name / "fly.tif", tiffinfo={270: "ImageJ=1.53t\nunit=mm\n", 282: 20.0, 283: 20.0}
+        )
+    assert run("scale", folder / "a", "-o", tmp_path / "a.csv")[0] == 0
+
+    def measured(images, name):
+        output = tmp_path / f"{name}{'' if command == 'fit' else '.csv'}"
+        run(command, model_file, images, "-m", "igo", "-o", output)
+        given = ("measure", output, "--scale", tmp_path / "a.csv", "--side", "ignore", "-o", tmp_path / "t.csv")
+        code, _, err = run(*given)
+        return code, " ".join(err.split())
+
+    assert measured(folder / "a", "fits_a")[0] == 0
+    code, err = measured(folder / "b", "fits_b")
+    assert code == 1 and "fly.tif in the table of scales is another image than that of specimen fly: run" in err
+    code, err = measured(folder, "fits")
+    assert code == 1 and "fly.tif in the table of scales is another image than that of specimen b" in err
+
+
 def test_a_folder_stands_for_its_images(run, images, tmp_path):
     (images / "more").mkdir()
     (images / "b.png").rename(images / "more" / "b.png")

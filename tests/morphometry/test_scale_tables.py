@@ -67,3 +67,32 @@ def test_a_table_of_other_images_is_refused(tmp_path: Path) -> None:
     lengths = read_lengths(save(tmp_path, HEADER + "a.png,1,mm,0,ruler\n"))
     with pytest.raises(LiaamError, match=r"no specimen is of an image in the table of scales, such as a\.png"):
         with_lengths([Specimen("b", np.zeros((2, 2)))], lengths)
+
+
+def fits_of(*images: str, fingerprints: dict[str, str] | None = None) -> list[Specimen]:
+    """Return specimens of fits to images, whose files have these fingerprints."""
+    known = fingerprints or {}
+    return [
+        Specimen(image.replace("/", "_")[:-4], np.zeros((2, 2)), image=image, fingerprint=known.get(image, ""))
+        for image in images
+    ]
+
+
+def test_a_line_is_not_that_of_images_in_two_folders(tmp_path: Path) -> None:
+    lengths = read_lengths(save(tmp_path, HEADER + "fly.png,0.01,mm,0,ruler\n"))
+    with pytest.raises(LiaamError, match=r"fly\.png in the table of scales is one image, and a/fly\.png and b/fly"):
+        with_lengths(fits_of("a/fly.png", "b/fly.png"), lengths)
+    found = with_lengths(fits_of("a/fly.png", "data/a/fly.png", "fly.png"), lengths)  # may all be the same
+    assert [each.scale for each in found] == [0.01] * 3
+
+
+def test_a_table_of_other_images_of_the_same_names_is_refused(tmp_path: Path) -> None:
+    header = "image,scale,unit,fingerprint\n"
+    lengths = read_lengths(save(tmp_path, header + "a/fly.png,0.01,mm,aa\nb/fly.png,0.02,mm,bb\n"))
+    assert [each.scale for each in with_lengths(fits_of("fly.png", fingerprints={"fly.png": "bb"}), lengths)] == [0.02]
+    with pytest.raises(LiaamError, match=r"a/fly\.png in the table of scales is another image than that of specimen"):
+        with_lengths(fits_of("fly.png", fingerprints={"fly.png": "cc"}), lengths)
+    with pytest.raises(LiaamError, match="may be of the images"):  # as a fit of an earlier version
+        with_lengths(fits_of("fly.png"), lengths)
+    lengths = read_lengths(save(tmp_path, header + "fly.tif,0.01,mm,aa\n"))  # of which fly.png may be a copy
+    assert with_lengths(fits_of("fly.png", fingerprints={"fly.png": "bb"}), lengths)[0].scale == 0.01

@@ -52,6 +52,7 @@ def row_of(path: str, status: str = "converged") -> dict:
         "size": [30, 40],
         "specimen": Path(path).stem,
         "side": "",
+        "fingerprint": "",
         "code": "",
         "scale": None,
         "scale_unit": "",

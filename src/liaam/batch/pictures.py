@@ -12,6 +12,7 @@ from pathlib import Path
 from liaam.errors import ImageError
 from liaam.io.files import existing_file
 from liaam.io.images import PICTURE_SUFFIXES, USUAL_SUFFIXES
+from liaam.io.overlays import is_overlay
 
 
 def find_pictures(*sources: str | os.PathLike[str], on_closed: Callable[[str], object] | None = None) -> Iterator[str]:
@@ -21,7 +22,7 @@ def find_pictures(*sources: str | os.PathLike[str], on_closed: Callable[[str], o
     ----------
     *sources : path-like
         Folders, searched with their subfolders; patterns such as ``images/**/left*.png``, where ``**`` matches any
-        folders; or files with any name. Hidden files and folders are skipped.
+        folders; or files with any name. Hidden files and folders are skipped, and so are overlays of fits and scales.
     on_closed : callable, optional
         Called with each folder that is skipped because it cannot be read. Default: issue a warning.
 
@@ -33,19 +34,26 @@ def find_pictures(*sources: str | os.PathLike[str], on_closed: Callable[[str], o
     Raises
     ------
     ImageError
-        If a source does not exist, cannot be read, or is a folder or pattern without images.
+        If a source does not exist, cannot be read, or is a folder or pattern without images, or with overlays only.
     """
     on_closed = on_closed or _warn
     for source in [os.fspath(source) for source in sources]:
         if os.path.isdir(source):  # noqa: PTH112 (keeps the text unchanged)
-            pictures = _in_folder(source, on_closed)
+            found = _in_folder(source, on_closed)
         elif glob.has_magic(source) and not os.path.lexists(source):
-            pictures = _of_pattern(source, on_closed)
+            found = _of_pattern(source, on_closed)
         else:
             if not os.path.lexists(source):
                 existing_file(source, ImageError, "image")  # raises
-            pictures = iter([source])  # its row reports other faults
+            yield source  # its row reports other faults
+            continue
+        overlays: list[str] = []
+        pictures = _without_overlays(found, overlays.append)
         first = next(pictures, None)
+        if first is None and overlays:
+            raise ImageError(
+                f"{source}: its images are overlays of earlier fits or scales; give the folder of the images themselves"
+            )
         if first is None:
             raise ImageError(
                 f"{source}: no images ({USUAL_SUFFIXES}); give a folder of images, or a quoted "
@@ -61,6 +69,14 @@ def listed_pictures(lines: Iterable[bytes]) -> Iterator[str]:
         path = os.fsdecode(line.removeprefix(b"\xef\xbb\xbf") if number == 0 else line).rstrip("\r\n")
         if path.strip():
             yield path
+
+
+def _without_overlays(pictures: Iterable[str], on_overlay: Callable[[str], object]) -> Iterator[str]:
+    for picture in pictures:
+        if is_overlay(Path(picture)):
+            on_overlay(picture)
+        else:
+            yield picture
 
 
 def _warn(folder: str) -> None:

@@ -43,6 +43,7 @@ COLUMNS = {
     "scale_from": "string",
     "present": "list<float32>",
     "side": "string",
+    "fingerprint": "string",
     "seconds": "float32",
 }
 NAMES = "landmark_names"  # Entry of rows, and of the metadata of Parquet, with the names of the landmarks

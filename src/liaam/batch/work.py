@@ -193,7 +193,7 @@ class FitJob:
             row = fit_row(result, path, photograph.size, photograph.length, self.settings.absent)
             number = i + 1 if every else None
             named = {"object": number, "specimen": specimen.name, "code": specimen.code, "message": fitted.message(i)}
-            rows.append(row | named)
+            rows.append(row | named | {"fingerprint": photograph.fingerprint})
         return rows
 
     def _start(self, path: str) -> str | None:
@@ -229,6 +229,7 @@ def fit_row(
         "object": None,
         "specimen": "",
         "code": "",
+        "fingerprint": "",
         "score": _short(facts["score"]),
         "n_found": facts["n_found"],
         "theta_deg": _short(facts["theta_deg"]),
@@ -249,7 +250,7 @@ def failed_row(path: str, message: str) -> FitRow:
     row = dict.fromkeys((*numbers, "landmarks", "covariance", "present", "seconds"))
     name = _printable(Path(path).stem)
     texts = {"path": _printable(path), "status": ERROR, "message": _printable(message), "specimen": name, "code": ""}
-    texts["side"] = ""
+    texts |= {"side": "", "fingerprint": ""}
     return texts | columns_of(None) | row
 
 

@@ -17,8 +17,10 @@ from liaam.cli.inputs import (
     RotationsOption,
     SideOption,
     camera_in,
+    each_once,
     model_and_inputs,
     other_ways,
+    say_again,
 )
 from liaam.cli.terminal import complain, progress_bar, say
 from liaam.errors import LiaamError
@@ -78,10 +80,11 @@ def batch(
     settings = Settings(method, init, camera=camera, response=response, **how)
     model_file, pictures = model_and_inputs(sources or [], "batch")
     closed: list[str] = []
+    again: list[str] = []
     with progress_bar() as progress:
         summary = run_batch(
             model_file,
-            input_paths(pictures, closed.append),
+            input_paths(pictures, closed.append, again.append),
             output,
             settings,
             jobs=jobs,
@@ -95,6 +98,7 @@ def batch(
         rate = summary.fitted / summary.seconds
         say(f"{output}: {count_of(summary.fitted, 'image')} done in {summary.seconds:.0f} s, {rate:.1f} per second")
     say(f"{count_of(summary.total, 'row')}: {in_words(summary.statuses)}")
+    say_again(again)
     for folder in sorted(set(closed)):
         complain(f"skipped {folder}: it cannot be read; check its permissions")
     errors = summary.statuses.get(ERROR, 0)
@@ -114,13 +118,16 @@ def batch(
         raise typer.Exit(1)
 
 
-def input_paths(sources: list[str], on_closed: Callable[[str], object]) -> Iterator[str]:
-    """Iterate over the image paths of all arguments."""
+def input_paths(
+    sources: list[str], on_closed: Callable[[str], object], on_again: Callable[[str], object]
+) -> Iterator[str]:
+    """Iterate over the image paths of all arguments, each once."""
     from liaam.batch import find_pictures, listed_pictures
 
     if not sources:
         raise LiaamError("no images: give a folder, a pattern such as 'images/**', files, or - for a list of paths")
-    return chain.from_iterable(
+    paths = chain.from_iterable(
         listed_pictures(sys.stdin.buffer) if source == "-" else find_pictures(source, on_closed=on_closed)
         for source in sources
     )
+    return paths if len(sources) == 1 else each_once(paths, on_again)  # a folder or list may be too long to remember

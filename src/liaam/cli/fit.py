@@ -20,8 +20,16 @@ from liaam.cli.terminal import cell, complain, progress_bar, say, show_table, ta
 from liaam.errors import LiaamError
 from liaam.io import IMAGE_SUFFIXES, Contour, Landmarks, make_folder, write_image
 from liaam.io.atomic import is_disk_full
-from liaam.io.files import count_of
-from liaam.io.fit_files import FIT_SUFFIXES, corrected_file, read_fit, write_fit
+from liaam.io.files import count_of, some_names
+from liaam.io.fit_files import (
+    FIT_SUFFIXES,
+    corrected_file,
+    image_facts,
+    is_of_other_image,
+    read_fit,
+    write_fit,
+)
+from liaam.io.overlays import CROP, OVERLAYS, is_overlay
 from liaam.morphometry.schemes import in_scheme
 from liaam.scale.choice import facts_of
 from liaam.scale.lengths import Length
@@ -32,12 +40,6 @@ if TYPE_CHECKING:
     from liaam.fitting import FitResult, Fitter
     from liaam.fitting.specimens import FittedSpecimens
     from liaam.model import AAM
-
-OVERLAYS = ("_fit.png", "_fit.jpg")
-"""Ends of the names of overlays, of small and of large images."""
-
-CROP = "_crop.png"
-"""End of the names of the parts of images around the objects."""
 
 MOST_PNG_PIXELS = 2_000_000
 """Pixels of an overlay above which it is a JPEG, of about 1 MB instead of 4 MB."""
@@ -125,7 +127,8 @@ def fit(
 ) -> None:
     """Fit a model to images, or to those of folders. Writes the landmarks and an overlay image for each.
 
-    Overlays are green if the fit may be used, amber if it is doubtful, and red if it failed.
+    Overlays are green if the fit may be used, amber if it is doubtful, and red if it failed. The exit status is 1
+    unless all fits may be used.
     """
     from liaam.fitting import Fitter
     from liaam.fitting.result import check_absent
@@ -135,7 +138,7 @@ def fit(
     if every and init is not None:
         raise LiaamError("--all searches for every object and --init gives the place of one; use only one of them")
     model_file, paths = inputs.model_and_inputs(files, "fit")
-    images = [image for path in paths for image in images_in(path)]
+    images = inputs.given_images(paths)
     check_name_by(name_by)
     check_absent(absent)
     outputs = Outputs.asked(output, formats, scheme=scheme, several=len(images) > 1 or every)
@@ -154,6 +157,7 @@ def fit(
         in_scheme(model.shape_model.mean, model.landmark_names, scheme)  # its errors come before any work
     make_folder(outputs.folder)
     stems = inputs.unique_stems(images)
+    refuse_fits_of_others(images, stems, outputs, every=every)
 
     def fit_or_error(task: tuple[Path, str, str]) -> "tuple[FittedSpecimens, list[str]] | LiaamError":
         """Fit an image file. An error is returned, so that the other images are fitted all the same."""
@@ -197,23 +201,6 @@ def refuse_for_page(page: Path, options: list[str]) -> None:
     if options:
         names = ", ".join(f"--{name}" for name in options)
         raise LiaamError(f"{page} shows every fit in one way: leave {names} out, or give a folder with -o")
-
-
-def images_in(path: Path) -> list[Path]:
-    """Return an image, or those of a folder and its subfolders or of a pattern, without overlays of earlier fits."""
-    found = inputs.pictures_in(path)
-    if found == [path]:
-        return found
-    images = [image for image in found if not is_overlay(image)]
-    if not images:
-        raise LiaamError(f"{path}: its images are overlays of earlier fits; give the folder of the images themselves")
-    return images
-
-
-def is_overlay(image: Path) -> bool:
-    """Return whether an image is an overlay or a crop of an earlier fit, which is beside it."""
-    name, _, ending = image.name.rpartition("_")
-    return f"_{ending}" in (*OVERLAYS, CROP) and read_fit(image.with_name(f"{name}.json")) is not None
 
 
 @dataclass
@@ -420,7 +407,7 @@ class Outputs:
         """Keep the fit of a specimen for the report, with its facts as in the landmark file."""
         if self.report is not None:
             entry = entry_of_fit(result, pixels, str(image), image.name, facts.get("object"), length, self.absent)
-            named = {name: facts[name] for name in ("specimen", "code", "message") if name in facts}
+            named = {name: facts[name] for name in ("specimen", "code", "message", "fingerprint") if name in facts}
             self.entries.append(replace(entry, row=entry.row | named))
 
     def add_error(self, error: LiaamError, image: Path) -> None:
@@ -463,6 +450,7 @@ def fit_file(
     for i, (stem_of_object, result, specimen) in enumerate(zip(stems, fitted.results, fitted.named, strict=True)):
         facts = result.to_dict(outputs.absent)
         facts["image"] = name
+        facts |= image_facts(image, photograph.fingerprint, outputs.folder)
         facts["specimen"] = specimen.name
         if every:
             facts["object"] = i + 1
@@ -541,6 +529,20 @@ def refuse_images(crops: list[Path]) -> None:
     for crop in crops:
         if crop.exists() and not is_overlay(crop):
             raise LiaamError(f"{crop} exists and is not from an earlier fit; give another -o to keep it, or remove it")
+
+
+def refuse_fits_of_others(images: list[Path], stems: list[str], outputs: Outputs, *, every: bool) -> None:
+    """Raise, before any work, if fits would replace those of other images of the same names."""
+    if outputs.only is not None or outputs.report is not None:
+        return
+    ending = "_1" if every else ""
+    files = [outputs.path_of(f"{stem}{ending}", ".json") for stem in stems]
+    others = [file.stem for image, file in zip(images, files, strict=True) if is_of_other_image(file, image)]
+    if others:
+        raise LiaamError(
+            f"{outputs.folder} holds fits of other images of these names: {some_names(others)}; give another folder "
+            "with -o, or fit all images in one run, into a new folder, so that each fit has a name of its own"
+        )
 
 
 def refuse_to_overwrite(paths: list[Path]) -> None:

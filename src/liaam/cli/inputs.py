@@ -2,7 +2,7 @@
 
 import math
 from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from fnmatch import fnmatchcase
 from glob import has_magic
@@ -16,7 +16,7 @@ from liaam.cli.terminal import complain, say
 from liaam.datasets import Dataset, Sample, load_folder
 from liaam.errors import CameraError, ImageError, LiaamError
 from liaam.io import is_raw
-from liaam.io.files import existing_file, is_number, natural_key, real_path, some_names
+from liaam.io.files import count_of, existing_file, is_number, natural_key, real_path, some_names
 from liaam.io.images import PICTURE_SUFFIXES, UNREAD_SUFFIXES, VIDEO_SUFFIXES
 from liaam.io.landmarks.formats import KNOWN_FILES
 from liaam.io.landmarks.matching import unique_names
@@ -51,6 +51,8 @@ def other_ways(model: "AAM", side: str, rotations: str | None, alone: str) -> st
     ways = [*([ONE_SIDE] if knows_one_side else []), *([TURNED] if is_upright else [])]
     return "; ".join(ways) + alone if ways else ""
 
+
+Given = TypeVar("Given", str, Path)
 
 LandmarkedFolder = Annotated[
     Path,
@@ -181,7 +183,19 @@ def read_folder(source: Path, reading: Reading = USUAL) -> Dataset:
             raise LiaamError(f"{source}: no landmarked image of {folder} matches {pattern}; they are {names}")
         data = replace(data, samples=named)
     say(data.report())
+    if not recursive and pattern is None and (below := images_below(folder)):
+        complain(f"images in subfolders that are not read: {below}; give '{folder}/**' to read these, too")
     return data
+
+
+def images_below(folder: Path) -> int:
+    """Return the number of images in the subfolders of a folder."""
+    from liaam.batch import find_pictures
+
+    try:
+        return sum(real_path(image).parent != real_path(folder) for image in find_pictures(folder, on_closed=str))
+    except ImageError:  # it has none
+        return 0
 
 
 def folder_of(source: Path) -> tuple[Path, bool, str | None]:
@@ -234,8 +248,35 @@ def unique_stems(images: list[Path]) -> list[str]:
     return names
 
 
+def given_images(paths: Iterable[Path]) -> list[Path]:
+    """Return the images of all arguments, each once, and say which are given again."""
+    images = [image for path in paths for image in pictures_in(path)]
+    again: list[str] = []
+    once = list(each_once(images, lambda image: again.append(str(image))))
+    say_again(again)
+    return once
+
+
+def each_once(images: Iterable[Given], on_again: Callable[[Given], object]) -> Iterator[Given]:
+    """Iterate over images, and call a function with those that came before, also by another path."""
+    seen: set[Path] = set()
+    for image in images:
+        place = real_path(image)
+        if place in seen:
+            on_again(image)
+            continue
+        seen.add(place)
+        yield image
+
+
+def say_again(images: Sequence[str]) -> None:
+    """Say which images were given again."""
+    if images:
+        complain(f"{count_of(len(images), 'image')} given more than once, and taken once: {some_names(images)}")
+
+
 def pictures_in(path: Path) -> list[Path]:
-    """Return an image, or those of a folder and its subfolders or of a pattern, in natural order.
+    """Return an image, or those of a folder and its subfolders or of a pattern, without overlays, in natural order.
 
     A path that is missing is returned as it is.
     """
@@ -321,9 +362,6 @@ def say_advice(advice: Mapping[str, Sequence[str]]) -> None:
 def names_of(paths: Sequence[Path]) -> str:
     """Return the names of the first six files and the number of the rest."""
     return some_names([path.name for path in paths])
-
-
-Given = TypeVar("Given", str, Path)
 
 
 def model_and_inputs(files: Sequence[Given], command: str, inputs: str = "IMAGE...") -> tuple[Path, list[Given]]:

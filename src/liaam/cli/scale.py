@@ -15,7 +15,8 @@ from liaam.cli.terminal import cell, complain, progress_bar, say, show_table, ta
 from liaam.errors import LiaamError
 from liaam.io import make_folder, read_image, write_columns, write_image
 from liaam.io.atomic import check_output
-from liaam.io.files import count_of, existing_file, some_names
+from liaam.io.files import count_of, existing_file, fingerprint_of, some_names
+from liaam.io.overlays import SCALE
 from liaam.scale.choice import tagged_length
 from liaam.scale.lengths import Length, parse_length, unlike
 
@@ -54,7 +55,7 @@ def scale(
     """
     if ruler is not None and scale_bar is not None:
         raise LiaamError("--ruler and --scale-bar: give one of them; crop the images to what they show")
-    images = [image for path in images for image in inputs.pictures_in(path)]
+    images = inputs.given_images(images)
     check_output(output)
     if output.suffix.lower() != ".csv":
         raise LiaamError(f"{output}: the table is written as CSV; give a name that ends in .csv")
@@ -68,7 +69,7 @@ def scale(
         names = zip(images, inputs.names_in_folders(images), inputs.unique_stems(images), strict=True)
         for i, (image, name, stem) in enumerate(names):
             progress(i, len(images), name)
-            rows.append({"image": name} | _row(image, known, find, folder / f"{stem}_scale.png"))
+            rows.append({"image": name} | _row(image, known, find, folder / f"{stem}{SCALE}"))
         progress(len(images), len(images), "")
     _show_scales(rows)
     n_found = sum(not math.isnan(row["scale"]) for row in rows)
@@ -100,9 +101,10 @@ def _finder(tick: Length | None) -> Callable[[np.ndarray], Any]:
 
 def _row(image: Path, known: Length | None, find: Callable[[np.ndarray], Any] | None, overlay: Path) -> Row:
     """Return the row of an image without its name, and write its overlay. What is wrong is its message."""
-    row: Row = {"scale": math.nan, "unit": "", "scale_se": math.nan, "how": "", "message": ""}
+    row: Row = {"scale": math.nan, "unit": "", "scale_se": math.nan, "how": "", "message": "", "fingerprint": ""}
     try:
         existing_file(image, LiaamError, "image")
+        row["fingerprint"] = fingerprint_of(image)
         if find is None or known is None:
             length, fault = tagged_length(image)
             lacking = "" if length else "no tag states the scale: give --ruler or --scale-bar"

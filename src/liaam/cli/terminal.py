@@ -5,7 +5,7 @@ import os
 import sys
 import unicodedata
 import warnings
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from typing import Any, NoReturn
 
@@ -38,6 +38,9 @@ BIDIRECTIONAL = ("LRE", "RLE", "LRO", "RLO", "PDF", "LRI", "RLI", "FSI", "PDI")
 
 LONGEST_NAME = 255
 """Number of characters above which a name is cut in messages; file systems allow no more in a name."""
+
+MOST_WORDS = 20
+"""Number of arguments that are looked at for a name with blanks that was given without quotes."""
 
 
 def plain(text: str) -> str:
@@ -94,8 +97,17 @@ def _plain_complaints() -> Iterator[None]:
         context = getattr(error, "ctx", None)
         command = "liaam" if context is None else context.command_path
         see = f"see '{command} --help'"
+        if "extra argument" in text and (path := _unquoted_path(sys.argv[1:])):
+            see = f"put quotes around a name with blanks: '{path}'"
         complain(f"error: {text} {see.capitalize()}" if text.endswith("?") else f"error: {text.rstrip('.')}; {see}")
         raise SystemExit(MISUSED) from None
+
+
+def _unquoted_path(arguments: Sequence[str]) -> str:
+    """Return an existing path with blanks that successive arguments are parts of, or nothing."""
+    first = arguments[:MOST_WORDS]
+    runs = (" ".join(first[i:j]) for i in range(len(first)) for j in range(i + 2, len(first) + 1))
+    return next((run for run in runs if os.path.exists(run)), "")  # noqa: PTH110 (takes names of any length)
 
 
 def make_app(**options: Any) -> typer.Typer:

@@ -11,6 +11,7 @@ from liaam.io.files import is_number, some_names
 from liaam.io.images import PICTURE_SUFFIXES, UNREAD_SUFFIXES, USUAL_SUFFIXES
 from liaam.io.landmarks import LANDMARK_SUFFIXES
 from liaam.io.landmarks.formats import ALSO_OTHER, NOT_READ
+from liaam.io.overlays import is_overlay
 
 NO_IMAGE = "no image has its name"  # Reason for leaving out a landmark file
 # Reason for leaving out a file that seems to hold landmarks
@@ -63,7 +64,8 @@ def _has_numbers(file: Path) -> bool:
 
 def no_images(root: Path, files: Sequence[Path], pattern: str | None, recursive: bool) -> str:
     """Describe a folder without (matching) images."""
-    images = [file.name for file in files if file.suffix.lower() in PICTURE_SUFFIXES]
+    pictures = [file for file in files if file.suffix.lower() in PICTURE_SUFFIXES]
+    images = [file.name for file in pictures if not is_overlay(file)]
     if images:
         return f"{root} contains no image like '{pattern}': its images are {some_names(images)}. Change the pattern."
     below = [] if recursive else _below(root, PICTURE_SUFFIXES)
@@ -72,6 +74,8 @@ def no_images(root: Path, files: Sequence[Path], pattern: str | None, recursive:
             f"{root} contains images in its subfolders only ({some_names(below, 3)}): give '{root}/**' (in Python, "
             "recursive=True) to include them."
         )
+    if pictures:
+        return f"{root} contains only overlays of fits or scales: name the folder of the images themselves."
     others = Counter(file.suffix.lower() for file in files if file.suffix)
     if others:
         listed = ", ".join(f"{suffix} ({n})" for suffix, n in others.most_common(5))

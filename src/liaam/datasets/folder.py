@@ -27,6 +27,7 @@ from liaam.io.landmarks.formats import ALSO_OTHER, may_hold_many, name_of, rank_
 from liaam.io.landmarks.matching import ImageNames
 from liaam.io.landmarks.reading import USUAL, Notes, Reading, UnrecognisedError
 from liaam.io.landmarks.yolo import in_images, labels_of
+from liaam.io.overlays import is_overlay
 from liaam.io.sides import side_of_folder, side_of_text, sides_by_place_or_name
 from liaam.progress import progress_bar
 
@@ -155,7 +156,7 @@ def _list_files(root: Path, recursive: bool) -> list[Path]:
 
 
 def _images(files: list[Path]) -> list[Path]:
-    return [file for file in files if file.suffix.lower() in PICTURE_SUFFIXES]
+    return [file for file in files if file.suffix.lower() in PICTURE_SUFFIXES and not is_overlay(file)]
 
 
 def _name(root: Path, path: Path) -> str:

@@ -11,7 +11,7 @@ import numpy as np
 from liaam.fitting.fitter import Fitter
 from liaam.fitting.result import FitResult
 from liaam.fitting.search.starts import read_with_start
-from liaam.io.files import count_of, some_names
+from liaam.io.files import count_of, fingerprint_of, some_names
 from liaam.photometry.picture import load_picture
 from liaam.scale.choice import length_for
 from liaam.scale.lengths import Length
@@ -56,11 +56,14 @@ class FittedPhotograph:
     specimens : FittedSpecimens
     length : Length, optional
         Length of a pixel: of its start, its tags, or else the training images.
+    fingerprint : str
+        That of its file (:func:`liaam.io.files.fingerprint_of`).
     """
 
     pixels: np.ndarray
     specimens: FittedSpecimens
     length: Length | None
+    fingerprint: str
 
     @property
     def size(self) -> tuple[int, int]:
@@ -91,7 +94,7 @@ def fit_photograph(
     """
     pixels, start = read_with_start(file, init)
     specimens = fit_specimens(fitter, pixels, start, every=every, name=file.name, stem=stem, name_by=name_by)
-    return FittedPhotograph(pixels, specimens, length_for(file, start, fitter.model.scale))
+    return FittedPhotograph(pixels, specimens, length_for(file, start, fitter.model.scale), fingerprint_of(file))
 
 
 def fit_specimens(

@@ -1,6 +1,7 @@
 """Helpers shared by file readers: existence checks with suggestions, natural sort order, parsing of cells, pixels."""
 
 import difflib
+import hashlib
 import json
 import math
 import os
@@ -79,6 +80,22 @@ def is_file(path: Path) -> bool:
         return path.is_file()
     except OSError:
         return False
+
+
+_LETTERS = str.maketrans("0123456789abcdef", "abcdefghijklmnop")
+
+
+def fingerprint_of(path: AnyPath) -> str:
+    """Return 16 letters that are the same for files of the same content only, or nothing if the file cannot be read.
+
+    They are letters because spreadsheets take some texts with digits for numbers.
+    """
+    try:
+        with Path(path).open("rb") as file:
+            digest = hashlib.file_digest(file, lambda: hashlib.blake2b(digest_size=8))
+    except (OSError, ValueError):
+        return ""
+    return digest.hexdigest().translate(_LETTERS)
 
 
 def existing_file(path: AnyPath, error: type[LiaamError], kind: str) -> Path:

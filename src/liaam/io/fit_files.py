@@ -1,6 +1,7 @@
 """Fit results: all values as .json, and landmarks as .pts, .csv and .tps."""
 
 import json
+import os
 from pathlib import Path
 
 import numpy as np
@@ -8,7 +9,7 @@ import numpy as np
 from liaam.errors import LandmarkError
 from liaam.formatting import json_value
 from liaam.io.atomic import write_text_atomically
-from liaam.io.files import companions, json_object
+from liaam.io.files import companions, fingerprint_of, json_object, real_path
 from liaam.io.landmarks import LandmarkFile, Landmarks, write_landmarks
 from liaam.io.landmarks.annotations import is_fit
 from liaam.io.landmarks.reading import read_text
@@ -45,6 +46,29 @@ def read_fit(path: Path) -> dict | None:
     """Read the .json file of a fit; None if there is none, or if it is something else."""
     content = json_object(read_text(path)) if path.is_file() else None
     return content if content is not None and is_fit(content) else None
+
+
+def image_facts(image: Path, fingerprint: str, folder: Path) -> dict[str, str]:
+    """Return what the .json file of a fit in a folder says of the image's file: its path from there and fingerprint."""
+    try:
+        path = os.path.relpath(real_path(image), real_path(folder))
+    except ValueError:  # on another drive
+        path = str(real_path(image))
+    return {"path": Path(path).as_posix(), "fingerprint": fingerprint}
+
+
+def is_of_other_image(path: Path, image: Path) -> bool:
+    """Return whether the .json file of a fit is that of another image than a file, by its path and its content.
+
+    An image that was changed since, or moved, is the same.
+    """
+    fit = read_fit(path) or {}
+    place, known = fit.get("path"), fit.get("fingerprint")
+    if not (isinstance(place, str) and isinstance(known, str) and place and known) or "\0" in place:
+        return False
+    if real_path(path.parent / place) == real_path(image):
+        return False
+    return fingerprint_of(image) not in ("", known)
 
 
 def corrected_file(path: Path, fit: dict) -> Path | None:

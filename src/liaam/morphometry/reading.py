@@ -222,6 +222,7 @@ def _specimen(path: Path, name: str, facts: dict[str, Any], covariances: Any) ->
             unit=unit_of(str(facts.get("scale_unit") or "")),
             scale_source=str(facts.get("scale_from") or ""),
             image=str(facts.get("image") or ""),
+            fingerprint=str(facts.get("fingerprint") or ""),
             code=str(facts.get("code") or ""),
             individual=str(facts.get("individual") or ""),
         )

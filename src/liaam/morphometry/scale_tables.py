@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import csv
 from collections import defaultdict
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import PureWindowsPath
 
@@ -15,7 +15,7 @@ from liaam.io.landmarks.reading import read_text
 from liaam.morphometry.specimens import Specimen
 from liaam.scale.lengths import Length
 
-COLUMNS = ("image", "scale", "unit", "scale_se")
+COLUMNS = ("image", "scale", "unit", "scale_se", "fingerprint")
 """Columns of a table of lengths that are read."""
 
 FOUND = "a ruler in the image"
@@ -51,7 +51,8 @@ def _length_in(row: Mapping[str, str]) -> Length | None:
     """Return the length of a pixel in a row; None if it is empty."""
     if not (row["scale"] or "").strip():
         return None
-    return Length(float(row["scale"]), (row["unit"] or "").strip(), float(row.get("scale_se") or 0), FOUND)
+    fingerprint = (row.get("fingerprint") or "").strip()
+    return Length(float(row["scale"]), (row["unit"] or "").strip(), float(row.get("scale_se") or 0), FOUND, fingerprint)
 
 
 def with_lengths(specimens: Sequence[Specimen], lengths: Mapping[str, Length | None]) -> tuple[Specimen, ...]:
@@ -63,10 +64,11 @@ def with_lengths(specimens: Sequence[Specimen], lengths: Mapping[str, Length | N
     Raises
     ------
     LiaamError
-        If no specimen is of an image in the table with a length, or one may be of several images.
+        If no specimen is of an image in the table with a length, one may be of several images, an image in the table is
+        another one than that of a specimen of this name, or those of several specimens are different images.
     """
-    names = [specimen.name for specimen in specimens]
-    images = images_of(names, list(lengths), [specimen.image for specimen in specimens])
+    images = _images_with_lengths(specimens, lengths)
+    _refuse_shared_lines(specimens, images)
     if not any(image is not None and lengths[image] for image in images):
         which = "with a scale " if any(images) else ""
         first = next(iter(lengths), "none")
@@ -84,17 +86,54 @@ def with_lengths(specimens: Sequence[Specimen], lengths: Mapping[str, Length | N
     )
 
 
+def _images_with_lengths(specimens: Sequence[Specimen], lengths: Mapping[str, Length | None]) -> list[str | None]:
+    """Return the image of each specimen in a table; None if it is not there."""
+
+    def is_other(i: int, image: str) -> bool:
+        specimen = specimens[i]
+        fingerprints = {specimen.fingerprint, "" if (length := lengths[image]) is None else length.fingerprint}
+        # Files of another format may be of the same photograph.
+        return len(fingerprints - {""}) > 1 and _file_name(specimen.image) == _file_name(image)
+
+    names = [specimen.name for specimen in specimens]
+    return images_of(names, list(lengths), [specimen.image for specimen in specimens], is_other)
+
+
+def _refuse_shared_lines(specimens: Sequence[Specimen], images: Sequence[str | None]) -> None:
+    """Raise if a line of the table would be that of fits of different images."""
+    first_of: dict[str, Specimen] = {}
+    for specimen, image in zip(specimens, images, strict=True):
+        if image is None or not specimen.image:
+            continue
+        first = first_of.setdefault(image, specimen)
+        keys = (_key_of(first.image), _key_of(specimen.image))
+        if keys[0] not in _ends_of(keys[1]) and keys[1] not in _ends_of(keys[0]):
+            raise LiaamError(
+                f"{image} in the table of scales is one image, and {first.image} and {specimen.image} are two: give a "
+                f"table that 'liaam scale' has written for all images in one run"
+            )
+
+
+def _file_name(image: str) -> str:
+    """Return the name of an image's file without folders, to be compared."""
+    return name_key(PureWindowsPath(image).name)
+
+
 Key = tuple[str, ...]
 """Folders and name of an image, without its ending, to be compared."""
 
 
 def images_of(
-    specimens: Sequence[str], images: Sequence[str], own_images: Sequence[str | None] | None = None
+    specimens: Sequence[str],
+    images: Sequence[str],
+    own_images: Sequence[str | None] | None = None,
+    is_other: Callable[[int, str], bool] = lambda i, image: False,
 ) -> list[str | None]:
     """Return the image of each specimen, given by its name or by its own image if that is known; None if none is.
 
     The path of one is the end of the other's, as ``left/wing1`` is of ``wings/left/wing1.jpg``, but not of
-    ``right/wing1.jpg``.
+    ``right/wing1.jpg``. ``is_other`` is called with the index of a specimen and an image of such a name, and returns
+    whether it is known to be another image.
     """
     by_key: dict[Key, list[str]] = defaultdict(list)
     by_end: dict[Key, list[str]] = defaultdict(list)
@@ -104,12 +143,19 @@ def images_of(
         for end in _ends_of(key):
             by_end[end].append(image)
 
-    def image_of(specimen: str, own_image: str | None) -> str | None:
+    def image_of(i: int, specimen: str, own_image: str | None) -> str | None:
         *folders, name = _key_of(own_image or f"{specimen}.png")
         of_name = (name.rpartition("#")[0], name.rpartition("_")[0])
         for own in (name,) if own_image else (name, *of_name):
             key = (*folders, own)
-            found = by_end.get(key) or next((by_key[end] for end in _ends_of(key) if end in by_key), [])
+            named = by_end.get(key) or next((by_key[end] for end in _ends_of(key) if end in by_key), [])
+            found = [image for image in named if not is_other(i, image)]
+            if named and not found:
+                raise LiaamError(
+                    f"{named[0]} in the table of scales is another image than that of specimen {specimen}: run 'liaam "
+                    "scale' on the images that were fitted; if they are copies of one size, remove the column "
+                    "'fingerprint' from the table"
+                )
             if len(found) > 1:
                 remedy = "measure the folder that holds all of them, or keep its line alone"
                 raise LiaamError(f"specimen {specimen} may be of the images {some_names(found)}: {remedy}")
@@ -118,7 +164,10 @@ def images_of(
         return None
 
     own_images = [None] * len(specimens) if own_images is None else own_images
-    return [image_of(specimen, own_image) for specimen, own_image in zip(specimens, own_images, strict=True)]
+    return [
+        image_of(i, specimen, own_image)
+        for i, (specimen, own_image) in enumerate(zip(specimens, own_images, strict=True))
+    ]
 
 
 def _key_of(image: str) -> Key:

@@ -64,6 +64,8 @@ class Specimen:
         Where the scale is from if nobody gave it, for messages, or empty.
     image : str
         Name or path of the image that it is in, if a fit states it, or empty.
+    fingerprint : str
+        That of the file of this image (:func:`liaam.io.files.fingerprint_of`), if a fit states it, or empty.
     code : str
         The QR or bar code that names it, or empty.
 
@@ -91,6 +93,7 @@ class Specimen:
     scale_se: float = 0.0
     scale_source: str = ""
     image: str = ""
+    fingerprint: str = ""
     code: str = ""
 
     __repr__ = short_repr

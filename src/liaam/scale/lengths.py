@@ -55,6 +55,8 @@ class Length:
         Standard error of the value; 0 if it is taken as exact.
     source : str
         Where it is from, for messages, or empty.
+    fingerprint : str
+        That of the image in which it was found (:func:`liaam.io.files.fingerprint_of`), or empty.
 
     Raises
     ------
@@ -66,6 +68,7 @@ class Length:
     unit: str = ""
     se: float = 0.0
     source: str = ""
+    fingerprint: str = ""
 
     def __post_init__(self) -> None:
         if not 0 < self.value < math.inf or not 0 <= self.se < math.inf:
