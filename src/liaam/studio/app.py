@@ -62,6 +62,14 @@ from liaam.studio.training import Trainer
 IMAGE_SIZE = 2048  # default longest side of an image, pixels
 CHROMA_SIZE = 640  # of its invariant
 KEPT = {"cache-control": "private, max-age=86400, immutable"}  # headers of answers that never change
+METHODS_TO_CHOOSE: list[contract.Method] = [
+    {"name": each.name, "summary": each.summary, "needs_colour": each.needs_colour} for each in METHODS.values()
+]
+FORMATS: contract.Formats = {
+    "pictures": [*PICTURE_SUFFIXES],
+    "landmarks": [*LANDMARK_SUFFIXES],
+    "videos": [*VIDEO_SUFFIXES],
+}
 OVERVIEW_SECONDS = 0.2  # how long a request for the project may read files; the rest is read in the background
 
 OfSet = tuple["Studio", str]
@@ -221,18 +229,11 @@ class Studio:
             "checked": self.background.has_checked(overview.done),
             "training": training.state.as_json(),
             "versions": training.versions.as_json(project.templates.order),
-            "methods": [
-                {"name": each.name, "summary": each.summary, "needs_colour": each.needs_colour}
-                for each in METHODS.values()
-            ],
+            "methods": METHODS_TO_CHOOSE,
             "default_method": DEFAULT_METHOD,
             "default_ambient": AMBIENT,
             "fitting": self.background.progress,
-            "formats": {
-                "pictures": [*PICTURE_SUFFIXES],
-                "landmarks": [*LANDMARK_SUFFIXES],
-                "videos": [*VIDEO_SUFFIXES],
-            },
+            "formats": FORMATS,
             "limits": {"upload_bytes": self.settings.upload_bytes, "pixels": self.settings.pixels},
             "problems": project.problems,
         }
