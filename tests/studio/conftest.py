@@ -6,16 +6,20 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
+from typing import Any
 
 import httpx
 import numpy as np
 import pytest
+from contract_checks import faults, sent
 from small_projects import TRIANGLE, browser_of
 
 from liaam.io import Contour, Landmarks, write_image, write_landmarks
 from liaam.model.shape import Similarity, rotation
+from liaam.studio import contract
 from liaam.studio.app import Studio
 from liaam.studio.project import Project
+from liaam.studio.routes import Events
 from liaam.studio.serving import make_server, open_port
 from liaam.studio.settings import StudioSettings
 from scenes import Head, Scene, make_set
@@ -126,9 +130,17 @@ class Running:
 
 
 @pytest.fixture
-def serve() -> Iterator[Callable[..., Running]]:
-    """Serve a folder as ``liaam studio`` does, in a thread; stopped at the end."""
+def serve(monkeypatch) -> Iterator[Callable[..., Running]]:
+    """Serve a folder as ``liaam studio`` does, in a thread; stopped at the end. Events have to keep the contract."""
     running: list[Running] = []
+    wrong: list[str] = []
+    publish = Events.publish
+
+    def publish_and_check(self: Events, kind: str, data: Any) -> None:
+        wrong.extend(faults(sent(data), contract.EVENTS[kind], kind))
+        publish(self, kind, data)
+
+    monkeypatch.setattr(Events, "publish", publish_and_check)
 
     def start(folder: Path, model: Path | None = None, **settings) -> Running:
         listener = open_port("127.0.0.1", 0)
@@ -146,6 +158,7 @@ def serve() -> Iterator[Callable[..., Running]]:
         one.client.close()
         one.stop()
         one.studio.close()
+    assert wrong == []
 
 
 @pytest.fixture(autouse=True, scope="session")

@@ -2,6 +2,7 @@
 
 import httpx
 import pytest
+from contract_checks import check_answer
 
 from liaam.studio.refusal import Refusal
 
@@ -12,9 +13,11 @@ POINTS = [[1.0, 2.0], [30.5, 2.25], [15.0, 20.0]]
 def browser_of(url: str = "", **options) -> httpx.Client:
     """Give what asks a studio as a browser does.
 
-    It speaks http, which needs none of the certificates that take long to read, and knows no proxies.
+    It speaks http, which needs none of the certificates that take long to read, and knows no proxies. Answers that do
+    not keep the contract fail the test.
     """
-    return httpx.Client(**{"base_url": url, "verify": False, "trust_env": False, "timeout": 60, **options})
+    ready = {"base_url": url, "verify": False, "trust_env": False, "timeout": 60}
+    return httpx.Client(**{**ready, "event_hooks": {"response": [check_answer]}, **options})
 
 
 def by_name(project):

@@ -1,61 +1,80 @@
 """The contract of the server and the page: its types for the page are up to date, and real answers keep it."""
 
-import json
-from types import UnionType
-from typing import Annotated, Any, Literal, NotRequired, Union, get_args, get_origin, get_type_hints, is_typeddict
+import inspect
+import re
+from dataclasses import fields
+from types import NoneType
+from typing import Any, get_type_hints
 
 import pytest
+from contract_checks import faults, sent
 from small_projects import POINTS, proposal, put
+from starlette.responses import Response
+from starlette.routing import Route
 
+from liaam.relighting import Lamp
 from liaam.studio import contract
+from liaam.studio.app import Studio, make_app
+from liaam.studio.routes import agreed
 from liaam.studio.sets import agreement, make_set
 from making import studio_types
 
 
-def faults(value: Any, kind: Any, where: str = "") -> list[str]:
-    """Where a value of JSON differs from a type."""
-    origin, inner = get_origin(kind), get_args(kind)
-    if kind is Any:
-        return []
-    if origin in (Annotated, NotRequired):
-        return faults(value, inner[0], where)
-    if origin in (Union, UnionType):
-        found = [faults(value, each, where) for each in inner]
-        return [] if [] in found else min(found, key=len)
-    if origin is Literal:
-        return [] if value in inner else [f"{where}: {value!r}"]
-    if is_typeddict(kind):
-        return faults_of_object(value, kind, where)
-    if origin is list:
-        if not isinstance(value, list):
-            return [f"{where}: {value!r}"]
-        return [fault for i, each in enumerate(value) for fault in faults(each, inner[0], f"{where}[{i}]")]
-    if origin is tuple:
-        if len(value) != len(inner):
-            return [f"{where}: {value!r}"]
-        return [fault for each, one in zip(value, inner, strict=True) for fault in faults(each, one, where)]
-    if origin is dict:
-        return [fault for name, each in value.items() for fault in faults(each, inner[1], f"{where}.{name}")]
-    kinds = (int, float) if kind is float else kind
-    is_number = kind in (int, float) and isinstance(value, bool)
-    return [] if isinstance(value, kinds) and not is_number else [f"{where}: {value!r}"]
+@pytest.fixture
+def routes(tmp_path):
+    """Give the routes of a studio below /api/, with their method."""
+    studio = Studio(tmp_path)
+    every = [each for each in make_app(studio).routes if isinstance(each, Route) and each.path.startswith("/api/")]
+    yield [(method, each) for each in every for method in (each.methods or set()) - {"HEAD"}]
+    studio.close()
 
 
-def faults_of_object(value: Any, kind: Any, where: str) -> list[str]:
-    if not isinstance(value, dict):
-        return [f"{where}: {value!r}"]
-    hints = get_type_hints(kind, include_extras=True)
-    optional = {name for name, hint in hints.items() if "NotRequired" in str(hint)}
-    found = [f"{where} lacks {name}" for name in hints.keys() - optional - value.keys()]
-    found += [f"{where}.{name} is not in the contract" for name in value.keys() - hints.keys()]
-    return found + [
-        fault for name in value.keys() & hints.keys() for fault in faults(value[name], hints[name], f"{where}.{name}")
-    ]
+def address_of(route):
+    return re.sub(r":\w+}", "}", route.path.removeprefix("/api/"))
 
 
-def sent(answer: Any) -> Any:
-    """An answer as the page gets it."""
-    return json.loads(json.dumps(answer, allow_nan=False))
+def test_the_routes_are_those_of_the_contract(routes):
+    assert sorted(f"{method} {address_of(route)}" for method, route in routes) == sorted(contract.ROUTES)
+
+
+def test_functions_take_and_answer_what_the_contract_says_of_their_routes(routes):
+    for method, route in routes:
+        endpoint = agreed(method, route.path)
+        act = inspect.unwrap(route.endpoint)
+        hints = get_type_hints(act, include_extras=True)
+        # A file is sent as a response, and JSON is checked by what is called.
+        assert hints["return"] == {bytes: Response, None: NoneType}.get(endpoint.answer, endpoint.answer), route.path
+        if not inspect.iscoroutinefunction(act):  # which reads the request itself
+            taken = [hints[name] for name in [*inspect.signature(act).parameters][1:]]
+            body = {bytes: [bytes], None: []}.get(endpoint.body, [Any])
+            assert taken == [*([endpoint.query] if endpoint.query else []), *body], route.path
+
+
+def test_a_route_that_is_not_in_the_contract_cannot_be_made():
+    with pytest.raises(KeyError):
+        agreed("GET", "/api/pictures/{name:path}/colour")
+
+
+def test_names_in_an_address_are_not_those_of_its_query():
+    for route, endpoint in contract.ROUTES.items():
+        asked = {field.name for field in fields(endpoint.query)} if endpoint.query else set()
+        assert not asked & {*re.findall(r"{(\w+)}", route)}, route
+
+
+def test_nothing_in_the_contract_is_of_any_type():
+    code = re.sub(r"/\*\*.*?\*/", "", studio_types.typescript(), flags=re.DOTALL)
+    assert re.findall(r".*\b(?:any|unknown|object)\b.*", code) == []
+
+
+def test_lamps_are_sent_as_they_are():
+    assert {field.name for field in fields(contract.SentLamp)} == {field.name for field in fields(Lamp)}
+
+
+@pytest.mark.parametrize("data", [{}, {"points": None, "revision": None}])
+def test_fields_that_a_request_lacks_are_none_or_left_out(data):
+    asked = contract.given(contract.SaveMarks, {**data, "more": 1})
+    assert asked == contract.SaveMarks(points=None, revision=None)  # type: ignore[arg-type]
+    assert asked.bar is contract.OMITTED and asked.who is None
 
 
 def test_the_types_for_the_page_are_up_to_date():

@@ -13,6 +13,7 @@ from urllib.parse import quote, unquote
 import cv2
 import numpy as np
 import pytest
+from contract_checks import check_answer, faults as differences
 from PIL import Image
 
 from liaam.errors import MethodError, StartError
@@ -27,7 +28,7 @@ from liaam.morphometry import read_specimens
 from liaam.photometry import to_linear
 from liaam.relighting import Lamp
 from liaam.relighting.lamp import AMBIENT
-from liaam.studio import layers
+from liaam.studio import contract, layers
 from liaam.studio.app import Studio, make_app
 from liaam.studio.fits import FILES, Fits, error_of, example, numbers, truth_of
 from liaam.studio.model_store import ModelInUse, ModelStore
@@ -184,6 +185,7 @@ class TestFit:
         lost = fit(fits, start=(-20.0, -20.0, 60.0, 40.0), method="grey-plain")
         for one in (fitted, lost, fit(fits, "dark.png")):
             again = json.loads(json.dumps(one.as_json(), allow_nan=False))
+            assert differences(again, contract.Fit) == []
             assert len(again["shape"]) == one.model.n_points
             assert set(again["layers"]) <= set(layers.LAYERS)
 
@@ -493,11 +495,11 @@ class TestLight:
 
 def test_the_light_of_a_request_has_linear_colours():
     lamp = {"direction": [1, 0, 0], "colour": [1, 0.5, 0], "strength": 2, "softness": 0.5}
-    lamps, ambient = light_of({"light": json.dumps({"lamps": [lamp], "ambient": 0})})
+    lamps, ambient = light_of(json.dumps({"lamps": [lamp], "ambient": 0}))
     assert ambient == 0
     assert (lamps[0].direction, lamps[0].strength, lamps[0].softness) == ([1, 0, 0], 2, 0.5)
     np.testing.assert_allclose(lamps[0].colour, [1.0, to_linear(np.array(0.5), "srgb"), 0.0])
-    assert light_of({}) == ([Lamp([0, 0, 1])], AMBIENT)
+    assert light_of(None) == ([Lamp([0, 0, 1])], AMBIENT)
 
 
 class TestTakenApart:
@@ -618,7 +620,9 @@ class Page:
         async def call():
             return await self.client.request(verb, path, **options)
 
-        return anyio.run(call)
+        answer = anyio.run(call)
+        check_answer(answer)
+        return answer
 
     def fit(self, **asked):
         return self.ask("POST", "/api/fits", json=asked)

@@ -4,6 +4,7 @@ import math
 
 import pytest
 
+from liaam.studio.contract import ScaleQuery
 from liaam.studio.found_scale import found_scale
 from liaam.studio.landmark_files import parse_bar
 from liaam.studio.refusal import Refusal
@@ -11,7 +12,7 @@ from scenes.ruler import draw
 
 
 def asked(kind="ruler", length="1", unit="mm"):
-    return {"kind": kind, "length": length, "unit": unit}
+    return ScaleQuery(kind=kind, length=length, unit=unit)
 
 
 def test_a_ruler_is_a_bar_from_its_first_tick_to_its_last(rng):

@@ -11,6 +11,7 @@ import pytest
 
 from liaam.errors import MethodError
 from liaam.studio import live
+from liaam.studio.contract import FrameQuery, given
 from liaam.studio.live import Frame, LiveVideo, LiveVideos, in_whole
 from liaam.studio.model_store import ModelStore
 from liaam.studio.refusal import Refusal
@@ -43,7 +44,7 @@ def store(model) -> ModelStore:
 def frame(images, number: int = 0, **others: str) -> Frame:
     height, width = images[0].shape[:2]
     size = {"width": f"{width}", "height": f"{height}", "of_width": f"{width}", "of_height": f"{height}"}
-    return Frame({**size, "number": f"{number}", "time": f"{number / 25}", **others})
+    return Frame(given(FrameQuery, {**size, "number": f"{number}", "time": f"{number / 25}", **others}))
 
 
 def rows_of(video: LiveVideo, answers: list[bytes]) -> list[dict[str, str]]:
@@ -120,14 +121,14 @@ def test_landmarks_are_in_pixels_of_the_whole_video(head_model, images):
 )  # fmt: skip
 def test_places_that_make_no_sense_are_refused(wrong):
     with pytest.raises(Refusal) as refusal:
-        Frame({**PLACE, **wrong})
+        Frame(given(FrameQuery, {**PLACE, **wrong}))
     assert refusal.value.status == 422
 
 
 @pytest.mark.parametrize("n", [0, 1, 4 * 320 * 240 - 1, 4 * 320 * 240 + 4])
 def test_a_frame_of_another_size_is_refused(n):
     with pytest.raises(Refusal, match=f"{n} bytes instead of {4 * 320 * 240}"):
-        Frame(PLACE).image(bytes(n))
+        Frame(given(FrameQuery, PLACE)).image(bytes(n))
 
 
 def test_the_number_of_videos_is_bounded_and_idle_ones_end(head_model, monkeypatch):

@@ -9,6 +9,7 @@ from small_projects import put
 
 from liaam.io import Landmarks, write_image, write_landmarks
 from liaam.studio.background import slips_in
+from liaam.studio.contract import ShapesQuery
 from liaam.studio.model_store import ModelStore, model_json
 from liaam.studio.project import Annotated, Project
 from liaam.studio.refusal import Refusal
@@ -138,11 +139,11 @@ def test_other_words_in_a_column_of_sides_are_left_as_they_are(rng):
 
 def test_shapes_are_measured_reflected_whether_or_not_a_side_is_stated(sided):
     project = Project(sided)
-    by_shape = shapes(project, {})
+    by_shape = shapes(project, ShapesQuery())
     assert by_shape["sides"].startswith("4 mirrored specimens were reflected")
     assert max(by_shape["space"]["distances"]) < 0.1  # mirrored ones would be far from the others
     project.save_sides({"sides": {"wing-0.png": "left"}})
-    stated = shapes(project, {})
+    stated = shapes(project, ShapesQuery())
     assert stated["sides"].startswith("4 left specimens were reflected")
     assert max(stated["space"]["distances"]) == pytest.approx(max(by_shape["space"]["distances"]))
 

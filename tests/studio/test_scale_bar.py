@@ -6,6 +6,7 @@ from small_projects import POINTS, TRIANGLE, by_name, proposal, refused
 
 from liaam.io import Landmarks, read_collection, read_landmarks, write_image, write_landmarks
 from liaam.morphometry import measure, read_specimens
+from liaam.studio.contract import ShapesQuery
 from liaam.studio.project import Project
 from liaam.studio.shapes import table
 
@@ -30,7 +31,7 @@ def test_the_scale_is_saved_with_the_landmarks_exported_and_measured(small):
     lengths = measure(specimens, ["distance:1-2"])
     (lengths,) = [values for name, values in lengths.items() if "distance" in name]
     assert lengths == pytest.approx(np.linalg.norm(np.subtract(*POINTS[:2])) * np.array([0.25, 0.5]))
-    assert "0.25" in table(small, {"measures": "distance:1-2"})[1].decode()
+    assert "0.25" in table(small, ShapesQuery(measures="distance:1-2"))[1].decode()
 
 
 def test_points_are_moved_and_the_bar_stays(small):

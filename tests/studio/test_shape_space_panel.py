@@ -8,6 +8,7 @@ from small_projects import by_name, put, refused
 
 from liaam.errors import LiaamError
 from liaam.io import write_image
+from liaam.studio.contract import ShapesQuery
 from liaam.studio.project import Project
 from liaam.studio.shapes import save_groups, shapes, table
 
@@ -32,7 +33,7 @@ def sample(tmp_path, rng) -> Project:
 
 
 def test_each_picture_with_landmarks_has_measures_and_those_that_are_complete_a_shape(sample):
-    found = shapes(sample, {"measures": "distance:1-2 angle:a-b-c distance:1-2", "by": "folder"})
+    found = shapes(sample, ShapesQuery(measures="distance:1-2 angle:a-b-c distance:1-2", by="folder"))
     assert len(found["pictures"]) == 7 and found["groups"] == ["left"] * 4 + ["right"] * 3
     assert [column["unit"] for column in found["columns"]] == ["px", "°", "px"]
     assert found["columns"][0]["measure"] == "distance:1-2"
@@ -45,13 +46,13 @@ def test_each_picture_with_landmarks_has_measures_and_those_that_are_complete_a_
 
 
 def test_missing_points_are_estimated_if_that_is_asked_for(sample):
-    found = shapes(sample, {"estimate": "1"})
+    found = shapes(sample, ShapesQuery(estimate="1"))
     assert found["estimated"] == [0, 0, 0, 0, 0, 1, 0]
     assert len(found["space"]["of"]) == 7
 
 
 def test_shapes_that_are_alike_as_they_are_are_not_reflected(sample):
-    assert "compared as they are" in shapes(sample, {})["sides"]
+    assert "compared as they are" in shapes(sample, ShapesQuery())["sides"]
 
 
 def project_of(folder, names) -> Project:
@@ -69,7 +70,7 @@ def test_shapes_of_the_left_are_reflected_to_the_right(tmp_path, rng):
     for name in by_name(project):
         points = BASE + rng.normal(0, 0.5, BASE.shape)
         put(project, name, (points * [-1, 1] + [39, 0] if name.startswith("left") else points).tolist())
-    found = shapes(project, {})
+    found = shapes(project, ShapesQuery())
     assert found["sides"].startswith("2 left specimens were reflected")
     assert max(found["space"]["distances"]) < 0.1
 
@@ -78,7 +79,7 @@ def test_shapes_are_shown_while_some_have_no_side(tmp_path, rng):
     project = project_of(tmp_path, ("left/a", "left/b", "right/c", "unsorted/d"))
     for name in by_name(project):
         put(project, name, (BASE + rng.normal(0, 0.5, BASE.shape)).tolist())
-    found = shapes(project, {})
+    found = shapes(project, ShapesQuery())
     assert "have no side" in found["sides"]
     assert found["space"] is not None
 
@@ -86,9 +87,9 @@ def test_shapes_are_shown_while_some_have_no_side(tmp_path, rng):
 def test_groups_come_from_a_table_that_is_kept(sample):
     text = "specimen,group\nl0,x\nl1,x\nr0,y\n"
     assert save_groups(sample, {"text": text, "name": "groups.csv"}) == {"specimens": 3}
-    found = shapes(Project(sample.root), {"by": "table"})
+    found = shapes(Project(sample.root), ShapesQuery(by="table"))
     assert found["groups"] == ["x", "x", "", "", "y", "", ""] and found["has_table"]
-    name, data = table(sample, {"by": "table", "measures": "area:1-2-3-4"})
+    name, data = table(sample, ShapesQuery(by="table", measures="area:1-2-3-4"))
     rows = list(csv.DictReader(data.decode().splitlines()))
     assert name.endswith("-measurements.csv")
     assert rows[4]["group"] == "y" and float(rows[4]["area_1_2_3_4"]) > 0
@@ -99,26 +100,26 @@ def test_groups_come_from_a_table_that_is_kept(sample):
 def test_a_table_of_something_else_is_refused(sample, text):
     with pytest.raises(LiaamError, match=r"x\.csv has no columns|no specimen is in the table|x\.csv is no table"):
         save_groups(sample, {"text": text, "name": "x.csv"})
-    assert shapes(sample, {})["has_table"] is False
+    assert shapes(sample, ShapesQuery())["has_table"] is False
 
 
 def test_wrong_requests_are_refused(sample):
-    assert "cannot be grouped by 'size'" in str(refused(shapes, sample, {"by": "size"}))
+    assert "cannot be grouped by 'size'" in str(refused(shapes, sample, ShapesQuery(by="size")))
     assert refused(save_groups, sample, {"text": 1}).status == 422
     with pytest.raises(LiaamError, match="there is no landmark '9'"):
-        shapes(sample, {"measures": "distance:1-9"})
+        shapes(sample, ShapesQuery(measures="distance:1-9"))
 
 
 def test_points_on_a_line_have_no_grid(sample):
     for name, picture in by_name(sample).items():
         points = [[float(x), 10.0] for x in range(1, 6)]
         put(sample, name, points, picture["revision"])
-    found = shapes(sample, {})
+    found = shapes(sample, ShapesQuery())
     assert found["space"]["grid"] is None
 
 
 def test_shapes_that_are_all_alike_have_a_space_of_no_extent(sample):
     for name, picture in by_name(sample).items():
         put(sample, name, BASE.tolist(), picture["revision"])
-    space = shapes(sample, {"by": "folder"})["space"]
+    space = shapes(sample, ShapesQuery(by="folder"))["space"]
     assert space["limit"] == 0 and set(space["distances"]) == {0.0} and not np.isnan(space["scores"]).any()

@@ -5,12 +5,10 @@ Errors for the user have the form ``{"error": sentence}``.
 
 import json
 import threading
-from collections.abc import Callable, Sequence
-from contextlib import ExitStack, suppress
-from dataclasses import asdict
-from functools import partial
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
-from typing import Any, cast
+from typing import Any
 
 from anyio import CapacityLimiter
 from anyio.to_thread import run_sync
@@ -25,7 +23,6 @@ from starlette.types import Receive, Scope, Send
 from liaam import __version__
 from liaam.errors import ImageError, LiaamError
 from liaam.fitting.methods import DEFAULT_METHOD, METHODS
-from liaam.fitting.sides import AUTO
 from liaam.io.images import PICTURE_SUFFIXES, VIDEO_SUFFIXES
 from liaam.io.landmarks import LANDMARK_SUFFIXES
 from liaam.model import load_model
@@ -34,6 +31,7 @@ from liaam.relighting.lamp import AMBIENT
 from liaam.studio import contract, live, picture_files, shapes
 from liaam.studio.agreement import model_agreement
 from liaam.studio.background import Background
+from liaam.studio.contract import OMITTED
 from liaam.studio.fits import LAYER_SIZE, Fit, Fits, truth_of
 from liaam.studio.folder import Folder, checked_folder, plain_name, status_of
 from liaam.studio.found_scale import found_scale
@@ -64,6 +62,14 @@ from liaam.studio.training import Trainer
 IMAGE_SIZE = 2048  # default longest side of an image, pixels
 CHROMA_SIZE = 640  # of its invariant
 KEPT = {"cache-control": "private, max-age=86400, immutable"}  # headers of answers that never change
+METHODS_TO_CHOOSE: list[contract.Method] = [
+    {"name": each.name, "summary": each.summary, "needs_colour": each.needs_colour} for each in METHODS.values()
+]
+FORMATS: contract.Formats = {
+    "pictures": [*PICTURE_SUFFIXES],
+    "landmarks": [*LANDMARK_SUFFIXES],
+    "videos": [*VIDEO_SUFFIXES],
+}
 OVERVIEW_SECONDS = 0.2  # how long a request for the project may read files; the rest is read in the background
 
 OfSet = tuple["Studio", str]
@@ -145,7 +151,6 @@ class Studio:
 
     def routes(self) -> list[Route]:
         """Return the endpoints, whose handlers run in threads."""
-        project = self.project
         data = Request.body
         # Separate limits, so that the thumbnails of a large folder do not delay fits or landmarks.
         shown = CapacityLimiter(2)
@@ -157,37 +162,37 @@ class Studio:
             route("GET", of_picture + "image", self._image, limiter=shown),
             route("GET", of_picture + "chroma", self._chroma, limiter=shown),
             route("GET", of_picture + "tiles/{level:int}/{column:int}/{row:int}", self._tile, limiter=shown),
-            route("GET", of_picture + "landmarks", lambda asked: project.marks(asked.path_params["name"])),
+            route("GET", of_picture + "landmarks", self._landmarks),
             route("PUT", of_picture + "landmarks", self._save_landmarks, read_json),
-            route("GET", of_picture + "history", lambda asked: project.history(asked.path_params["name"])),
+            route("GET", of_picture + "history", self._history),
             route("POST", "/api/review", self._review, read_json),
             route("PUT", "/api/sides", self._save_sides, read_json),
-            route("POST", "/api/removed", partial(self._change_files, picture_files.remove), read_json),
-            route("POST", "/api/restored", partial(self._change_files, picture_files.restore), read_json),
+            route("POST", "/api/removed", self._remove, read_json),
+            route("POST", "/api/restored", self._restore, read_json),
             route("POST", "/api/renamed", self._rename, read_json),
-            route("GET", "/api/export/{kind}", lambda it: attachment(*project.export(it.path_params["kind"]))),
+            route("GET", "/api/export/{kind}", self._export_landmarks),
             route("GET", "/api/measurements", self._measurements),
-            route("GET", "/api/shapes", lambda asked: shapes.shapes(project, asked.query_params)),
+            route("GET", "/api/shapes", self._shapes),
             route("PUT", "/api/groups", self._save_groups, read_json),
             route("GET", of_picture + "scale", self._found_scale, limiter=fits),
-            route("GET", of_picture + "others", lambda asked: others(project, asked.path_params["name"])),
-            route("POST", "/api/sets", lambda _, data: make_set(project, data), read_json, status=201),
-            route("GET", "/api/agreement", lambda _: agreement(project)),
-            route("GET", "/api/agreement/model", lambda _: model_agreement(project)),
+            route("GET", of_picture + "others", self._others_points),
+            route("POST", "/api/sets", self._make_set, read_json, status=201),
+            route("GET", "/api/agreement", self._agreement),
+            route("GET", "/api/agreement/model", self._model_agreement),
             route("PUT", "/api/template", self._save_template, read_json),
-            route("POST", "/api/template/file", lambda it, raw: project.read_template(_name(it), raw).as_json(), data),
+            route("POST", "/api/template/file", self._read_template, data),
             route("POST", "/api/training", self._train, maybe_json, status=202),
             route("DELETE", "/api/training", self._stop_training, maybe_json),
             Route("/api/events", self._events, methods=["GET"]),
             route("POST", FILES, self._take_in, data, status=201),
-            route("DELETE", "/api/model/face", lambda _: self.background.decline()),
+            route("DELETE", "/api/model/face", self._decline_face),
             route("POST", UPLOADS, self._upload, data, status=201),
             route("GET", UPLOADS + "/{id}/image", self._image, limiter=shown),
             route("GET", UPLOADS + "/{id}/chroma", self._chroma, limiter=shown),
             route("GET", UPLOADS + "/{id}/tiles/{level:int}/{column:int}/{row:int}", self._tile, limiter=shown),
             route("GET", "/api/model/file", self._model_file),
             route("POST", GUEST, self._receive_guest, data, models),
-            route("DELETE", GUEST, lambda _: self.models.publish(None, place="guest")),
+            route("DELETE", GUEST, self._dismiss_guest),
             route("POST", FITS, self._fit, read_json, fits),
             route("POST", FITS + "/all", self._fit_all, read_json, fits),
             route("GET", FITS + "/table", self._table_of_fits, limiter=fits),
@@ -196,11 +201,11 @@ class Studio:
             route("GET", FITS + "/{id}/export", self._export_fit, limiter=fits),
         ]
 
-    def _overview(self, request: Request) -> contract.Project | contract.Unchanged:
+    def _overview(self, request: Request, asked: contract.ProjectQuery) -> contract.Project | contract.Unchanged:
         project = self.project
         training = self.training
         model = self.models.current
-        stamp = request.query_params.get("stamp", "")
+        stamp = asked.stamp or ""
         # Read before the data: a change in between shows up in the next request.
         sets = project.sets
         suffix = f"-{0 if model is None else model.number}-{training.state.state}-{self.background.checks}-{len(sets)}"
@@ -222,23 +227,19 @@ class Studio:
             "offered": project.templates.is_offered,
             "model": model_json(self.models.current, overview.done, overview.unread, overview.sides),
             "checked": self.background.has_checked(overview.done),
-            "training": cast(contract.Training, asdict(training.state)),
+            "training": training.state.as_json(),
             "versions": training.versions.as_json(project.templates.order),
-            "methods": [
-                {"name": each.name, "summary": each.summary, "needs_colour": each.needs_colour}
-                for each in METHODS.values()
-            ],
+            "methods": METHODS_TO_CHOOSE,
             "default_method": DEFAULT_METHOD,
             "default_ambient": AMBIENT,
             "fitting": self.background.progress,
-            "formats": {
-                "pictures": [*PICTURE_SUFFIXES],
-                "landmarks": [*LANDMARK_SUFFIXES],
-                "videos": [*VIDEO_SUFFIXES],
-            },
+            "formats": FORMATS,
             "limits": {"upload_bytes": self.settings.upload_bytes, "pixels": self.settings.pixels},
             "problems": project.problems,
         }
+
+    def _landmarks(self, request: Request) -> contract.Marks:
+        return self.project.marks(request.path_params["name"])
 
     def _save_landmarks(self, request: Request, data: Any) -> contract.Saved:
         name = request.path_params["name"]
@@ -252,21 +253,24 @@ class Studio:
         self.background.woken.set()
         return answer
 
-    def _found_scale(self, request: Request) -> contract.FoundScale:
+    def _history(self, request: Request) -> list[contract.HistoryEntry]:
+        return self.project.history(request.path_params["name"])
+
+    def _found_scale(self, request: Request, asked: contract.ScaleQuery) -> contract.FoundScale:
         source = self.project.source(request.path_params["name"])
         with self.pictures.at_work(source) as pixels:
-            return found_scale(pixels, source.size, request.query_params)
+            return found_scale(pixels, source.size, asked)
 
-    def _review(self, request: Request, data: Any) -> dict[str, Any]:
-        answer = self.project.review(data)
+    def _review(self, request: Request, data: Any) -> contract.Reviewed:
+        done = self.project.review(data)
         # One event, because a page that falls behind is disconnected. "" means that there is no file any more.
         written: list[contract.LandmarksChanged] = [
-            {"name": name, "revision": now or ""} for name, now in answer.pop("revisions").items()
+            {"name": name, "revision": now or ""} for name, now in done["revisions"].items()
         ]
         self.events.publish("landmarks", written)
         self.background.woken.set()
         self.events.publish("project", {})
-        return answer
+        return {"changed": done["changed"], "refused": done["refused"]}
 
     def _save_sides(self, request: Request, data: Any) -> contract.SidesBefore:
         answer = self.project.save_sides(data)
@@ -274,22 +278,51 @@ class Studio:
         self.events.publish("project", {})
         return answer
 
-    def _change_files(self, change: Callable[[Project, Any], Any], request: Request, data: Any) -> Any:
+    @contextmanager
+    def _changing_files(self) -> Iterator[None]:
+        """Say that the folder has changed once pictures were moved in the block, even if that has failed."""
         try:
-            return change(self.project, data)
+            yield
         finally:
             self.background.woken.set()
             self.events.publish("project", {})
 
+    def _remove(self, request: Request, data: Any) -> contract.Removed:
+        with self._changing_files():
+            return picture_files.remove(self.project, data)
+
+    def _restore(self, request: Request, data: Any) -> contract.Removed:
+        with self._changing_files():
+            return picture_files.restore(self.project, data)
+
     def _rename(self, request: Request, data: Any) -> contract.Renamed:
-        answer = self._change_files(picture_files.rename, request, data)
+        with self._changing_files():
+            answer = picture_files.rename(self.project, data)
         self.training.rename(answer["before"], answer["name"])
         return answer
 
-    def _measurements(self, request: Request) -> Response:
-        return attachment(*shapes.table(self.project, request.query_params))
+    def _export_landmarks(self, request: Request) -> Response:
+        return attachment(*self.project.export(request.path_params["kind"]))
 
-    def _save_groups(self, request: Request, data: Any) -> dict[str, int]:
+    def _measurements(self, request: Request, asked: contract.ShapesQuery) -> Response:
+        return attachment(*shapes.table(self.project, asked))
+
+    def _shapes(self, request: Request, asked: contract.ShapesQuery) -> contract.Shapes:
+        return shapes.shapes(self.project, asked)
+
+    def _others_points(self, request: Request) -> dict[str, list[contract.Point]]:
+        return others(self.project, request.path_params["name"])
+
+    def _make_set(self, request: Request, data: Any) -> contract.MadeSet:
+        return make_set(self.project, data)
+
+    def _agreement(self, request: Request) -> contract.Agreement:
+        return agreement(self.project)
+
+    def _model_agreement(self, request: Request) -> contract.ShapeAgreement:
+        return model_agreement(self.project)
+
+    def _save_groups(self, request: Request, data: Any) -> contract.Grouped:
         answer = shapes.save_groups(self.project, data)
         self.events.publish("project", {})
         return answer
@@ -303,59 +336,67 @@ class Studio:
         self.events.publish("project", {})
         return template
 
+    def _read_template(self, request: Request, asked: contract.FileQuery, data: bytes) -> contract.Template:
+        return self.project.read_template(asked.name, data).as_json()
+
     async def _events(self, request: Request) -> Response:
         headers = {"cache-control": "no-store", "x-accel-buffering": "no"}
         return StreamingResponse(self.events.stream(), media_type="text/event-stream", headers=headers)
 
-    def _train(self, request: Request, data: Any) -> dict[str, Any]:
-        asked = self.project.checked(data or {}, "slips")
-        return asdict(self.training.start(asked.get("slips") is True))
+    def _train(self, request: Request, data: Any) -> contract.Training:
+        asked = self.project.checked(contract.StartTraining, data or {}, "slips")
+        return self.training.start(asked.slips is True).as_json()
 
-    def _stop_training(self, request: Request, data: Any) -> dict[str, Any]:
-        self.project.checked(data or {}, "nothing")
-        return asdict(self.training.stop())
+    def _stop_training(self, request: Request, data: Any) -> contract.Training:
+        self.project.checked(contract.StopTraining, data or {}, "nothing")
+        return self.training.stop().as_json()
 
     def _model_file(self, request: Request) -> Response:
         if (current := self.models.current) is None:
             raise Refusal(404, "there is no model yet: train one")
         return attachment(f"{plain_name(current.model.name or 'model')}.liaam", current.model.to_bytes())
 
-    def _receive_guest(self, request: Request, data: bytes) -> None:
-        name = plain_name(_name(request))
+    def _decline_face(self, request: Request) -> None:
+        self.background.decline()
+
+    def _receive_guest(self, request: Request, asked: contract.FileQuery, data: bytes) -> None:
+        name = plain_name(asked.name)
         model = load_dropped_model(data, name, self.settings.points)
         facts = {"source": "guest", "trained": None, "pictures": {}, "name": name.removesuffix(".liaam")}
         self.models.publish(model, facts, "guest")
 
-    def _take_in(self, request: Request, data: bytes) -> dict[str, Any]:
-        answer = self.project.take_in(_name(request), data)
+    def _dismiss_guest(self, request: Request) -> None:
+        self.models.publish(None, place="guest")
+
+    def _take_in(self, request: Request, asked: contract.FileQuery, data: bytes) -> contract.Added:
+        answer = self.project.take_in(asked.name, data)
         self.background.woken.set()
         return answer
 
-    def _upload(self, request: Request, data: bytes) -> dict[str, Any]:
+    def _upload(self, request: Request, asked: contract.UploadQuery, data: bytes) -> contract.Upload:
         """Keep a dropped picture; with a ``method``, also fit it. If that fails, asking for the fit will say why."""
-        asked = request.query_params
         fit = None
-        upload = self.uploads.add(data, asked.get("name", ""))
-        if "method" in asked:
+        upload = self.uploads.add(data, asked.name)
+        if asked.method is not None:
             with suppress(LiaamError):
-                fit = self.fits.fit(self.uploads.source(upload.id), ("upload", upload.id), asked["method"]).as_json()
+                fit = self.fits.fit(self.uploads.source(upload.id), ("upload", upload.id), asked.method).as_json()
         return {"id": upload.id, "name": upload.name, "width": upload.width, "height": upload.height, "fit": fit}
 
-    def _image(self, request: Request) -> Response:
-        size = checked_size(request.query_params.get("size"), IMAGE_SIZE)
-        return self._cached(request, f"{size}", lambda picture: self.pictures.image(picture, size), "image/jpeg")
+    def _image(self, request: Request, asked: contract.ImageQuery) -> Response:
+        size = checked_size(asked.size, IMAGE_SIZE)
+        return self._cached(request, f"{size}", lambda picture: self.pictures.image(picture, size), asked.tag)
 
-    def _tile(self, request: Request) -> Response:
-        asked = request.path_params
-        level, column, row = asked["level"], asked["column"], asked["row"]
+    def _tile(self, request: Request, asked: contract.TileQuery) -> Response:
+        where = request.path_params
+        level, column, row = where["level"], where["column"], where["row"]
 
         def make(picture: PictureSource) -> bytes:
             return self.tiles.get(picture, level, column, row)
 
-        return self._cached(request, f"tile-{level}-{column}-{row}", make, "image/jpeg")
+        return self._cached(request, f"tile-{level}-{column}-{row}", make, asked.tag)
 
-    def _chroma(self, request: Request) -> Response:
-        size = checked_size(request.query_params.get("size"), CHROMA_SIZE)
+    def _chroma(self, request: Request, asked: contract.ImageQuery) -> Response:
+        size = checked_size(asked.size, CHROMA_SIZE)
         current = self.models.current
         camera = CameraModel() if current is None else current.model.camera
         kind = f"chroma-{size}-{hash(camera.response) & 0xFFFFFFFF:x}"
@@ -363,14 +404,24 @@ class Studio:
         def make(picture: PictureSource) -> bytes:
             return self.pictures.chroma(picture, size, camera.suited_to(raw=picture.raw).response)
 
-        return self._cached(request, kind, make, "application/octet-stream")
+        return self._cached(request, kind, make, media="application/octet-stream")
 
-    def _cached(self, request: Request, kind: str, make: Callable[[PictureSource], bytes], media: str) -> Response:
-        """Return bytes computed from a picture, or 304 if the browser has them; remember JPEGs that cannot be made."""
-        asked = request.path_params
-        picture = self.uploads.source(asked["id"]) if "id" in asked else self.project.source(asked["name"])
+    def _cached(
+        self,
+        request: Request,
+        kind: str,
+        make: Callable[[PictureSource], bytes],
+        tag: str | None = None,
+        media: str = "image/jpeg",
+    ) -> Response:
+        """Return bytes computed from a picture, or 304 if the browser has them; remember JPEGs that cannot be made.
+
+        ``tag`` is that of the file which the address names.
+        """
+        where = request.path_params
+        picture = self.uploads.source(where["id"]) if "id" in where else self.project.source(where["name"])
         headers = {"etag": f'"{picture.tag}-{kind}"', "cache-control": "private, no-cache"}
-        if media == "image/jpeg" and request.query_params.get("tag") == picture.tag:
+        if tag == picture.tag:
             headers |= KEPT  # at this address, which names the content of the file, it never changes
         tags = [tag.strip().removeprefix("W/") for tag in request.headers.get("if-none-match", "").split(",")]
         if headers["etag"] in tags:
@@ -382,54 +433,51 @@ class Studio:
                 self.project.mark_unreadable(picture, fault)
             raise
 
-    def _layer(self, request: Request) -> Response:
+    def _layer(self, request: Request, asked: contract.ImageQuery) -> Response:
         fit = self.fits.get(request.path_params["id"])
         what = request.path_params["layer"]
-        size = checked_size(request.query_params.get("size"), LAYER_SIZE)
-        data, scale = self.fits.layer(fit, what, size)
-        return Response(data, media_type="image/png", headers={**KEPT, "x-scale": json.dumps(scale)})
+        data, facts = self.fits.layer(fit, what, checked_size(asked.size, LAYER_SIZE))
+        return Response(data, media_type="image/png", headers={**KEPT, "x-scale": json.dumps(facts)})
 
-    def _relit(self, request: Request) -> Response:
+    def _relit(self, request: Request, asked: contract.LightQuery) -> Response:
         fit = self.fits.get(request.path_params["id"])
-        light = light_of(request.query_params)
-        size = checked_size(request.query_params.get("size"), LAYER_SIZE)
-        image, _ = self.fits.draw(fit, "relit", size, light)
+        light = light_of(asked.light)
+        image, _ = self.fits.draw(fit, "relit", checked_size(asked.size, LAYER_SIZE), light)
         return Response(jpeg_bytes(image), media_type="image/jpeg", headers=KEPT)
 
-    def _export_fit(self, request: Request) -> Response:
+    def _export_fit(self, request: Request, asked: contract.FitFileQuery) -> Response:
         fit = self.fits.get(request.path_params["id"])
-        what = request.query_params.get("what", "")
-        name, kind, data = self.fits.export(fit, what, light_of(request.query_params), self._pixel_of(fit))
+        name, kind, data = self.fits.export(fit, asked.what, light_of(asked.light), self._pixel_of(fit))
         return attachment(name, data, kind)
 
-    def _fit(self, request: Request, body: Any) -> dict[str, Any]:
-        body, of, source, method = self._to_fit(body)
+    def _fit(self, request: Request, data: Any) -> contract.Fit:
+        asked = self.project.checked(contract.FitOne, data, "picture or upload, method and start")
+        source, of, method = self._to_fit(asked)
         truth = None if of[0] == "upload" else truth_of(self.project.landmarks(of[1]))
-        start = parse_start(body.get("start"))
-        side = parse_side(body.get("side", AUTO))
-        return self.fits.fit(source, of, method, start, truth, side).as_json()
+        start = parse_start(asked.start)
+        return self.fits.fit(source, of, method, start, truth, parse_side(asked.side)).as_json()
 
-    def _fit_all(self, request: Request, body: Any) -> dict[str, Any]:
-        body, of, source, method = self._to_fit(body)
-        fits, faults = self.fits.fit_all(source, of, method, parse_side(body.get("side", AUTO)))
+    def _fit_all(self, request: Request, data: Any) -> contract.Fits:
+        asked = self.project.checked(contract.FitAll, data, "picture or upload, and method")
+        source, of, method = self._to_fit(asked)
+        fits, faults = self.fits.fit_all(source, of, method, parse_side(asked.side))
         return {"fits": [fit.as_json() for fit in fits], "faults": faults}
 
-    def _to_fit(self, body: Any) -> tuple[dict[str, Any], tuple[str, str], PictureSource, str]:
-        """Return a request for fits, what its picture is of and which it is, the picture, and the method."""
-        body = self.project.checked(body, "picture or upload, method and start")
-        given = [(kind, body[kind]) for kind in ("picture", "upload") if body.get(kind) is not None]
-        if len(given) != 1 or not isinstance(given[0][1], str):
+    def _to_fit(self, asked: contract.FitAll) -> tuple[PictureSource, tuple[str, str], str]:
+        """Return the picture to fit; ``picture`` or ``upload``, and its name or id; and the method."""
+        both = (("picture", asked.picture), ("upload", asked.upload))
+        named = [(kind, name) for kind, name in both if name is not None]
+        if len(named) != 1 or not isinstance(named[0][1], str):
             raise Refusal(422, "the picture to fit is unclear: send either picture, its name, or upload, its id")
-        method = body.get("method", DEFAULT_METHOD)
+        method = DEFAULT_METHOD if asked.method is OMITTED else asked.method
         if not isinstance(method, str):
             raise Refusal(422, "the method is not a string: send its name, such as 'soft-li'")
-        kind, name = given[0]
+        kind, name = named[0]
         source = self.uploads.source(name) if kind == "upload" else self.project.source(name)
-        return body, (kind, name), source, method
+        return source, (kind, name), method
 
-    def _table_of_fits(self, request: Request) -> Response:
-        ids = request.query_params.get("fits", "").split(",")
-        fits = [self.fits.get(each) for each in ids]
+    def _table_of_fits(self, request: Request, asked: contract.FitsQuery) -> Response:
+        fits = [self.fits.get(each) for each in asked.fits.split(",")]
         if len({fit.of for fit in fits}) > 1:
             raise Refusal(422, "the fits are of several pictures: send those of one")
         stem = plain_name(fits[0].source.name).rpartition(".")[0] or "fits"
@@ -441,11 +489,11 @@ class Studio:
 
     async def on_fault(self, request: Request, fault: Exception) -> Response:
         """Return the error message; if the disk refused to write, use a status that makes the page retry."""
-        answer = {"error": self.project.folder.plain(fault)}
+        answer: contract.Fault = {"error": self.project.folder.plain(fault)}
         status = 422
         cause = fault.__cause__
         if isinstance(fault, Refusal):
-            answer = answer | fault.details
+            answer = {**answer, **fault.details}
             status = fault.status
         elif isinstance(cause, OSError) and not (request.method in ("GET", "HEAD") or request.url.path.endswith(FITS)):
             status = status_of(cause)
@@ -471,17 +519,12 @@ def _app_of(studio: Studio, sets: Sequence[Mount] = (), middleware: Sequence[Mid
     return Starlette(routes=routes, middleware=middleware, exception_handlers=faults)
 
 
-def _name(request: Request) -> str:
-    """Return the name of the file in the body of a request."""
-    return request.query_params.get("name", "")
-
-
 async def _on_http_fault(request: Request, fault: Exception) -> Response:
     assert isinstance(fault, HTTPException)
-    text = "this address does not exist" if fault.status_code == 404 else fault.detail
-    return JSONResponse({"error": text}, fault.status_code, fault.headers)
+    answer: contract.Fault = {"error": "this address does not exist" if fault.status_code == 404 else fault.detail}
+    return JSONResponse(answer, fault.status_code, fault.headers)
 
 
 async def _on_bug(request: Request, fault: Exception) -> Response:
-    text = f"the studio failed ({type(fault).__name__}): see its terminal for details"
-    return JSONResponse({"error": text}, 500, {**HEADERS, "connection": "close"})  # the server closes it anyway
+    answer: contract.Fault = {"error": f"the studio failed ({type(fault).__name__}): see its terminal for details"}
+    return JSONResponse(answer, 500, {**HEADERS, "connection": "close"})  # the server closes it anyway

@@ -1,17 +1,59 @@
-"""What the server and the page say to each other: the JSON of requests, answers and events.
+"""What the server and the page say to each other: routes, and the JSON of requests, answers and events.
 
-These types are the only source. The server's functions return them, and ``python -m making.studio_types`` writes them
-as TypeScript for the page (``tests/studio/js/contract.d.ts``). Tests compare that file, and real answers, with them.
+These types are the only source. ``python -m making.studio_types`` writes them as TypeScript for the page
+(``tests/studio/js/contract.d.ts``), and tests compare that file with them. Answers and events are typed dictionaries,
+which the server's functions return. Requests are dataclasses: :func:`given` makes them of what a page has sent, whose
+values are still to be checked. A field with a default may be left out. :data:`ROUTES` says which route takes and
+answers what, and there are no others.
 """
 
-from typing import Annotated, Any, Literal, NotRequired, TypedDict
-
-from liaam.studio.origins import Origin
+from dataclasses import MISSING, dataclass, fields
+from enum import Enum
+from typing import Annotated, Any, Literal, NotRequired, TypedDict, TypeVar
 
 Point = Annotated[list[float] | None, "A position in pixels of the picture, [x, y]; null: not placed."]
 Progress = Literal["reading", "broken", "new", "unchecked", "proposed", "partial", "done"]
 Kind = Literal["landmark", "semilandmark"]
+Origin = Literal["placed", "moved", "confirmed", "accepted", "proposed"]
 Source = Literal["file", "proposal", "none"]
+
+
+class Omitted(Enum):
+    """Stands for a field that is left out of a request, where null means something else."""
+
+    OMITTED = "omitted"
+
+
+OMITTED = Omitted.OMITTED
+
+
+@dataclass(frozen=True, kw_only=True)
+class Request:
+    """A request with JSON."""
+
+    folder: Annotated[str | Omitted, "Id of the folder that the page shows."] = OMITTED
+
+
+@dataclass(frozen=True, kw_only=True)
+class Query:
+    """What an address says after its question mark: text, for which the page may give numbers."""
+
+
+T = TypeVar("T")
+
+
+def given(kind: type[T], data: Any) -> T:
+    """Return the fields of a request or a query as they were sent: nothing says that they are of their types.
+
+    ``data`` is a mapping; a field that has to be there and is not, is None.
+    """
+    values = {}
+    for field in fields(kind):  # type: ignore[arg-type]
+        if field.name in data:
+            values[field.name] = data[field.name]
+        elif field.default is MISSING:
+            values[field.name] = None
+    return kind(**values)
 
 
 class Contour(TypedDict):
@@ -56,6 +98,19 @@ class Template(TypedDict):
     revision: NotRequired[str | None]
 
 
+@dataclass(frozen=True, kw_only=True)
+class SaveTemplate(Request):
+    """A request to save the template, and to change all landmark files with it."""
+
+    names: list[str]
+    kinds: list[Kind] | None = None
+    contours: list[Contour] | None = None
+    mirror: list[int] | None = None
+    points: Annotated[list[Point] | None, "A typical layout."] = None
+    mapping: Annotated[list[int | None] | None, "The old index of each point, null of a new one."] = None
+    revision: Annotated[str | Omitted | None, "Of the template that was changed."] = OMITTED
+
+
 class Bar(TypedDict):
     """A length in a picture that is known."""
 
@@ -95,27 +150,28 @@ class Marks(TypedDict):
     beside: Annotated[str, "Changes with the absent points and the origins, which the file does not hold."]
 
 
-class Base(TypedDict):
+@dataclass(frozen=True, kw_only=True)
+class Base:
     """What a page has changed from, beside the landmark file."""
 
-    absent: NotRequired[list[int]]
-    origins: NotRequired[list[Origin | None]]
+    absent: list[int] | Omitted = OMITTED
+    origins: list[Origin | None] | Omitted = OMITTED
 
 
-class SaveMarks(TypedDict):
+@dataclass(frozen=True, kw_only=True)
+class SaveMarks(Request):
     """A request to save the landmarks of a picture."""
 
     points: list[Point]
-    invisible: NotRequired[list[int]]
-    absent: NotRequired[list[int]]
-    origins: NotRequired[list[Origin | None]]
-    base: Annotated[NotRequired[Base], "With it, what others have changed meanwhile of other points stays."]
-    bar: NotRequired[Bar | None]
+    invisible: list[int] | Omitted = OMITTED
+    absent: list[int] | Omitted = OMITTED
+    origins: list[Origin | None] | None = None
+    base: Annotated[Base | None, "With it, what others have changed meanwhile of other points stays."] = None
+    bar: Bar | Omitted | None = OMITTED
     revision: str | None
-    template: Annotated[NotRequired[str | None], "Revision of the template of the points."]
-    unchecked: NotRequired[bool]
-    who: NotRequired[str]
-    folder: NotRequired[str]
+    template: Annotated[str | Omitted | None, "Revision of the template of the points."] = OMITTED
+    unchecked: Annotated[bool | Omitted, "Whether a picture without points was left at the mean shape."] = OMITTED
+    who: str | None = None
 
 
 class Saved(TypedDict):
@@ -127,6 +183,18 @@ class Saved(TypedDict):
     picture: Picture
 
 
+@dataclass(frozen=True, kw_only=True)
+class Review(Request):
+    """A request to do something to several pictures."""
+
+    pictures: list[str]
+    did: str
+    who: str | None = None
+    bar: Annotated[Bar | None, "For the action scaled."] = None
+    of: Annotated[str | None, "The picture on which it was drawn."] = None
+    anyway: Annotated[bool, "Whether pictures of another size, or with a scale of their own, get it as well."] = False
+
+
 class Reviewed(TypedDict):
     """What an action on several pictures has done."""
 
@@ -134,10 +202,39 @@ class Reviewed(TypedDict):
     refused: Annotated[dict[str, str], "Reasons by name."]
 
 
+@dataclass(frozen=True, kw_only=True)
+class SaveSides(Request):
+    """A request to say the sides of the objects in pictures."""
+
+    sides: Annotated[dict[str, str], "left, right, or empty to withdraw what was said, by picture."]
+
+
 class SidesBefore(TypedDict):
     """The answer to a request that says the sides of pictures."""
 
     before: Annotated[dict[str, str], "What was said of them, by picture; to undo it."]
+
+
+@dataclass(frozen=True, kw_only=True)
+class RemovePictures(Request):
+    """A request to remove pictures from the folder."""
+
+    pictures: list[str]
+
+
+@dataclass(frozen=True, kw_only=True)
+class RestorePictures(Request):
+    """A request to bring removed pictures back."""
+
+    token: Annotated[str, "As the answer to the removal has it."]
+
+
+@dataclass(frozen=True, kw_only=True)
+class RenamePicture(Request):
+    """A request to rename a picture."""
+
+    picture: str
+    to: Annotated[str, "As a person has typed it."]
 
 
 class Removed(TypedDict):
@@ -152,6 +249,14 @@ class Renamed(TypedDict):
 
     before: str
     name: str
+
+
+class Added(TypedDict):
+    """A file that was added to the folder."""
+
+    name: Annotated[str, "In the folder."]
+    kind: Literal["picture", "landmarks"]
+    known: Annotated[bool, "Whether the same file was there before."]
 
 
 class HistoryEntry(TypedDict):
@@ -193,6 +298,18 @@ class Model(TypedDict):
     mean: list[list[float]]
     sides: Annotated[Sides | None, "null: there is one side only, as far as is known."]
     sides_changed: Annotated[bool, "Whether the side of a training picture was stated or withdrawn since."]
+
+
+@dataclass(frozen=True, kw_only=True)
+class StartTraining(Request):
+    """A request to train."""
+
+    slips: Annotated[bool, "Whether to train on points that look wrong, too."] = False
+
+
+@dataclass(frozen=True, kw_only=True)
+class StopTraining(Request):
+    """A request to stop the training."""
 
 
 class Training(TypedDict):
@@ -322,6 +439,20 @@ class GroupTest(TypedDict):
     p: float
 
 
+@dataclass(frozen=True, kw_only=True)
+class SaveGroups(Request):
+    """A request to keep a table of groups."""
+
+    text: Annotated[str, "Of a .csv file."]
+    name: Annotated[str, "Of that file."]
+
+
+class Grouped(TypedDict):
+    """A table of groups that was kept."""
+
+    specimens: Annotated[int, "Number of those in the table."]
+
+
 class Shapes(TypedDict):
     """Measures of all pictures with landmarks, and the space of their shapes."""
 
@@ -334,6 +465,20 @@ class Shapes(TypedDict):
     sides: Annotated[str, "What was done about left and right; empty if nothing."]
     tests: list[GroupTest]
     has_table: Annotated[bool, "Whether a table of groups was given."]
+
+
+@dataclass(frozen=True, kw_only=True)
+class MakeSet(Request):
+    """A request to make a further set of landmarks."""
+
+    name: str
+    same: Annotated[bool, "Whether it has the points of the set that the page shows."] = False
+
+
+class MadeSet(TypedDict):
+    """A set of landmarks that was made."""
+
+    name: str
 
 
 class ShapeAgreement(TypedDict):
@@ -369,6 +514,158 @@ class Agreement(TypedDict):
     shapes: Annotated[list[ShapeAgreement], "Of each other observer and the set that is shown, from 5 pictures on."]
 
 
+@dataclass(frozen=True, kw_only=True)
+class Start:
+    """Where a fit starts: a box, or a shape."""
+
+    box: Annotated[list[float] | None, "Left, top, right and bottom."] = None
+    shape: list[Point] | None = None
+
+
+@dataclass(frozen=True, kw_only=True)
+class FitAll(Request):
+    """A request to fit all specimens of a picture, either of the folder or dropped."""
+
+    picture: Annotated[str | None, "Name of a picture of the folder."] = None
+    upload: Annotated[str | None, "Id of a dropped one."] = None
+    method: str | Omitted = OMITTED
+    side: Annotated[str | Omitted, "Of the object: auto, or one of the model's."] = OMITTED
+
+
+@dataclass(frozen=True, kw_only=True)
+class FitOne(FitAll):
+    """A request to fit the object in a picture."""
+
+    start: Annotated[Start | None, "null: the object is searched for."] = None
+
+
+class Seconds(TypedDict):
+    """How long the parts of a fit took."""
+
+    search: float
+    fit: float
+
+
+class Found(TypedDict):
+    """How an object was found."""
+
+    score: float
+    doubtful: bool
+
+
+class Iteration(TypedDict):
+    """An iteration of a fit."""
+
+    shape: list[list[float | None]]
+    level: int
+    cost: float | None
+    theta_deg: float | None
+
+
+class FitError(TypedDict):
+    """The mean distance of a fit from the landmarks of the picture."""
+
+    pixels: float
+    percent: Annotated[float, "Of the diagonal of the landmarks."]
+
+
+class Specimen(TypedDict):
+    """Which of several specimens a fit is of."""
+
+    number: Annotated[int, "From 1, in reading order."]
+    name: str
+    fault: Annotated[str, "What is not clear about it; empty if nothing."]
+
+
+class Fit(TypedDict):
+    """A fit to a picture, in its pixels. Numbers that are not finite are null."""
+
+    id: str
+    method: str
+    status: str
+    ok: Annotated[bool, "Whether its landmarks may be used."]
+    message: str
+    quality: float | None
+    side: str | None
+    theta_deg: float | None
+    cost: float | None
+    n_found: Annotated[int | None, "Number of objects that the search has found in the picture; null: it had a start."]
+    seconds: Seconds
+    shape: list[list[float | None]]
+    absent: Annotated[list[int], "Landmarks that the object lacks."]
+    covariances: list[list[list[float | None]]]
+    deviations: Annotated[list[float | None], "Standard deviations of the landmarks."]
+    found: Annotated[Found | None, "null: the fit had a start."]
+    objects: Annotated[list[list[float]], "Boxes of several objects, the one that was fitted first."]
+    iterations: list[Iteration]
+    trained_on: Annotated[bool, "Whether the model was trained on this picture."]
+    error: FitError | None
+    triangles: list[list[int]]
+    contours: list[Contour]
+    width: int
+    height: int
+    layers: Annotated[list[str], "Those that can be drawn."]
+    no_flat: Annotated[str | None, "Why its shading cannot be computed."]
+    specimen: Annotated[Specimen | None, "null: it was fitted alone."]
+    picture: Annotated[NotRequired[str], "Name of the picture, or"]
+    upload: Annotated[NotRequired[str], "id of the dropped one."]
+
+
+class Fits(TypedDict):
+    """Fits of all specimens of a picture, in reading order."""
+
+    fits: list[Fit]
+    faults: Annotated[list[str], "What is not clear about the picture."]
+
+
+class Upload(TypedDict):
+    """A dropped picture, which is kept for a while."""
+
+    id: str
+    name: str
+    width: int
+    height: int
+    fit: Annotated[Fit | None, "null: none was asked for, or it failed."]
+
+
+class ColourScale(TypedDict):
+    """The colours of a layer, sent beside it."""
+
+    limit: Annotated[float, "The value of the last colour; that of the first is its negative."]
+    what: str
+
+
+class LayerPlace(TypedDict):
+    """The part of the picture that a layer covers, sent beside it."""
+
+    box: Annotated[list[float], "Left, top, width and height, as fractions of the picture's sides."]
+
+
+@dataclass(frozen=True, kw_only=True)
+class SentLamp:
+    """A distant lamp of a light that is sent."""
+
+    direction: Annotated[list[float], "x to the right, y down, z to the viewer."]
+    colour: Annotated[list[float] | Omitted, "Red, green and blue as on the screen (sRGB), 0 to 1."] = OMITTED
+    strength: float = 1.0
+    softness: float = 0.0
+
+
+@dataclass(frozen=True, kw_only=True)
+class SentLight:
+    """The light of a relit picture, which an address holds as JSON."""
+
+    lamps: list[SentLamp]
+    ambient: Annotated[float | Omitted, "Fraction of white ambient light."] = OMITTED
+
+
+class LiveVideo(TypedDict):
+    """A video that is tracked while it plays."""
+
+    id: str
+    header: Annotated[str, "First line of the table that the rows of its frames make."]
+
+
 class LandmarksChanged(TypedDict):
     """The landmarks of a picture were saved, by any page."""
 
@@ -377,27 +674,180 @@ class LandmarksChanged(TypedDict):
     beside: Annotated[NotRequired[str], "Changes with what is kept beside the file."]
 
 
-class Fault(TypedDict):
-    """The answer to a request that is refused or has failed."""
+class FolderChanged(TypedDict):
+    """Something in the folder, or of its models, has changed: the page asks for the project again."""
 
-    error: Annotated[str, "What is wrong, and what to do, in a sentence for the person."]
+
+class Details(TypedDict):
+    """What a refusal may say beside the error."""
+
     folder: Annotated[NotRequired[str], "The page shows another folder than this one, by its id."]
     current: Annotated[NotRequired[Marks], "The landmarks, which were changed since the page read them."]
     template: Annotated[NotRequired[Template | None], "The template, which was changed since the page read it."]
+    training: Annotated[NotRequired[Training], "The training that is running already."]
+
+
+class Fault(Details):
+    """The answer to a request that is refused or has failed."""
+
+    error: Annotated[str, "What is wrong, and what to do, in a sentence for the person."]
 
 
 EVENTS: dict[str, Any] = {
-    "project": dict[str, Any],
+    "project": FolderChanged,
     "training": Training,
     "fitting": Counted | None,
     "landmarks": LandmarksChanged | list[LandmarksChanged],
 }
 """Data of the events that the server sends, by kind."""
 
-TYPES = (
-    Contour, Picture, Template, Bar, FoundScale, Marks, Base, SaveMarks, Saved, Reviewed, SidesBefore, Removed, Renamed,
-    HistoryEntry, Sides, Model, Training, Method, Version,
-    Counted, Formats, Limits, Project, Unchanged, Column, Grid, Space, GroupTest, Shapes,
-    ShapeAgreement, Agreement, LandmarksChanged, Fault,
-)  # fmt: skip
-"""All types, in the order in which they are written for the page."""
+
+@dataclass(frozen=True, kw_only=True)
+class ProjectQuery(Query):
+    """Asks for the project, unless nothing has changed."""
+
+    stamp: Annotated[str | None, "Of the project that the page has."] = None
+
+
+@dataclass(frozen=True, kw_only=True)
+class ImageQuery(Query):
+    """Asks for a picture or a layer in a size."""
+
+    size: Annotated[str | None, "Longest side in pixels."] = None
+    tag: Annotated[str | None, "Of the file; with it, the browser keeps the answer."] = None
+
+
+@dataclass(frozen=True, kw_only=True)
+class TileQuery(Query):
+    """Asks for a tile of a picture."""
+
+    tag: Annotated[str | None, "Of the file; with it, the browser keeps the answer."] = None
+
+
+@dataclass(frozen=True, kw_only=True)
+class ScaleQuery(Query):
+    """Asks for the scale of a picture, by what is in it."""
+
+    kind: Annotated[str | None, "ruler or bar."] = None
+    length: Annotated[str | None, "From one smallest tick to the next, or of the bar."] = None
+    unit: str | None = None
+
+
+@dataclass(frozen=True, kw_only=True)
+class ShapesQuery(Query):
+    """Says what is measured of the pictures, and how."""
+
+    measures: Annotated[str, "Such as distance:1-5, with spaces between them."] = ""
+    scale: str | None = None
+    by: Annotated[str, "Groups: folder, name or table."] = ""
+    estimate: Annotated[str | None, "Whether missing points are estimated."] = None
+
+
+@dataclass(frozen=True, kw_only=True)
+class FileQuery(Query):
+    """Says the name of the file that is sent."""
+
+    name: str = ""
+
+
+@dataclass(frozen=True, kw_only=True)
+class UploadQuery(FileQuery):
+    """Says the name of the picture that is sent, and how to fit it."""
+
+    method: Annotated[str | None, "null: it is not fitted."] = None
+
+
+@dataclass(frozen=True, kw_only=True)
+class LightQuery(Query):
+    """Asks for the object of a fit under another light."""
+
+    light: Annotated[str | None, "A SentLight as JSON; null: one lamp beside the camera."] = None
+    size: str | None = None
+
+
+@dataclass(frozen=True, kw_only=True)
+class FitFileQuery(Query):
+    """Asks for a file of a fit."""
+
+    what: str = ""
+    light: Annotated[str | None, "A SentLight as JSON, for a relit picture."] = None
+
+
+@dataclass(frozen=True, kw_only=True)
+class FitsQuery(Query):
+    """Says which fits are in a table."""
+
+    fits: Annotated[str, "Their ids, with commas between them."] = ""
+
+
+@dataclass(frozen=True, kw_only=True)
+class FrameQuery(Query):
+    """Says what the frame of a video is that is sent."""
+
+    width: str
+    height: str
+    of_width: Annotated[str, "Width of the video, of which the frame may be a reduced copy."]
+    of_height: str
+    number: str
+    time: Annotated[str, "In seconds."]
+    fresh: Annotated[str, "1: it does not follow the frame before."] = ""
+    flat: Annotated[str, "1: its picture without shading is sent back."] = ""
+
+
+@dataclass(frozen=True)
+class Endpoint:
+    """What a request takes and is answered with: a type of JSON; bytes, those of a file; or None, nothing."""
+
+    answer: Any = None
+    query: type[Query] | None = None
+    body: Any = None
+
+
+ROUTES = {
+    "GET project": Endpoint(Project | Unchanged, ProjectQuery),
+    "GET events": Endpoint(bytes),
+    "GET pictures/{name}/image": Endpoint(bytes, ImageQuery),
+    "GET pictures/{name}/chroma": Endpoint(bytes, ImageQuery),
+    "GET pictures/{name}/tiles/{level}/{column}/{row}": Endpoint(bytes, TileQuery),
+    "GET pictures/{name}/landmarks": Endpoint(Marks),
+    "PUT pictures/{name}/landmarks": Endpoint(Saved, body=SaveMarks),
+    "GET pictures/{name}/history": Endpoint(list[HistoryEntry]),
+    "GET pictures/{name}/scale": Endpoint(FoundScale, ScaleQuery),
+    "GET pictures/{name}/others": Endpoint(dict[str, list[Point]]),
+    "POST review": Endpoint(Reviewed, body=Review),
+    "PUT sides": Endpoint(SidesBefore, body=SaveSides),
+    "POST files": Endpoint(Added, FileQuery, bytes),
+    "POST removed": Endpoint(Removed, body=RemovePictures),
+    "POST restored": Endpoint(Removed, body=RestorePictures),
+    "POST renamed": Endpoint(Renamed, body=RenamePicture),
+    "PUT template": Endpoint(Template | None, body=SaveTemplate),
+    "POST template/file": Endpoint(Template, FileQuery, bytes),
+    "POST sets": Endpoint(MadeSet, body=MakeSet),
+    "GET agreement": Endpoint(Agreement),
+    "GET agreement/model": Endpoint(ShapeAgreement),
+    "GET export/{kind}": Endpoint(bytes),
+    "GET measurements": Endpoint(bytes, ShapesQuery),
+    "GET shapes": Endpoint(Shapes, ShapesQuery),
+    "PUT groups": Endpoint(Grouped, body=SaveGroups),
+    "POST training": Endpoint(Training, body=StartTraining),
+    "DELETE training": Endpoint(Training, body=StopTraining),
+    "GET model/file": Endpoint(bytes),
+    "DELETE model/face": Endpoint(),
+    "POST model/guest": Endpoint(None, FileQuery, bytes),
+    "DELETE model/guest": Endpoint(),
+    "POST uploads": Endpoint(Upload, UploadQuery, bytes),
+    "GET uploads/{id}/image": Endpoint(bytes, ImageQuery),
+    "GET uploads/{id}/chroma": Endpoint(bytes, ImageQuery),
+    "GET uploads/{id}/tiles/{level}/{column}/{row}": Endpoint(bytes, TileQuery),
+    "POST fits": Endpoint(Fit, body=FitOne),
+    "POST fits/all": Endpoint(Fits, body=FitAll),
+    "GET fits/table": Endpoint(bytes, FitsQuery),
+    "GET fits/{id}/layers/{layer}": Endpoint(bytes, ImageQuery),  # the header x-scale has a ColourScale or LayerPlace
+    "GET fits/{id}/relit": Endpoint(bytes, LightQuery),
+    "GET fits/{id}/export": Endpoint(bytes, FitFileQuery),
+    "POST recordings": Endpoint(bytes, body=bytes),
+    "POST live": Endpoint(LiveVideo),
+    "POST live/{id}/frames": Endpoint(bytes, FrameQuery, bytes),
+    "DELETE live/{id}": Endpoint(),
+}
+"""All routes, by method and address below ``/api/``."""

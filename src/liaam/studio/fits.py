@@ -20,7 +20,7 @@ from liaam.fitting.detection import Detection
 from liaam.fitting.fitter import Fitter
 from liaam.fitting.low_quality import fit_where_found
 from liaam.fitting.methods import DEFAULT_METHOD, methods_of
-from liaam.fitting.result import FitResult
+from liaam.fitting.result import FitResult, Iteration
 from liaam.fitting.sides import AUTO
 from liaam.fitting.specimens import fit_specimens
 from liaam.formatting import finite_list, finite_or_none
@@ -31,7 +31,7 @@ from liaam.model.shape import diagonal_of
 from liaam.photometry import linear_to_srgb
 from liaam.relighting import Lamp, Relighter, paint
 from liaam.scale.lengths import Length, unit_of
-from liaam.studio import layers
+from liaam.studio import contract, layers
 from liaam.studio.folder import plain_name
 from liaam.studio.model_store import ModelInUse, ModelStore
 from liaam.studio.pictures import Kept, Pictures, PictureSource, averaged, fitted_size, png_bytes, shown
@@ -51,6 +51,7 @@ LAYER_BYTES = 30_000_000  # maximum bytes of encoded layers in the cache
 LIGHT_BYTES = 200_000_000  # maximum bytes of relighters in the cache: a few at 1280 pixels, one at 2048
 MODELS_KEPT = 2  # models whose fits are cached: the current and the previous one, each with tens of megabytes
 FITTERS_KEPT = 16  # fitters in the cache, one for each model, method, kind of picture (RAW or not), and side
+LayerFacts = contract.ColourScale | contract.LayerPlace | None  # sent beside a layer
 Lighting = tuple[Sequence[Lamp], float]  # lamps, and the fraction of ambient light
 SHARP = 2.0
 """Diagonal of the object on the copy of a large picture, relative to the model's, from which its fit is kept. The
@@ -70,8 +71,6 @@ FILES = {
 """Kinds of files of a fit, and their media types."""
 
 WARM_UP = (480, 640)  # height and width of the image that a new model is fitted to, so that the first real fit is fast
-# What the page gets of a fit under the names of FitResult.facts; positions have other decimals there, for drawing
-_FACTS = ("method", "status", "quality", "side", "theta_deg", "cost", "n_found")
 EXAMPLE_DIAGONAL = 0.6  # diagonal of the object on that image, as a fraction of its height
 
 
@@ -97,14 +96,20 @@ class Fit:
         """The model of this fit."""
         return self.fitter.model
 
-    def as_json(self) -> dict[str, Any]:
-        """Return the fit as JSON for the page."""
+    def as_json(self) -> contract.Fit:
+        """Return the fit as JSON for the page. Positions have the decimals that drawing needs."""
         result = self.result
         model = self.model
         facts = result.facts()
-        return {
+        answer: contract.Fit = {
             "id": self.id,
-            **{name: facts[name] for name in _FACTS},
+            "method": facts["method"],
+            "status": facts["status"],
+            "quality": facts["quality"],
+            "side": facts["side"],
+            "theta_deg": facts["theta_deg"],
+            "cost": facts["cost"],
+            "n_found": facts["n_found"],
             "ok": result.status.ok,
             # The page has no such setting.
             "message": facts["message"].replace(" or allow more iterations", ""),
@@ -115,26 +120,23 @@ class Fit:
             "deviations": numbers(result.sd, 3),
             "found": self._detection_json(),
             "objects": self._boxes(),
-            "iterations": [
-                {
-                    "shape": numbers(step.landmarks, 2),
-                    "level": step.level,
-                    "cost": finite_or_none(step.cost),
-                    "theta_deg": finite_or_none(np.rad2deg(step.theta)),
-                }
-                for step in result.history
-            ],
+            "iterations": [_iteration_json(step) for step in result.history],
             "trained_on": self.trained_on,
             "error": self._error_json(),
             "triangles": model.triangles.tolist(),
             "contours": [{"indices": list(indices), "closed": closed} for indices, closed in model.contours],
             "width": self.source.size[0],
             "height": self.source.size[1],
-            "layers": self._layer_names(),
+            "layers": [*self._layer_names()],
             "no_flat": self.no_flat,
             "specimen": self._specimen_json(),
-            self.of[0]: self.of[1],
         }
+        kind, name = self.of
+        if kind == "picture":
+            answer["picture"] = name
+        else:
+            answer["upload"] = name
+        return answer
 
     @property
     def at_work(self) -> FitResult:
@@ -145,7 +147,7 @@ class Fit:
     def _is_finite(self) -> bool:
         return bool(np.isfinite(self.result.landmarks).all())
 
-    def _detection_json(self) -> dict[str, Any] | None:
+    def _detection_json(self) -> contract.Found | None:
         """Return how the object was found; None if the fit had a start."""
         detection = self.result.found
         if detection is None:
@@ -159,13 +161,13 @@ class Fit:
         shapes = [self.result.landmarks, *(other.landmarks for other in self.result.beside)]
         return [numbers(np.concatenate([shape.min(axis=0), shape.max(axis=0)]), 1) for shape in shapes]
 
-    def _error_json(self) -> dict[str, float] | None:
+    def _error_json(self) -> contract.FitError | None:
         if self.error is None:
             return None
         pixels, percent = self.error
         return {"pixels": pixels, "percent": percent}
 
-    def _specimen_json(self) -> dict[str, Any] | None:
+    def _specimen_json(self) -> contract.Specimen | None:
         """Return which of several specimens it is; None if it was fitted alone."""
         if self.specimen is None:
             return None
@@ -185,6 +187,15 @@ class Fit:
         return ["residual"] if self.no_flat else layers.LAYERS
 
 
+def _iteration_json(step: Iteration) -> contract.Iteration:
+    return {
+        "shape": numbers(step.landmarks, 2),
+        "level": step.level,
+        "cost": finite_or_none(step.cost),
+        "theta_deg": finite_or_none(np.rad2deg(step.theta)),
+    }
+
+
 def numbers(values: np.ndarray, digits: int) -> list:
     """Return rounded values as nested lists for JSON, with None for those that are not finite."""
     return finite_list(np.round(values, digits))
@@ -200,7 +211,9 @@ class Fits:
         self._fits: Kept[str, Fit] = Kept(settings.fits_kept)
         self._fitters: Kept[tuple[int, str, bool, str], Fitter] = Kept(FITTERS_KEPT)
         self._found: Kept[tuple[str, str, tuple[int, ...], int], Sequence[Detection]] = Kept(settings.fits_kept)
-        self._layers: Kept[tuple[str, str, int], tuple[bytes, Any]] = Kept(LAYER_BYTES, lambda layer: len(layer[0]))
+        self._layers: Kept[tuple[str, str, int], tuple[bytes, LayerFacts]] = Kept(
+            LAYER_BYTES, lambda layer: len(layer[0])
+        )
         self._lights: Kept[tuple[str, tuple[int, int]], Relighter] = Kept(LIGHT_BYTES, lambda light: light.nbytes)
         self._recent: deque[ModelInUse] = deque(maxlen=MODELS_KEPT)
         self._forgetting = threading.Lock()  # of _recent
@@ -390,12 +403,12 @@ class Fits:
         """Return the fit with an id."""
         return self._fits.found(number, "this fit is no longer kept: fit again")
 
-    def layer(self, fit: Fit, what: str, size: int) -> tuple[bytes, dict[str, Any] | None]:
+    def layer(self, fit: Fit, what: str, size: int) -> tuple[bytes, LayerFacts]:
         """Return :meth:`draw` as PNG."""
         if what not in layers.LAYERS:
             raise Refusal(404, f"there is no layer '{what[:40]}': choose one of {', '.join(layers.LAYERS)}")
 
-        def make() -> tuple[bytes, dict[str, Any] | None]:
+        def make() -> tuple[bytes, LayerFacts]:
             image, facts = self.draw(fit, what, size)
             return png_bytes(image), facts
 
@@ -403,11 +416,10 @@ class Fits:
 
     def draw(
         self, fit: Fit, what: str, size: int | None, light: Lighting | None = None
-    ) -> tuple[np.ndarray, dict[str, Any] | None]:
+    ) -> tuple[np.ndarray, LayerFacts]:
         """Draw a layer of the whole picture as (h, w, 4) or (h, w, 3) uint8, its longest side at most ``size``.
 
-        Also return the limit of its colours and what they show, or its place, as JSON for the page. The ``light`` is
-        for ``relit``.
+        Also return its colours, or its place. The ``light`` is for ``relit``.
         """
         if what == "overlay":
             from liaam.plotting import overlay_of_fit  # heavy: imported when first needed

@@ -15,7 +15,6 @@ from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from functools import cached_property, partial
 from pathlib import Path, PurePosixPath
-from typing import Any
 
 import numpy as np
 
@@ -26,6 +25,7 @@ from liaam.io.files import count_of, may_write_in, natural_key, real_path, some_
 from liaam.io.images import PICTURE_SUFFIXES, UNREAD_SUFFIXES, image_size
 from liaam.io.landmarks import LANDMARK_SUFFIXES, parse_landmark_data
 from liaam.photometry.encoding import as_colour
+from liaam.studio import contract
 from liaam.studio.refusal import Refusal, refusing
 from liaam.studio.tokens import key_of, user_folder
 
@@ -287,43 +287,57 @@ class Listing:
         )
         return [f"{count_of(len(names), what)} ({some_names(names, 3)}) {why}" for names, what, why in notices if names]
 
-    def add(self, name: str, data: bytes) -> dict[str, Any]:
-        """Write a file that replaces none, and none of the landmarks that are there.
-
-        Return its ``name`` in the folder, its ``kind``, and whether it was ``known`` before.
-        """
+    def add(self, name: str, data: bytes) -> contract.Added:
+        """Write a file that replaces none, and none of the landmarks that are there."""
         self.folder.check_writable()
         name = plain_name(name)
-        suffix = Path(name).suffix.lower()
-        is_picture = suffix in PICTURE_SUFFIXES
-        if not is_picture and suffix not in LANDMARK_SUFFIXES:
-            raise Refusal(415, f"{name} is neither a picture nor a landmark file that liaam reads")
-        if not data:
-            raise Refusal(422, f"{name} is empty (0 bytes): copy or export it again")
-        if not is_relative(name):
-            raise Refusal(422, f"{name} is the name of a hidden file: rename it")
-        place = f"{ADDED}/{name}" if self.pictures and all("/" in each.name for each in self.pictures) else name
-        place = place if is_picture else f"{self.place}{place}"
+        is_picture = Path(name).suffix.lower() in PICTURE_SUFFIXES
+        _check_addable(name, data)
+        place = self._place_for(name, is_picture)
         path = self.folder.inside(place)
         is_known = path.exists()
         if is_known and path.read_bytes() != data:
             raise Refusal(409, f"{name}: the folder has another file of this name; rename one of them")
         if not is_known:
-            if not is_picture:
-                with refusing():
-                    parse_landmark_data(name, data, SOME_SIZE)
-            elif not is_raw(name):  # RAW files can only be read from the disk
-                size_in_header(data, name, self.most_pixels)
-            stem = place.removesuffix(Path(place).suffix)
-            if is_picture and (other := self._added.setdefault(stem, self.winners.get(stem, place))) != place:
-                raise Refusal(409, f"{place} and {other} have the same name except for the suffix: rename one of them")
-            others = [stem + ending for ending in OWN_SUFFIXES] if suffix in OWN_SUFFIXES else []
-            there = [other for other in others if self.folder.inside(other).exists()]
-            if there:
-                raise Refusal(409, f"{place}: the picture has landmarks already, in {there[0]}")
+            self._check_content(name, data, is_picture)
+            self._check_stem(place, is_picture)
             path.parent.mkdir(parents=True, exist_ok=True)
             write_bytes_atomically(path, data)
         return {"name": place, "kind": "picture" if is_picture else "landmarks", "known": is_known}
+
+    def _place_for(self, name: str, is_picture: bool) -> str:
+        """Return the name in the folder for a file that is added, beside the files of its kind that are there."""
+        place = f"{ADDED}/{name}" if self.pictures and all("/" in each.name for each in self.pictures) else name
+        return place if is_picture else f"{self.place}{place}"
+
+    def _check_content(self, name: str, data: bytes, is_picture: bool) -> None:
+        """Refuse a file that cannot be read."""
+        if not is_picture:
+            with refusing():
+                parse_landmark_data(name, data, SOME_SIZE)
+        elif not is_raw(name):  # RAW files can only be read from the disk
+            size_in_header(data, name, self.most_pixels)
+
+    def _check_stem(self, place: str, is_picture: bool) -> None:
+        """Refuse a picture that would share landmark files with another, and landmarks of a picture that has some."""
+        suffix = Path(place).suffix
+        stem = place.removesuffix(suffix)
+        if is_picture and (other := self._added.setdefault(stem, self.winners.get(stem, place))) != place:
+            raise Refusal(409, f"{place} and {other} have the same name except for the suffix: rename one of them")
+        others = [stem + ending for ending in OWN_SUFFIXES] if suffix.lower() in OWN_SUFFIXES else []
+        there = [other for other in others if self.folder.inside(other).exists()]
+        if there:
+            raise Refusal(409, f"{place}: the picture has landmarks already, in {there[0]}")
+
+
+def _check_addable(name: str, data: bytes) -> None:
+    """Refuse a file that is of no kind that the studio reads, is empty, or would be hidden."""
+    if Path(name).suffix.lower() not in (*PICTURE_SUFFIXES, *LANDMARK_SUFFIXES):
+        raise Refusal(415, f"{name} is neither a picture nor a landmark file that liaam reads")
+    if not data:
+        raise Refusal(422, f"{name} is empty (0 bytes): copy or export it again")
+    if not is_relative(name):
+        raise Refusal(422, f"{name} is the name of a hidden file: rename it")
 
 
 def sets_in(folder: Folder) -> list[str]:

@@ -1,7 +1,5 @@
 """The scale of a picture from the ruler or the scale bar in it, for the page to show and to ask for."""
 
-from collections.abc import Mapping
-
 import numpy as np
 
 from liaam.errors import LiaamError
@@ -15,7 +13,7 @@ from liaam.studio.refusal import Refusal
 KINDS = ("ruler", "bar")
 
 
-def found_scale(pixels: np.ndarray, size: tuple[int, int], asked: Mapping[str, str]) -> contract.FoundScale:
+def found_scale(pixels: np.ndarray, size: tuple[int, int], asked: contract.ScaleQuery) -> contract.FoundScale:
     """Find the ruler or the scale bar of a picture.
 
     Parameters
@@ -24,19 +22,19 @@ def found_scale(pixels: np.ndarray, size: tuple[int, int], asked: Mapping[str, s
         The picture, perhaps reduced.
     size : (int, int)
         Its width and height, of whose pixels the answer is.
-    asked : mapping of str
-        ``kind``, one of `KINDS`; ``length`` from one smallest tick to the next, or of the bar; and its ``unit``.
+    asked : ScaleQuery
+        What is in the picture, one of `KINDS`, and its length.
 
     Raises
     ------
     Refusal
         If what is asked is not clear, or if nothing is found that is.
     """
-    kind = asked.get("kind", "")
-    unit = asked.get("unit", "")
-    if kind not in KINDS or unit not in UNITS:
+    kind = asked.kind
+    unit = asked.unit
+    if kind not in KINDS or unit is None or unit not in UNITS:
         raise Refusal(422, f"send kind, {' or '.join(KINDS)}, and unit, one of {', '.join(UNITS)}")
-    known = _length(asked.get("length", ""), unit)
+    known = _length(asked.length or "", unit)
     try:
         found = find_ruler(pixels, known) if kind == "ruler" else find_bar(pixels)
     except LiaamError as fault:

@@ -14,7 +14,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cache, cached_property, lru_cache
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 from liaam.datasets.folder import pair_files
 from liaam.errors import LandmarkError
@@ -292,12 +292,14 @@ def parse_bar(data: Any) -> contract.Bar | None:
     """Parse and check a scale bar from JSON: ``ends``, ``length`` and ``unit``, or null."""
     if data is None:
         return None
-    if not isinstance(data, dict) or data.get("unit") not in [*UNITS]:  # it may have no hash
+    is_whole = isinstance(data, dict) and contract.Bar.__required_keys__ <= data.keys()
+    bar = cast(contract.Bar, data)
+    if not is_whole or bar["unit"] not in [*UNITS]:  # it may have no hash
         raise Refusal(422, f"the scale bar is not valid: send ends, length and unit, one of {', '.join(UNITS)}")
-    ends = parse_points(data.get("ends"), 2)
-    length = data.get("length")
+    ends = parse_points(bar["ends"], 2)
+    length = bar["length"]
     if isinstance(length, bool) or not isinstance(length, int | float) or not 0 < length < LONGEST:
         raise Refusal(422, "the length of the scale bar is not valid: enter a positive number")
     if ends[0] is None or ends[1] is None or math.dist(ends[0], ends[1]) < 1:
         raise Refusal(422, "the ends of the scale bar are less than a pixel apart: draw it longer")
-    return {"ends": [list(ends[0]), list(ends[1])], "length": length, "unit": data["unit"]}
+    return {"ends": [list(ends[0]), list(ends[1])], "length": length, "unit": bar["unit"]}

@@ -18,6 +18,7 @@ from liaam.model.sides import reflected_points
 from liaam.photometry import is_grey, linear_to_srgb
 from liaam.photometry.encoding import stored_values
 from liaam.relighting import Relighter, paint
+from liaam.studio.contract import ColourScale
 from liaam.studio.pictures import averaged, read_for_work, work_size
 from liaam.tracking.motion import rescaled
 
@@ -44,11 +45,11 @@ _CHANNELS = {
 """Legend of the channels of each metric."""
 
 
-def residual_of(fitter: Fitter, image: np.ndarray, result: FitResult) -> tuple[np.ndarray, dict[str, Any]]:
+def residual_of(fitter: Fitter, image: np.ndarray, result: FitResult) -> tuple[np.ndarray, ColourScale]:
     """Return the channel of a fit's residual with the largest mean square.
 
     It is (n_pixels, 2) float32: image minus model at the pixels of the model's frame, and whether the image was usable.
-    Also return the limit of its colour scale and its name, as JSON for the page.
+    Also return its colour scale.
     """
     fitter = fitter.part_for(result)
     method = result.method
@@ -62,14 +63,15 @@ def residual_of(fitter: Fitter, image: np.ndarray, result: FitResult) -> tuple[n
     sizes = sizes[np.isfinite(sizes)]
     limit = float(np.percentile(sizes, RESIDUAL_SHARE)) if len(sizes) else 0.0
     names = _CHANNELS.get(method.metric, ())
-    facts = {"limit": max(limit, 1e-6), "what": names[channel] if channel < len(names) else method.metric}
+    what = names[channel] if channel < len(names) else method.metric
+    scale: ColourScale = {"limit": max(limit, 1e-6), "what": what}
 
     frame = fitter.view.warp.frame
     if frame is not model.frame:  # select the model's pixels from those of a larger frame
         columns_and_rows_between = (model.frame.origin - frame.origin).astype(int)
         rows, columns = (model.frame.pixels + columns_and_rows_between[::-1]).T
         values = frame.picture(values)[rows, columns]
-    return values, facts
+    return values, scale
 
 
 def scaled(result: FitResult, size: tuple[int, int], to: tuple[int, int]) -> FitResult:
@@ -120,9 +122,9 @@ def start_at(start: Any, size: tuple[int, int], to: tuple[int, int]) -> Any:
 
 def residual_layer(
     fitter: Fitter, image: np.ndarray, result: FitResult, to: tuple[int, int]
-) -> tuple[np.ndarray, dict[str, Any]]:
-    """Draw the residual of a fit at a size (width, height), where the image is usable; also return its facts."""
-    values, facts = residual_of(fitter, image, result)
+) -> tuple[np.ndarray, ColourScale]:
+    """Draw the residual of a fit at a size (width, height), where the image is usable; also return its colour scale."""
+    values, scale = residual_of(fitter, image, result)
     model = fitter.part_for(result).model
     shape = rescaled(result.registered, image.shape[:2], (to[1], to[0]))
     canvas = np.broadcast_to(np.uint8(0), (to[1], to[0], 3))  # takes no memory
@@ -132,7 +134,7 @@ def residual_layer(
         inside = inside[:, ::-1]
     else:
         painted, inside = paint(canvas, shape, model, values)
-    return coloured(painted[..., 0] / facts["limit"], RESIDUAL_COLOURS, inside & (painted[..., 1] > 0.5)), facts
+    return coloured(painted[..., 0] / scale["limit"], RESIDUAL_COLOURS, inside & (painted[..., 1] > 0.5)), scale
 
 
 def taken_apart(

@@ -8,7 +8,6 @@ import io
 import secrets
 import time
 from asyncio import wrap_future
-from collections.abc import Mapping
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 
@@ -20,6 +19,7 @@ from starlette.routing import Route
 from liaam.errors import MethodError
 from liaam.fitting import FitResult
 from liaam.model import AAM
+from liaam.studio import contract
 from liaam.studio.model_store import ModelStore
 from liaam.studio.pictures import Kept, jpeg_bytes
 from liaam.studio.refusal import Refusal
@@ -74,18 +74,18 @@ class LiveVideo:
 class Frame:
     """What a request says about a frame: its size, its place in the video, and what is wanted."""
 
-    def __init__(self, query: Mapping[str, str]) -> None:
+    def __init__(self, asked: contract.FrameQuery) -> None:
         try:
-            self.width, self.height = int(query["width"]), int(query["height"])
-            self.whole = int(query["of_height"]), int(query["of_width"])
-            self.number, self.time = int(query["number"]), float(query["time"])
-        except (KeyError, ValueError) as fault:
+            self.width, self.height = int(asked.width), int(asked.height)
+            self.whole = int(asked.of_height), int(asked.of_width)
+            self.number, self.time = int(asked.number), float(asked.time)
+        except (TypeError, ValueError) as fault:  # TypeError: one of them lacks
             raise Refusal(422, "send width, height, of_width, of_height, number and time of the frame") from fault
         if min(self.width, self.height) < SIDE or max(self.whole) > WHOLE_SIDE or min(self.whole) < SIDE:
             raise Refusal(422, f"the frame is too small or too large: its sides must be {SIDE} to {WHOLE_SIDE} pixels")
         if not (0 <= self.number < 2**31 and abs(self.time) < 1e9):
             raise Refusal(422, "the frame's number or time is out of range")
-        self.fresh, self.flat = query.get("fresh") == "1", query.get("flat") == "1"
+        self.fresh, self.flat = asked.fresh == "1", asked.flat == "1"
 
     def image(self, pixels: bytes) -> np.ndarray:
         """Return (height, width, 3) uint8 from the pixels, four bytes each (RGBA)."""
@@ -165,13 +165,16 @@ def routes(videos: LiveVideos) -> list[Route]:
     tracking = ThreadPoolExecutor(1, "live-track")
     painting = ThreadPoolExecutor(1, "live-paint")
 
-    def begin(_: Request) -> dict[str, str]:
+    def begin(_: Request) -> contract.LiveVideo:
         video = tracking.submit(videos.open).result()
         return {"id": video.id, "header": video.rows.header}
 
+    def end(request: Request) -> None:
+        videos.close(request.path_params["id"])
+
     async def update(request: Request) -> Response:
         video = videos.get(request.path_params["id"])
-        frame = Frame(request.query_params)
+        frame = Frame(contract.given(contract.FrameQuery, request.query_params))
         image = frame.image(await request.body())
         if video.in_progress >= AT_ONCE:
             raise Refusal(429, f"{AT_ONCE} frames of this video are in progress: wait for an answer")
@@ -189,5 +192,5 @@ def routes(videos: LiveVideos) -> list[Route]:
         route("POST", RECORDINGS, _seekable, Request.body),
         route("POST", "/api/live", begin, status=201),
         Route("/api/live/{id}/frames", update, methods=["POST"]),
-        route("DELETE", "/api/live/{id}", lambda request: videos.close(request.path_params["id"])),
+        route("DELETE", "/api/live/{id}", end),
     ]

@@ -10,16 +10,16 @@ of a file from elsewhere. So origins stay right when points are renamed, reorder
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 
 from liaam.io.files import real_path
+from liaam.studio.contract import Origin
 from liaam.studio.folder import STATE, Folder, sets_in
 from liaam.studio.refusal import Refusal
 from liaam.studio.store import Store, StoredTable
 
-Origin = Literal["placed", "moved", "confirmed", "accepted", "proposed"]
 ORIGINS: tuple[Origin, ...] = ("placed", "moved", "confirmed", "accepted", "proposed")
 OWN: tuple[Origin, ...] = ("placed", "moved", "confirmed")
 """Origins of points that a person has placed, moved or confirmed one by one."""

@@ -24,9 +24,8 @@ REMOVED = "removed"
 
 def remove(project: Project, data: Any) -> contract.Removed:
     """Remove the ``pictures`` in a request from the folder, with their landmark files."""
-    data = project.checked(data, "pictures, a list of names")
+    names = project.checked(contract.RemovePictures, data, "pictures, a list of names").pictures
     project.folder.check_writable()
-    names = data.get("pictures")
     if not isinstance(names, list) or not names or not all(isinstance(name, str) for name in names):
         raise Refusal(422, "send an object with pictures, a list of names")
     names = [*dict.fromkeys(names)]
@@ -43,9 +42,8 @@ def remove(project: Project, data: Any) -> contract.Removed:
 
 def restore(project: Project, data: Any) -> contract.Removed:
     """Bring back what was removed under the ``token`` in a request."""
-    data = project.checked(data, "token")
+    token = project.checked(contract.RestorePictures, data, "token").token
     project.folder.check_writable()
-    token = data.get("token")
     kept = project.store.get(REMOVED, token) if isinstance(token, str) else None
     if kept is None:
         raise Refusal(404, "these pictures are not kept, or are back already: reload the page")
@@ -65,10 +63,10 @@ def restore(project: Project, data: Any) -> contract.Removed:
 
 def rename(project: Project, data: Any) -> contract.Renamed:
     """Give the ``picture`` in a request the name ``to``, in its subfolder and with its suffix."""
-    data = project.checked(data, "picture and to, its new name")
+    asked = project.checked(contract.RenamePicture, data, "picture and to, its new name")
     project.folder.check_writable()
-    name = data.get("picture")
-    wanted = data.get("to")
+    name = asked.picture
+    wanted = asked.to
     if not isinstance(name, str) or not isinstance(wanted, str):
         raise Refusal(422, "send an object with picture and to, its new name")
     with project.changing():

@@ -18,7 +18,7 @@ from contextlib import contextmanager, nullcontext, suppress
 from dataclasses import dataclass, replace
 from itertools import zip_longest
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 
@@ -26,12 +26,13 @@ from liaam.errors import ImageError, LiaamError
 from liaam.io.images import PICTURE_SUFFIXES
 from liaam.io.landmarks import Landmarks, collection_text, parse_landmark_data
 from liaam.studio import contract
+from liaam.studio.contract import OMITTED
 from liaam.studio.folder import OWN_SUFFIXES, File, Folder, Listing, checked_folder, plain_name, revision_of, sets_in
 from liaam.studio.landmark_files import LandmarkFiles, parse_bar
 from liaam.studio.origins import Origin, Origins, origins_after, own_points, parse_origins
 from liaam.studio.pictures import PictureSource, source_of
 from liaam.studio.refusal import Refusal
-from liaam.studio.review import PictureStates, ReviewLog, parse_who
+from liaam.studio.review import Done, PictureStates, ReviewLog, parse_who
 from liaam.studio.settings import StudioSettings
 from liaam.studio.sides import completed, parse_sides
 from liaam.studio.store import Store, StoredTable
@@ -65,6 +66,9 @@ EXPORTS = {
 
 FEWEST_PLACED = 3  # fewest points of a picture that training uses; others may be absent
 UNKNOWN_SIZE = (640, 480)  # width and height that a template is read for where no picture can be read
+
+
+Asked = TypeVar("Asked", bound=contract.Request)
 
 
 @dataclass(frozen=True)
@@ -125,14 +129,24 @@ class _Wanted:
         """Whether any point has a position."""
         return any(self.points)
 
+    def moves(self, current: contract.Marks) -> bool:
+        """Whether positions, or which points are invisible, are other than in the landmark file."""
+        before = current["points"] if current["source"] == "file" else [None] * len(self.points)
+        return self.points != before or self.invisible != current["invisible"]
+
+    def rescales(self, current: contract.Marks) -> bool:
+        """Whether the scale bar is another one."""
+        return self.bar != current["bar"]
+
     @classmethod
-    def parse(cls, data: Mapping[str, Any], current: contract.Marks, n: int) -> "_Wanted":
+    def parse(cls, asked: contract.SaveMarks, current: contract.Marks, n: int) -> "_Wanted":
         """Parse and check the marks of ``n`` points in a request."""
-        points: list[contract.Point] = [point and [*point] for point in parse_points(data.get("points"), n)]
-        invisible = parse_indices(data.get("invisible", []), n, "invisible")
-        absent = parse_indices(data.get("absent", current["absent"]), n, "absent")
-        if data.get("origins") is not None:
-            origins = parse_origins(data["origins"], points)
+        points: list[contract.Point] = [point and [*point] for point in parse_points(asked.points, n)]
+        invisible = [] if asked.invisible is OMITTED else parse_indices(asked.invisible, n, "invisible")
+        known = current["absent"] if asked.absent is OMITTED else asked.absent
+        absent = parse_indices(known, n, "absent")
+        if asked.origins is not None:
+            origins = parse_origins(asked.origins, points)
         else:
             before = current["points"] if current["source"] == "file" else [None] * n
             origins = origins_after(points, before, current["origins"] or [None] * len(before))
@@ -141,7 +155,7 @@ class _Wanted:
             invisible=sorted(index for index in invisible if points[index] is not None),
             absent=sorted(index for index in absent if points[index] is None),
             origins=origins,
-            bar=parse_bar(data["bar"]) if "bar" in data else current["bar"],
+            bar=current["bar"] if asked.bar is OMITTED else parse_bar(asked.bar),
         )
 
 
@@ -155,16 +169,17 @@ def _merged(wanted: _Wanted, base: Any, current: contract.Marks) -> _Wanted:
     origins = wanted.origins
     if not isinstance(base, dict):
         return wanted
-    if "absent" in base:
-        before = {*parse_indices(base["absent"], n, "absent")}
+    read = contract.given(contract.Base, base)
+    if read.absent is not OMITTED:
+        before = {*parse_indices(read.absent, n, "absent")}
         now = {*current["absent"]}
         mine = {*wanted.absent}
         kept = {index for index in range(n) if index in (now if (index in mine) == (index in before) else mine)}
         absent = sorted(index for index in kept if wanted.points[index] is None)
     known = current["origins"]
-    if "origins" in base and known is not None and isinstance(base["origins"], list) and len(base["origins"]) == n:
+    if known is not None and isinstance(read.origins, list) and len(read.origins) == n:
         origins = [
-            known[i] if mine == base["origins"][i] and wanted.points[i] == current["points"][i] else mine
+            known[i] if mine == read.origins[i] and wanted.points[i] == current["points"][i] else mine
             for i, mine in enumerate(wanted.origins)
         ]
     return replace(wanted, absent=absent, origins=origins)
@@ -227,14 +242,15 @@ class Project:
             self._rescan()
             return self._stamp()
 
-    def checked(self, data: Any, wanted: str) -> dict[str, Any]:
-        """Return the JSON of a request. Refuse what is no object, or whose ``folder`` is the id of another folder."""
+    def checked(self, kind: type[Asked], data: Any, wanted: str) -> Asked:
+        """Return the fields of a request. Refuse what is no object, or whose ``folder`` is the id of another folder."""
         if not isinstance(data, dict):
             raise Refusal(422, f"send an object with {wanted}")
+        asked = contract.given(kind, data)
         folder = self.store.id
-        if data.get("folder", folder) != folder:
+        if asked.folder is not OMITTED and asked.folder != folder:
             raise Refusal(409, "the studio now serves another folder than this page shows: reload it", folder=folder)
-        return data
+        return asked
 
     @property
     def sets(self) -> list[str]:
@@ -442,7 +458,7 @@ class Project:
             return False
         return not self._landmarks.of(file).n_placed
 
-    def take_in(self, name: str, data: bytes) -> dict[str, Any]:
+    def take_in(self, name: str, data: bytes) -> contract.Added:
         """Add a picture or a landmark file to the folder (:meth:`liaam.studio.folder.Listing.add`)."""
         with self._lock:
             return self._listing.add(name, data)
@@ -558,48 +574,51 @@ class Project:
         ``who`` is the name of the person, for the log. Landmarks equal to those in the file are
         accepted with any revision, since an earlier answer may have been lost.
         """
-        data = self.checked(data, "points, invisible and revision")
+        asked = self.checked(contract.SaveMarks, data, "points, invisible and revision")
         self.folder.check_writable()
-        who = parse_who(data.get("who"))
+        who = parse_who(asked.who)
         with self._lock:
             self.templates.finish()
             file = self._find(name)
             template = self.templates.needed
-            if "template" in data:
-                self.templates.check(data["template"], f"the landmarks of {name}")
+            if asked.template is not OMITTED:
+                self.templates.check(asked.template, f"the landmarks of {name}")
             current = self._states.marks_json(file)
-            asked = _Wanted.parse(data, current, len(template))
-            wanted = _merged(asked, data.get("base"), current)
-            points_before = current["points"] if current["source"] == "file" else [None] * len(template)
-            has_moved = wanted.points != points_before or wanted.invisible != current["invisible"]
-            is_scaled = wanted.bar != current["bar"]
-            if (has_moved or is_scaled) and data.get("revision") != current["revision"]:
+            of_page = _Wanted.parse(asked, current, len(template))
+            wanted = _merged(of_page, asked.base, current)
+            if (wanted.moves(current) or wanted.rescales(current)) and asked.revision != current["revision"]:
                 clash = f"the landmarks of {name} were changed elsewhere in the meantime: check them"
                 gone = f"the landmark file of {name} was deleted in the meantime: save it again, or let it be"
                 raise Refusal(409, gone if current["revision"] is None else clash, current=current)
-            if is_scaled:
-                self._landmarks.set_bar(file, wanted.bar)
-            if wanted.has_points and wanted.origins != current["origins"]:
-                self._origins.save(file.name, wanted.points, wanted.origins)  # first, as it belongs to what is written
-            if wanted.absent != (self._absent.get(file.name) or []):  # the model may have found others
-                self._absent.save({file.name: wanted.absent or None})
-            if has_moved:
-                self.templates.keep()  # the first save fixes a template that was taken from a file
-            if has_moved or (is_scaled and self._landmarks.of(file).n_placed):  # landmark files state the scale
-                self._landmarks.save(file, template, wanted.points, wanted.invisible)
-            if has_moved:
-                with suppress(LiaamError):  # the landmarks are saved
-                    did = "placed" if wanted.has_points else "cleared"
-                    self._log.add_change(who, file.name, did, self._landmarks.of(file).revision)
-            if "unchecked" in data and not wanted.has_points:
-                self._set_unchecked(file, bool(data["unchecked"]))
+            self._write(file, template, wanted, current, who)
+            if asked.unchecked is not OMITTED and not wanted.has_points:
+                self._set_unchecked(file, bool(asked.unchecked))
             marks = self._landmarks.of(file)
             return {
                 "revision": marks.revision,
                 "beside": self._states.beside(file, marks),
-                "merged": wanted != asked,
+                "merged": wanted != of_page,
                 "picture": self._states.as_json(file, self._states.ranks()),
             }
+
+    def _write(self, file: File, template: Template, wanted: _Wanted, current: contract.Marks, who: str) -> None:
+        """Write what the marks of a picture change."""
+        has_moved = wanted.moves(current)
+        is_rescaled = wanted.rescales(current)
+        if is_rescaled:
+            self._landmarks.set_bar(file, wanted.bar)
+        if wanted.has_points and wanted.origins != current["origins"]:
+            self._origins.save(file.name, wanted.points, wanted.origins)  # first, as it belongs to what is written
+        if wanted.absent != (self._absent.get(file.name) or []):  # the model may have found others
+            self._absent.save({file.name: wanted.absent or None})
+        if has_moved:
+            self.templates.keep()  # the first save fixes a template that was taken from a file
+        if has_moved or (is_rescaled and self._landmarks.of(file).n_placed):  # landmark files state the scale
+            self._landmarks.save(file, template, wanted.points, wanted.invisible)
+        if has_moved:
+            with suppress(LiaamError):  # the landmarks are saved
+                did = "placed" if wanted.has_points else "cleared"
+                self._log.add_change(who, file.name, did, self._landmarks.of(file).revision)
 
     def _set_unchecked(self, file: File, is_unchecked: bool) -> None:
         """Store whether a picture without points was left at the mean shape, if that has changed."""
@@ -607,34 +626,32 @@ class Project:
         if self._unchecked.get(file.name) != tag:
             self._unchecked.save({file.name: tag})
 
-    def review(self, data: Any) -> dict[str, Any]:
+    def review(self, data: Any) -> Done:
         """Apply an action to several pictures (:meth:`liaam.studio.review.PictureStates.apply`).
 
-        The data are JSON with ``pictures``, their names, ``did``, one of :data:`liaam.studio.review.ACTIONS`,
-        and perhaps ``who``. For "scaled", ``bar`` is the scale bar, ``of`` the name of the picture on which it was
-        drawn; with ``anyway``, pictures of another size, or with a scale of their own, get it as well.
+        The data are those of :class:`liaam.studio.contract.Review`; ``did`` is one of
+        :data:`liaam.studio.review.ACTIONS`.
         """
-        data = self.checked(data, "pictures, a list of names, and did")
-        names = data.get("pictures")
+        asked = self.checked(contract.Review, data, "pictures, a list of names, and did")
+        names = asked.pictures
         if not isinstance(names, list) or not all(isinstance(name, str) for name in names):
             raise Refusal(422, "send an object with pictures, a list of names, and did")
-        who = parse_who(data.get("who"))
+        who = parse_who(asked.who)
         with self._lock:
             self._rescan(strict=True)
             files = [self._find(name) for name in dict.fromkeys(names)]
-            if data.get("did") != "scaled":
-                return self._states.apply(files, str(data.get("did")), who)
-            bar = parse_bar(data.get("bar"))
-            drawn_on = data.get("of")
-            if bar is None or not isinstance(drawn_on, str):
+            if asked.did != "scaled":
+                return self._states.apply(files, str(asked.did), who)
+            bar = parse_bar(asked.bar)
+            if bar is None or not isinstance(asked.of, str):
                 raise Refusal(422, "send the scale bar, bar, and the picture on which it was drawn, of")
-            of_any_size = data.get("anyway") is True
-            size = self._listing.usable_size(self._find(drawn_on))
+            of_any_size = asked.anyway is True
+            size = self._listing.usable_size(self._find(asked.of))
             return self._states.apply(files, "scaled", who, bar, like=None if of_any_size else size)
 
     def save_sides(self, data: Any) -> contract.SidesBefore:
         """Say the ``sides`` of the objects in pictures, by name (:func:`liaam.studio.sides.parse_sides`)."""
-        sides = parse_sides(self.checked(data, "sides, by picture").get("sides"))
+        sides = parse_sides(self.checked(contract.SaveSides, data, "sides, by picture").sides)
         self.folder.check_writable()
         with self._lock:
             self._rescan(strict=True)
@@ -652,13 +669,13 @@ class Project:
     def save_template(self, data: Any) -> tuple[Template, bool]:
         """Save a template; return it, and whether points were added, removed or reordered, so that models are invalid.
 
-        The data are JSON of the template; optionally ``mapping``, the old index of each point or null for a new
-        one, by which landmark files are updated, and ``revision``, that of the template that is being changed.
+        The data are those of :class:`liaam.studio.contract.SaveTemplate`. Landmark files are updated by ``mapping``.
         """
-        template = parse_template(self.checked(data, "names, contours, mirror and points"), self.settings.points)
+        asked = self.checked(contract.SaveTemplate, data, "names, contours, mirror and points")
+        template = parse_template(data, self.settings.points)
         self.folder.check_writable()
         with self._lock:
-            return template, self.templates.save(template, data)
+            return template, self.templates.save(template, asked)
 
     def read_template(self, name: str, data: bytes) -> Template:
         """Create a template from the contents of a landmark file, without saving it."""

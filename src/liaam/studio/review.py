@@ -126,6 +126,12 @@ class ReviewLog:
         return entry["who"] or "someone"  # who did not enter a name
 
 
+class Done(contract.Reviewed):
+    """What an action has done, also to landmark files."""
+
+    revisions: dict[str, str | None]  # of landmarks that were written, by picture
+
+
 @dataclass(frozen=True, eq=False)
 class _Count:
     """How many points of a picture are unconfirmed, of its landmarks and what is stored of their origins."""
@@ -383,12 +389,8 @@ class PictureStates:
             f"{size[0]} x {size[1]} pixels, which may have been replaced: place them again, or put the picture back"
         )
 
-    def apply(self, files: list[File], did: str, who: str, bar: Bar = None, like: Size = None) -> dict[str, Any]:
-        """Apply an action. "scaled" sets ``bar``; with ``like``, only in pictures of this size without a scale yet.
-
-        Return ``changed``, the names of the pictures that changed; ``refused``, reasons by name of the others;
-        and ``revisions`` of landmarks that were written, by name.
-        """
+    def apply(self, files: list[File], did: str, who: str, bar: Bar = None, like: Size = None) -> Done:
+        """Apply an action. "scaled" sets ``bar``; with ``like``, only in pictures of this size without a scale yet."""
         if did not in ACTIONS:
             raise Refusal(422, f"the action is not known: send one of {', '.join(ACTIONS)}")
         if did in WRITING:

@@ -2,9 +2,11 @@
 
 import asyncio
 import json
+import re
 import threading
-from collections.abc import AsyncIterator, Awaitable, Callable, Mapping
+from collections.abc import AsyncIterator, Awaitable, Callable
 from contextlib import suppress
+from functools import wraps
 from typing import Any
 from urllib.parse import quote
 
@@ -16,14 +18,18 @@ from starlette.responses import JSONResponse, Response
 from starlette.routing import Route
 
 from liaam.errors import LiaamError
+from liaam.fitting.sides import AUTO
 from liaam.photometry import srgb_to_linear
 from liaam.relighting.lamp import AMBIENT, Lamp, check_ambient
+from liaam.studio import contract
+from liaam.studio.contract import OMITTED, given
 from liaam.studio.refusal import Refusal
 
 SIZES = (16, 16384)  # smallest and largest size of the longest side that a request may ask for, in pixels
 MOST_DIGITS = 6  # of a size, so that it is read at once
 MOST_LAMPS = 8  # maximum number of lamps of a relit picture, which bounds its time
 MOST_POINTS = 100_000  # maximum number of points of a start
+ONE_LAMP = '{"lamps": [{"direction": [0, 0, 1]}]}'
 LARGEST = 1e9  # of a coordinate, beyond which arithmetic may overflow
 ROOM = 100  # maximum number of events queued for a page; one further behind is disconnected, and loads again
 
@@ -38,21 +44,30 @@ def route(
 ) -> Route:
     """Return a route that answers with what ``act`` returns in a thread: a response, a value as JSON, or None as 204.
 
-    ``act`` takes the request and, with ``read``, what that makes of its body. ``limiter`` limits how many run at once,
-    and ``status`` is that of JSON.
+    ``act`` takes the request; the query, if the route has one in the contract; and, with ``read``, what that makes of
+    the body. ``limiter`` limits how many run at once, and ``status`` is that of JSON.
     """
+    query = agreed(method, path).query
 
     def answered(request: Request, *body: Any) -> Response:  # body: one argument or none
-        answer = act(request, *body)
+        asked = () if query is None else (given(query, request.query_params),)
+        answer = act(request, *asked, *body)
         if isinstance(answer, Response):
             return answer
         return Response(status_code=204) if answer is None else JSONResponse(answer, status)
 
+    @wraps(act)
     async def endpoint(request: Request) -> Response:
         body = () if read is None else (await read(request),)
         return await run_sync(answered, request, *body, limiter=limiter)
 
     return Route(path, endpoint, methods=[method])
+
+
+def agreed(method: str, path: str) -> contract.Endpoint:
+    """Return what the contract says of a route."""
+    address = re.sub(r":\w+}", "}", path.removeprefix("/api/"))  # such as {name:path}
+    return contract.ROUTES[f"{method} {address}"]
 
 
 async def maybe_json(request: Request) -> Any:
@@ -97,9 +112,11 @@ def parse_start(data: Any) -> Any:
     if data is None:
         return None
     if isinstance(data, dict) and len(data) == 1:
-        if _are_numbers(data.get("box"), 4):
-            return tuple(map(float, data["box"]))
-        points: Any = data.get("shape")
+        start = given(contract.Start, data)
+        box: Any = start.box
+        points: Any = start.shape
+        if _are_numbers(box, 4):
+            return tuple(map(float, box))
         are_points = isinstance(points, list) and all(each is None or _are_numbers(each, 2) for each in points)
         if are_points and 0 < len(points) <= MOST_POINTS:
             return np.array([[np.nan, np.nan] if point is None else point for point in points], np.float64)
@@ -108,6 +125,8 @@ def parse_start(data: Any) -> Any:
 
 def parse_side(data: Any) -> str:
     """Check that the side of the objects is a string; whether the model has such a side is checked with the model."""
+    if data is OMITTED:
+        return AUTO
     if not isinstance(data, str):
         raise Refusal(422, "the side is not a string: send auto, or one of the model's sides")
     return data
@@ -119,23 +138,29 @@ def _are_numbers(values: Any, n: int) -> bool:
     return is_list and all(type(value) in (int, float) and -LARGEST < value < LARGEST for value in values)
 
 
-def light_of(query: Mapping[str, str]) -> tuple[list[Lamp], float]:
-    """Parse a light: JSON with ``lamps``, the fields of each :class:`Lamp` with sRGB colours, and ``ambient``."""
+def light_of(text: str | None) -> tuple[list[Lamp], float]:
+    """Parse a :class:`liaam.studio.contract.SentLight` as JSON; without any, it is one lamp beside the camera."""
     try:
-        light = json.loads(query.get("light", '{"lamps": [{"direction": [0, 0, 1]}]}'))
-        lamps = []
-        for lamp in light["lamps"]:
-            colour = srgb_to_linear(np.array(lamp.get("colour", (1, 1, 1)), np.float64))
-            lamps.append(Lamp(**{**lamp, "colour": tuple(colour.tolist())}))
-        ambient = light.get("ambient", AMBIENT)
+        light = given(contract.SentLight, json.loads(ONE_LAMP if text is None else text))
+        lamps = [_lamp_of(given(contract.SentLamp, lamp)) for lamp in light.lamps]
+        ambient = AMBIENT if light.ambient is OMITTED else light.ambient
         check_ambient(ambient)
     except LiaamError:
         raise
-    except (ValueError, TypeError, KeyError, AttributeError, RecursionError, OverflowError) as fault:
+    except (ValueError, TypeError, RecursionError, OverflowError) as fault:
         raise Refusal(422, "the light is unclear: send JSON with lamps, each with a direction, and ambient") from fault
     if len(lamps) > MOST_LAMPS:
         raise Refusal(422, f"{len(lamps)} lamps are too many: send at most {MOST_LAMPS}")
     return lamps, ambient
+
+
+def _lamp_of(lamp: contract.SentLamp) -> Lamp:
+    """Return a lamp of a request, with linear colours."""
+    if lamp.direction is None:
+        raise ValueError("a lamp has no direction")
+    colour = (1.0, 1.0, 1.0) if lamp.colour is OMITTED else lamp.colour
+    linear = srgb_to_linear(np.array(colour, np.float64))
+    return Lamp(lamp.direction, tuple(linear.tolist()), lamp.strength, lamp.softness)
 
 
 class Events:

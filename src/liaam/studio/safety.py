@@ -18,6 +18,7 @@ from starlette.requests import ClientDisconnect, Request
 from starlette.responses import HTMLResponse, JSONResponse, RedirectResponse, Response
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
+from liaam.studio import contract
 from liaam.studio.refusal import Refusal
 from liaam.studio.settings import LOOPBACK, StudioSettings
 
@@ -223,6 +224,7 @@ def is_own_host(host: str, settings: StudioSettings) -> bool:
 
 def _answer_of(refusal: Refusal, close: bool = False) -> JSONResponse:
     headers = {"connection": "close"} if close else {}
-    if "retry_after" in refusal.details:
-        headers["retry-after"] = str(refusal.details["retry_after"])
-    return JSONResponse({"error": str(refusal)}, refusal.status, headers)
+    if refusal.retry_after is not None:
+        headers["retry-after"] = str(refusal.retry_after)
+    fault: contract.Fault = {"error": str(refusal)}
+    return JSONResponse(fault, refusal.status, headers)

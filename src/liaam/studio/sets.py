@@ -22,15 +22,15 @@ from liaam.studio.refusal import Refusal
 from liaam.studio.store import DATABASE, Store
 
 
-def make_set(project: Project, data: Any) -> dict[str, str]:
+def make_set(project: Project, data: Any) -> contract.MadeSet:
     """Make a set with the ``name`` in a request; if ``same``, of the points of a project.
 
     A subfolder of this name that holds landmark files, but no pictures, becomes the set's.
     """
-    data = project.checked(data, "name and same")
+    asked = project.checked(contract.MakeSet, data, "name and same")
     project.folder.check_writable()
-    name = data.get("name")
-    template = project.templates.needed if data.get("same") else None
+    name = asked.name
+    template = project.templates.needed if asked.same else None
     if not isinstance(name, str) or not SET_NAME.fullmatch(name):
         raise Refusal(422, "the name is not valid: use at most 30 letters from A to Z, digits, - and _")
     if name.casefold() in (ADDED, *map(str.casefold, project.sets)):
@@ -57,7 +57,7 @@ def observers(project: Project) -> list[str]:
     return [name for name, template in current.items() if shown and template and template.names == shown.names]
 
 
-def others(project: Project, picture: str) -> dict[str, Any]:
+def others(project: Project, picture: str) -> dict[str, list[contract.Point]]:
     """Return all points that other observers placed on a picture, by set; refused before they are placed here."""
     marks = {name: project.of_set(name).marks(picture) for name in observers(project)}
     placed = {name: marked["points"] for name, marked in marks.items() if marked["source"] == "file"}

@@ -1,7 +1,7 @@
 """Measures of all pictures, and the space of their shapes, for the page and as a table."""
 
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import PurePosixPath
 from typing import Any
@@ -28,6 +28,7 @@ from liaam.morphometry.sides import IGNORED
 from liaam.morphometry.table import comparable, in_unit, size_column, unit_of_table
 from liaam.scale.lengths import unit_of
 from liaam.studio import contract
+from liaam.studio.contract import ShapesQuery
 from liaam.studio.folder import plain_name
 from liaam.studio.project import Placed, Project
 from liaam.studio.refusal import Refusal
@@ -73,14 +74,14 @@ class Sample:
         return [int(name[1:]) - 1 for name in self.columns if re.fullmatch(r"X\d+", name)]
 
 
-def sample_of(project: Project, asked: Mapping[str, str]) -> Sample:
-    """Measure all pictures of a project, as a request asks: ``measures``, ``scale``, ``by`` and ``estimate``."""
+def sample_of(project: Project, asked: ShapesQuery) -> Sample:
+    """Measure all pictures of a project, as a request asks."""
     placed = project.placed("measure")
     specimens, sides = _of_one_side(_with_sides([_specimen(picture) for picture in placed]))
-    scale = asked.get("scale") or _unit_of_files(specimens)
-    if asked.get("estimate"):
+    scale = asked.scale or _unit_of_files(specimens)
+    if asked.estimate:
         specimens, _ = with_estimated_landmarks(specimens, "tps", scale)
-    measures = tuple(dict.fromkeys(Measure.parse(text) for text in asked.get("measures", "").split()))
+    measures = tuple(dict.fromkeys(Measure.parse(text) for text in asked.measures.split()))
     columns = measure(specimens, measures, scale)
     return Sample(
         pictures=tuple(picture.file.name for picture in placed),
@@ -88,12 +89,12 @@ def sample_of(project: Project, asked: Mapping[str, str]) -> Sample:
         sides=sides,
         measures=measures,
         columns=columns,
-        groups=_groups(project, [picture.file.stem for picture in placed], asked.get("by", "")),
+        groups=_groups(project, [picture.file.stem for picture in placed], asked.by),
         estimated=tuple(len(specimen.estimated) for specimen in specimens),
     )
 
 
-def shapes(project: Project, asked: Mapping[str, str]) -> contract.Shapes:
+def shapes(project: Project, asked: ShapesQuery) -> contract.Shapes:
     """Return the measures of all pictures of a project, and the space of their shapes, for the page."""
     sample = sample_of(project, asked)
     space: contract.Space | None = None
@@ -115,7 +116,7 @@ def shapes(project: Project, asked: Mapping[str, str]) -> contract.Shapes:
     }
 
 
-def table(project: Project, asked: Mapping[str, str]) -> tuple[str, bytes]:
+def table(project: Project, asked: ShapesQuery) -> tuple[str, bytes]:
     """Return the name and the content of a table of measurements, with groups and scores of shapes."""
     sample = sample_of(project, asked)
     columns: Columns = {"specimen": sample.columns["specimen"]}
@@ -133,14 +134,12 @@ def table(project: Project, asked: Mapping[str, str]) -> tuple[str, bytes]:
     return f"{plain_name(project.title)}-measurements.csv", columns_text(columns).encode()
 
 
-def save_groups(project: Project, data: Any) -> dict[str, int]:
+def save_groups(project: Project, data: Any) -> contract.Grouped:
     """Keep a table of groups, the ``text`` of a .csv file of a ``name``; return how many specimens it has."""
-    data = project.checked(data, "text and name, of a table of groups")
-    text = data.get("text")
-    name = data.get("name")
-    if not isinstance(text, str) or not isinstance(name, str):
+    asked = project.checked(contract.SaveGroups, data, "text and name, of a table of groups")
+    if not isinstance(asked.text, str) or not isinstance(asked.name, str):
         raise Refusal(422, "the table of groups is not valid: send its text and its name")
-    groups = groups_in(text, plain_name(name))
+    groups = groups_in(asked.text, plain_name(asked.name))
     groups_of([picture.file.stem for picture in project.placed("group")], groups)  # refuses a table of other specimens
     project.store.put(GROUPS, {"": groups})
     return {"specimens": len(groups)}

@@ -10,7 +10,7 @@ import json
 import secrets
 import threading
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass, replace
+from dataclasses import dataclass, replace
 from functools import lru_cache
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -24,6 +24,7 @@ from liaam.io.landmarks.formats import writer_of
 from liaam.morphometry.curves import semilandmarks
 from liaam.morphometry.pairs import twins_by_names, twins_by_place
 from liaam.studio import contract
+from liaam.studio.contract import OMITTED, given
 from liaam.studio.folder import Folder, Listing, revision_of, status_of
 from liaam.studio.refusal import Refusal, refusing
 from liaam.studio.store import Store, StoredTable
@@ -34,8 +35,8 @@ if TYPE_CHECKING:
 LONGEST_NAME = 100
 FARTHEST = 1e6  # maximum absolute coordinate in pixels
 _MOST = 10**6  # maximum number of points of a stored template, above that of a new one, so that it can always be read
-LANDMARK = "landmark"
-SEMILANDMARK = "semilandmark"
+LANDMARK: contract.Kind = "landmark"
+SEMILANDMARK: contract.Kind = "semilandmark"
 KINDS = (LANDMARK, SEMILANDMARK)
 """Kinds of points. Semilandmarks slide along a curve: tracing and spacing it move them, and no landmarks."""
 
@@ -48,7 +49,7 @@ class Template:
     contours: tuple[Contour, ...] = ()
     mirror: tuple[int, ...] | None = None  # index of each point's twin (itself on the axis); None without symmetry
     points: tuple[tuple[float, float], ...] | None = None  # typical layout, in any units
-    kinds: tuple[str, ...] = ()  # :data:`KINDS` of the points; if none are given, all are landmarks
+    kinds: tuple[contract.Kind, ...] = ()  # :data:`KINDS` of the points; if none are given, all are landmarks
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "kinds", self.kinds or (LANDMARK,) * len(self.names))
@@ -58,17 +59,36 @@ class Template:
 
     def as_json(self) -> contract.Template:
         """Return the template as JSON for :func:`parse_template`."""
-        return json.loads(json.dumps(asdict(self)))  # lists instead of tuples
+        return {
+            "names": [*self.names],
+            "contours": [{"indices": [*contour.indices], "closed": contour.closed} for contour in self.contours],
+            "mirror": None if self.mirror is None else [*self.mirror],
+            "points": None if self.points is None else [[*point] for point in self.points],
+            "kinds": [*self.kinds],
+        }
 
 
 def parse_template(data: Any, most: int) -> Template:
     """Parse and check a template from JSON."""
     if not isinstance(data, dict):
         raise Refusal(422, "the template is not an object: send names, contours, mirror and points")
-    names = data.get("names")
-    if not isinstance(names, list) or not names or not all(isinstance(name, str) and name.strip() for name in names):
+    asked = given(contract.SaveTemplate, data)
+    names = _parse_names(asked.names, most)
+    n = len(names)
+    points = None if asked.points is None else parse_points(asked.points, n)
+    layout = None if points is None else tuple(point for point in points if point is not None)
+    if layout is not None and len(layout) < n:
+        raise Refusal(422, "the template's layout lacks a point: place all points, or send null for the layout")
+    mirror = _parse_mirror(asked.mirror, n)
+    contours = _parse_contours(asked.contours, n)
+    return Template(names, contours, mirror, layout, _parse_kinds(asked.kinds, names, contours))
+
+
+def _parse_names(data: Any, most: int) -> tuple[str, ...]:
+    """Check the names of at most so many points."""
+    if not isinstance(data, list) or not data or not all(isinstance(name, str) and name.strip() for name in data):
         raise Refusal(422, "the template has no valid list of names: give every point a name")
-    names = tuple(name.strip() for name in names)
+    names = tuple(name.strip() for name in data)
     if not all(name.isprintable() for name in names):  # such as half of a surrogate pair, which no file can store
         raise Refusal(422, "a point's name has unprintable characters: give it another name")
     if len(names) > most:
@@ -78,29 +98,37 @@ def parse_template(data: Any, most: int) -> Template:
     duplicate = next((name for i, name in enumerate(names) if name in names[:i]), None)
     if duplicate is not None:
         raise Refusal(422, f"two points have the name '{duplicate}': rename one")
-    n = len(names)
-    points = data.get("points")
-    layout = None if points is None else parse_points(points, n)
-    if layout is not None and None in layout:
-        raise Refusal(422, "the template's layout lacks a point: place all points, or send null for the layout")
-    contours = [] if data.get("contours") is None else data["contours"]
-    if not isinstance(contours, list) or len(contours) > n:
-        raise Refusal(422, f"the template's contours are not valid: send a list of at most {n} contours")
-    mirror = None if data.get("mirror") is None else tuple(parse_indices(data["mirror"], n, "mirror"))
-    if mirror is not None and (len(mirror) != n or any(mirror[mirror[i]] != i for i in range(n))):
+    return names
+
+
+def _parse_mirror(data: Any, n: int) -> tuple[int, ...] | None:
+    """Check the twins of n points."""
+    if data is None:
+        return None
+    mirror = tuple(parse_indices(data, n, "mirror"))
+    if len(mirror) != n or any(mirror[mirror[i]] != i for i in range(n)):
         raise Refusal(422, "mirror does not pair the points: if b is the twin of a, a must be the twin of b")
-    lines = []
-    for i, item in enumerate(contours, 1):
-        if not isinstance(item, dict) or not isinstance(item.get("closed"), bool):
+    return mirror
+
+
+def _parse_contours(data: list[contract.Contour] | None, n: int) -> tuple[Contour, ...]:
+    """Check the contours through n points."""
+    sent = [] if data is None else data
+    if not isinstance(sent, list) or len(sent) > n:
+        raise Refusal(422, f"the template's contours are not valid: send a list of at most {n} contours")
+    contours = []
+    for i, item in enumerate(sent, 1):
+        is_whole = isinstance(item, dict) and contract.Contour.__required_keys__ <= item.keys()
+        if not is_whole or not isinstance(item["closed"], bool):
             raise Refusal(422, f"contour {i} is not valid: send {{indices, closed}}")
-        indices = parse_indices(item.get("indices"), n, f"contour {i}")
+        indices = parse_indices(item["indices"], n, f"contour {i}")
         if len(indices) < 2:
             raise Refusal(422, f"contour {i} has fewer than 2 points: add one, or remove the contour")
-        lines.append(Contour(tuple(indices), item["closed"]))
-    return Template(names, tuple(lines), mirror, layout, _parse_kinds(data.get("kinds"), names, lines))  # type: ignore[arg-type]
+        contours.append(Contour(tuple(indices), item["closed"]))
+    return tuple(contours)
 
 
-def _parse_kinds(data: Any, names: Sequence[str], contours: Sequence[Contour]) -> tuple[str, ...]:
+def _parse_kinds(data: Any, names: Sequence[str], contours: Sequence[Contour]) -> tuple[contract.Kind, ...]:
     """Check the kinds of points; without any, as in templates of earlier versions, all are landmarks."""
     if data is None:
         return (LANDMARK,) * len(names)
@@ -143,7 +171,7 @@ def template_of(landmarks: Landmarks) -> Template:
     twins = twins_by_names(names) or (twins_by_place(landmarks.points) if complete else None)
     chain, sliding = semilandmarks(landmarks.contours)
     slides = set(chain[sliding].tolist())
-    kinds = tuple(SEMILANDMARK if index in slides else LANDMARK for index in range(n))
+    kinds: tuple[contract.Kind, ...] = tuple(SEMILANDMARK if index in slides else LANDMARK for index in range(n))
     return Template(names, landmarks.contours, twins, points, kinds)
 
 
@@ -290,21 +318,22 @@ class Templates:
         self._revision, self.order = facts.get("revision", ""), facts.get("order", "")
         self._saved_of = facts.get("of", "")  # the model that offered the saved template
 
-    def save(self, template: Template, data: dict[str, Any]) -> bool:
-        """Save a template of a request, ``data``, for :meth:`liaam.studio.project.Project.save_template`."""
+    def save(self, template: Template, asked: contract.SaveTemplate) -> bool:
+        """Save the template of a request, for :meth:`liaam.studio.project.Project.save_template`."""
         self.finish()
         self._listing.scan()
         # The user's points may replace those that a model offers, unless these were accepted.
         is_offer = self.is_offered
-        old = None if is_offer and data.get("revision") is None else self.current
+        revision = None if asked.revision is OMITTED else asked.revision
+        old = None if is_offer and revision is None else self.current
         identity = None if old is None else list(range(len(old)))
         is_there = template == self.saved
-        is_current = data.get("revision") == (old and self.revision)
-        if "revision" in data and not is_current:
+        is_current = revision == (old and self.revision)
+        if asked.revision is not OMITTED and not is_current:
             if is_there:  # sent again, since the first answer may have been lost
                 return False
-            self.check(data["revision"], "the template")
-        mapping = self._mapping(data.get("mapping"), len(template), old)
+            self.check(revision, "the template")
+        mapping = self._mapping(asked.mapping, len(template), old)
         if is_there and (mapping == identity or not is_current):
             return False
         moved = is_offer or (old is not None and mapping != identity)

@@ -12,12 +12,12 @@ import threading
 import warnings
 from collections.abc import Callable, Sequence
 from contextlib import suppress
-from dataclasses import asdict, dataclass, field
+from dataclasses import dataclass, field
 from datetime import UTC, datetime
 from functools import partial
 from pathlib import Path, PurePosixPath
 from types import SimpleNamespace
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 
@@ -30,6 +30,7 @@ from liaam.model import AAM, load_model
 from liaam.model.mesh import folded_share
 from liaam.model.shape import align, diagonal_of
 from liaam.photometry.encoding import refuse_unscaled
+from liaam.studio import contract
 from liaam.studio.layers import fit_file
 from liaam.studio.model_store import MODEL_FILE, ModelStore, Versions
 from liaam.studio.pictures import read_for_work, work_size
@@ -68,11 +69,21 @@ class TrainingJob:
 class Training:
     """State of the training, for the page."""
 
-    state: str = "idle"  # ``idle``, ``running``, ``failed`` or ``done``
+    state: Literal["idle", "running", "done", "failed"] = "idle"
     done: int = 0
     total: int = 0
     what: str = ""
     error: str | None = None
+
+    def as_json(self) -> contract.Training:
+        """Return it as JSON for the page."""
+        return {
+            "state": self.state,
+            "done": self.done,
+            "total": self.total,
+            "what": self.what,
+            "error": self.error,
+        }
 
 
 class Trainer:
@@ -94,22 +105,9 @@ class Trainer:
         """Train on the done pictures, without those with possible slips unless ``slips``."""
         with self._lock:
             if self.state.state == "running":
-                raise Refusal(409, "a training is running: wait for it, or stop it first", training=asdict(self.state))
-            order = self.project.templates.order  # read first, so that results for points that change are dropped
-            done = self.project.annotated()
-            template = self.project.templates.current
-            wrong = {item.name: f"its points may be wrong: {item.slip}" for item in done if item.slip and not slips}
-            used = [item.name for item in done if item.name not in wrong]
-            if len(used) < LEAST or template is None:
-                text = f"only {len(used)} pictures have all their points"
-                raise Refusal(422, f"{text}: complete at least {LEAST}, better 5, to train")
-            if len(template) < 3:
-                raise Refusal(422, f"the template has {len(template)} points, but a shape needs at least 3: add some")
-            path = self.project.store.path(MODEL_FILE)
-            name = self.project.title
-            truths = [item.name for item in done if item.name in used and item.own[item.placed].mean() >= LEAST_OWN]
-            held_out = choose_held_out(truths, self.versions.held_out(order), len(used))
-            job = TrainingJob(done, template.contours, template.names, order, path, name, held_out, wrong)
+                running = self.state.as_json()
+                raise Refusal(409, "a training is running: wait for it, or stop it first", training=running)
+            job = self._job(slips)
             self._order = job.order
             self._stopped = False
             self.is_measuring = False
@@ -123,6 +121,30 @@ class Trainer:
             self._listener = threading.Thread(target=self._listen, args=arguments, name="studio-training", daemon=True)
             self._listener.start()
             return self.state
+
+    def _job(self, slips: bool) -> TrainingJob:
+        """Return what is to be trained, or refuse if there is too little."""
+        order = self.project.templates.order  # read first, so that results for points that change are dropped
+        done = self.project.annotated()
+        template = self.project.templates.current
+        wrong = {item.name: f"its points may be wrong: {item.slip}" for item in done if item.slip and not slips}
+        used = [item.name for item in done if item.name not in wrong]
+        if len(used) < LEAST or template is None:
+            text = f"only {len(used)} pictures have all their points"
+            raise Refusal(422, f"{text}: complete at least {LEAST}, better 5, to train")
+        if len(template) < 3:
+            raise Refusal(422, f"the template has {len(template)} points, but a shape needs at least 3: add some")
+        truths = [item.name for item in done if item.name in used and item.own[item.placed].mean() >= LEAST_OWN]
+        return TrainingJob(
+            done=done,
+            contours=template.contours,
+            names=template.names,
+            order=order,
+            model=self.project.store.path(MODEL_FILE),
+            name=self.project.title,
+            held_out=choose_held_out(truths, self.versions.held_out(order), len(used)),
+            slips=wrong,
+        )
 
     def stop(self) -> Training:
         """Stop a running training; its results so far are kept."""
@@ -212,7 +234,7 @@ class Trainer:
 
     def _set(self, state: Training) -> None:
         self.state = state
-        self._publish("training", asdict(state))
+        self._publish("training", state.as_json())
 
 
 def choose_held_out(names: Sequence[str], before: Sequence[str], n_all: int | None = None) -> tuple[str, ...]:

@@ -3,7 +3,7 @@
 import assert from "node:assert/strict";
 import { test } from "node:test";
 
-import { api, ApiError } from "./modules/api.js";
+import { api, ApiError, url } from "./modules/api.js";
 
 /** Answer requests one by one; waits take no time. */
 function served(t, ...answers) {
@@ -23,6 +23,14 @@ function served(t, ...answers) {
 const busy = () => new Response('{"error": "busy"}', { status: 503, headers: { "retry-after": "2" } });
 const full = () => new Response('{"error": "the disk refuses"}', { status: 503 });
 const good = () => new Response('{"id": 7}');
+
+test("an address has what varies in its route, and the rest as its query", () => {
+  const fields = { name: "a b/c?.png", size: 512, tag: "1-2", scale: null };
+  assert.equal(url("pictures/{name}/image", fields), "/api/pictures/a%20b/c%3F.png/image?size=512&tag=1-2");
+  assert.equal(url("fits/{id}/layers/{layer}", { id: 7, layer: "flat" }), "/api/fits/7/layers/flat");
+  assert.equal(url("project"), "/api/project");
+  assert.equal(url("project", { stamp: undefined }), "/api/project");
+});
 
 test("a busy server is asked again after the time that it says", async (t) => {
   const { asked, waits } = served(t, busy, busy, good);

@@ -53,6 +53,22 @@ interface Template {
   revision?: string | null;
 }
 
+/** A request to save the template, and to change all landmark files with it. */
+interface SaveTemplate {
+  /** Id of the folder that the page shows. */
+  folder?: string;
+  names: string[];
+  kinds?: ("landmark" | "semilandmark")[] | null;
+  contours?: Contour[] | null;
+  mirror?: number[] | null;
+  /** A typical layout. */
+  points?: (number[] | null)[] | null;
+  /** The old index of each point, null of a new one. */
+  mapping?: (number | null)[] | null;
+  /** Of the template that was changed. */
+  revision?: string | null;
+}
+
 /** A length in a picture that is known. */
 interface Bar {
   ends: number[][];
@@ -104,19 +120,21 @@ interface Base {
 
 /** A request to save the landmarks of a picture. */
 interface SaveMarks {
+  /** Id of the folder that the page shows. */
+  folder?: string;
   points: (number[] | null)[];
   invisible?: number[];
   absent?: number[];
-  origins?: ("placed" | "moved" | "confirmed" | "accepted" | "proposed" | null)[];
+  origins?: ("placed" | "moved" | "confirmed" | "accepted" | "proposed" | null)[] | null;
   /** With it, what others have changed meanwhile of other points stays. */
-  base?: Base;
+  base?: Base | null;
   bar?: Bar | null;
   revision: string | null;
   /** Revision of the template of the points. */
   template?: string | null;
+  /** Whether a picture without points was left at the mean shape. */
   unchecked?: boolean;
-  who?: string;
-  folder?: string;
+  who?: string | null;
 }
 
 /** The answer to it. */
@@ -128,6 +146,21 @@ interface Saved {
   picture: Picture;
 }
 
+/** A request to do something to several pictures. */
+interface Review {
+  /** Id of the folder that the page shows. */
+  folder?: string;
+  pictures: string[];
+  did: string;
+  who?: string | null;
+  /** For the action scaled. */
+  bar?: Bar | null;
+  /** The picture on which it was drawn. */
+  of?: string | null;
+  /** Whether pictures of another size, or with a scale of their own, get it as well. */
+  anyway?: boolean;
+}
+
 /** What an action on several pictures has done. */
 interface Reviewed {
   changed: string[];
@@ -135,10 +168,42 @@ interface Reviewed {
   refused: Record<string, string>;
 }
 
+/** A request to say the sides of the objects in pictures. */
+interface SaveSides {
+  /** Id of the folder that the page shows. */
+  folder?: string;
+  /** left, right, or empty to withdraw what was said, by picture. */
+  sides: Record<string, string>;
+}
+
 /** The answer to a request that says the sides of pictures. */
 interface SidesBefore {
   /** What was said of them, by picture; to undo it. */
   before: Record<string, string>;
+}
+
+/** A request to remove pictures from the folder. */
+interface RemovePictures {
+  /** Id of the folder that the page shows. */
+  folder?: string;
+  pictures: string[];
+}
+
+/** A request to bring removed pictures back. */
+interface RestorePictures {
+  /** Id of the folder that the page shows. */
+  folder?: string;
+  /** As the answer to the removal has it. */
+  token: string;
+}
+
+/** A request to rename a picture. */
+interface RenamePicture {
+  /** Id of the folder that the page shows. */
+  folder?: string;
+  picture: string;
+  /** As a person has typed it. */
+  to: string;
 }
 
 /** Pictures that were removed from the folder, or restored. */
@@ -152,6 +217,15 @@ interface Removed {
 interface Renamed {
   before: string;
   name: string;
+}
+
+/** A file that was added to the folder. */
+interface Added {
+  /** In the folder. */
+  name: string;
+  kind: "picture" | "landmarks";
+  /** Whether the same file was there before. */
+  known: boolean;
 }
 
 /** An entry in the log of a picture. */
@@ -198,6 +272,20 @@ interface Model {
   sides: Sides | null;
   /** Whether the side of a training picture was stated or withdrawn since. */
   sides_changed: boolean;
+}
+
+/** A request to train. */
+interface StartTraining {
+  /** Id of the folder that the page shows. */
+  folder?: string;
+  /** Whether to train on points that look wrong, too. */
+  slips?: boolean;
+}
+
+/** A request to stop the training. */
+interface StopTraining {
+  /** Id of the folder that the page shows. */
+  folder?: string;
 }
 
 /** The state of the training. */
@@ -338,6 +426,22 @@ interface GroupTest {
   p: number;
 }
 
+/** A request to keep a table of groups. */
+interface SaveGroups {
+  /** Id of the folder that the page shows. */
+  folder?: string;
+  /** Of a .csv file. */
+  text: string;
+  /** Of that file. */
+  name: string;
+}
+
+/** A table of groups that was kept. */
+interface Grouped {
+  /** Number of those in the table. */
+  specimens: number;
+}
+
 /** Measures of all pictures with landmarks, and the space of their shapes. */
 interface Shapes {
   pictures: string[];
@@ -354,6 +458,20 @@ interface Shapes {
   tests: GroupTest[];
   /** Whether a table of groups was given. */
   has_table: boolean;
+}
+
+/** A request to make a further set of landmarks. */
+interface MakeSet {
+  /** Id of the folder that the page shows. */
+  folder?: string;
+  name: string;
+  /** Whether it has the points of the set that the page shows. */
+  same?: boolean;
+}
+
+/** A set of landmarks that was made. */
+interface MadeSet {
+  name: string;
 }
 
 /** How shapes agree with labels, for statistics of shape. */
@@ -398,6 +516,176 @@ interface Agreement {
   shapes: ShapeAgreement[];
 }
 
+/** Where a fit starts: a box, or a shape. */
+interface Start {
+  /** Left, top, right and bottom. */
+  box?: number[] | null;
+  shape?: (number[] | null)[] | null;
+}
+
+/** A request to fit all specimens of a picture, either of the folder or dropped. */
+interface FitAll {
+  /** Id of the folder that the page shows. */
+  folder?: string;
+  /** Name of a picture of the folder. */
+  picture?: string | null;
+  /** Id of a dropped one. */
+  upload?: string | null;
+  method?: string;
+  /** Of the object: auto, or one of the model's. */
+  side?: string;
+}
+
+/** A request to fit the object in a picture. */
+interface FitOne {
+  /** Id of the folder that the page shows. */
+  folder?: string;
+  /** Name of a picture of the folder. */
+  picture?: string | null;
+  /** Id of a dropped one. */
+  upload?: string | null;
+  method?: string;
+  /** Of the object: auto, or one of the model's. */
+  side?: string;
+  /** null: the object is searched for. */
+  start?: Start | null;
+}
+
+/** How long the parts of a fit took. */
+interface Seconds {
+  search: number;
+  fit: number;
+}
+
+/** How an object was found. */
+interface Found {
+  score: number;
+  doubtful: boolean;
+}
+
+/** An iteration of a fit. */
+interface Iteration {
+  shape: ((number | null)[])[];
+  level: number;
+  cost: number | null;
+  theta_deg: number | null;
+}
+
+/** The mean distance of a fit from the landmarks of the picture. */
+interface FitError {
+  pixels: number;
+  /** Of the diagonal of the landmarks. */
+  percent: number;
+}
+
+/** Which of several specimens a fit is of. */
+interface Specimen {
+  /** From 1, in reading order. */
+  number: number;
+  name: string;
+  /** What is not clear about it; empty if nothing. */
+  fault: string;
+}
+
+/** A fit to a picture, in its pixels. Numbers that are not finite are null. */
+interface Fit {
+  id: string;
+  method: string;
+  status: string;
+  /** Whether its landmarks may be used. */
+  ok: boolean;
+  message: string;
+  quality: number | null;
+  side: string | null;
+  theta_deg: number | null;
+  cost: number | null;
+  /** Number of objects that the search has found in the picture; null: it had a start. */
+  n_found: number | null;
+  seconds: Seconds;
+  shape: ((number | null)[])[];
+  /** Landmarks that the object lacks. */
+  absent: number[];
+  covariances: (((number | null)[])[])[];
+  /** Standard deviations of the landmarks. */
+  deviations: (number | null)[];
+  /** null: the fit had a start. */
+  found: Found | null;
+  /** Boxes of several objects, the one that was fitted first. */
+  objects: number[][];
+  iterations: Iteration[];
+  /** Whether the model was trained on this picture. */
+  trained_on: boolean;
+  error: FitError | null;
+  triangles: number[][];
+  contours: Contour[];
+  width: number;
+  height: number;
+  /** Those that can be drawn. */
+  layers: string[];
+  /** Why its shading cannot be computed. */
+  no_flat: string | null;
+  /** null: it was fitted alone. */
+  specimen: Specimen | null;
+  /** Name of the picture, or */
+  picture?: string;
+  /** id of the dropped one. */
+  upload?: string;
+}
+
+/** Fits of all specimens of a picture, in reading order. */
+interface Fits {
+  fits: Fit[];
+  /** What is not clear about the picture. */
+  faults: string[];
+}
+
+/** A dropped picture, which is kept for a while. */
+interface Upload {
+  id: string;
+  name: string;
+  width: number;
+  height: number;
+  /** null: none was asked for, or it failed. */
+  fit: Fit | null;
+}
+
+/** The colours of a layer, sent beside it. */
+interface ColourScale {
+  /** The value of the last colour; that of the first is its negative. */
+  limit: number;
+  what: string;
+}
+
+/** The part of the picture that a layer covers, sent beside it. */
+interface LayerPlace {
+  /** Left, top, width and height, as fractions of the picture's sides. */
+  box: number[];
+}
+
+/** A distant lamp of a light that is sent. */
+interface SentLamp {
+  /** x to the right, y down, z to the viewer. */
+  direction: number[];
+  /** Red, green and blue as on the screen (sRGB), 0 to 1. */
+  colour?: number[];
+  strength?: number;
+  softness?: number;
+}
+
+/** The light of a relit picture, which an address holds as JSON. */
+interface SentLight {
+  lamps: SentLamp[];
+  /** Fraction of white ambient light. */
+  ambient?: number;
+}
+
+/** A video that is tracked while it plays. */
+interface LiveVideo {
+  id: string;
+  /** First line of the table that the rows of its frames make. */
+  header: string;
+}
+
 /** The landmarks of a picture were saved, by any page. */
 interface LandmarksChanged {
   name: string;
@@ -407,22 +695,303 @@ interface LandmarksChanged {
   beside?: string;
 }
 
-/** The answer to a request that is refused or has failed. */
-interface Fault {
-  /** What is wrong, and what to do, in a sentence for the person. */
-  error: string;
+/** Something in the folder, or of its models, has changed: the page asks for the project again. */
+interface FolderChanged {
+}
+
+/** What a refusal may say beside the error. */
+interface Details {
   /** The page shows another folder than this one, by its id. */
   folder?: string;
   /** The landmarks, which were changed since the page read them. */
   current?: Marks;
   /** The template, which was changed since the page read it. */
   template?: Template | null;
+  /** The training that is running already. */
+  training?: Training;
+}
+
+/** The answer to a request that is refused or has failed. */
+interface Fault {
+  /** The page shows another folder than this one, by its id. */
+  folder?: string;
+  /** The landmarks, which were changed since the page read them. */
+  current?: Marks;
+  /** The template, which was changed since the page read it. */
+  template?: Template | null;
+  /** The training that is running already. */
+  training?: Training;
+  /** What is wrong, and what to do, in a sentence for the person. */
+  error: string;
+}
+
+/** Asks for the project, unless nothing has changed. */
+interface ProjectQuery {
+  /** Of the project that the page has. */
+  stamp?: string | number;
+}
+
+/** Asks for a picture or a layer in a size. */
+interface ImageQuery {
+  /** Longest side in pixels. */
+  size?: string | number;
+  /** Of the file; with it, the browser keeps the answer. */
+  tag?: string | number;
+}
+
+/** Asks for a tile of a picture. */
+interface TileQuery {
+  /** Of the file; with it, the browser keeps the answer. */
+  tag?: string | number;
+}
+
+/** Asks for the scale of a picture, by what is in it. */
+interface ScaleQuery {
+  /** ruler or bar. */
+  kind?: string | number;
+  /** From one smallest tick to the next, or of the bar. */
+  length?: string | number;
+  unit?: string | number;
+}
+
+/** Says what is measured of the pictures, and how. */
+interface ShapesQuery {
+  /** Such as distance:1-5, with spaces between them. */
+  measures?: string | number;
+  scale?: string | number;
+  /** Groups: folder, name or table. */
+  by?: string | number;
+  /** Whether missing points are estimated. */
+  estimate?: string | number;
+}
+
+/** Says the name of the file that is sent. */
+interface FileQuery {
+  name?: string | number;
+}
+
+/** Says the name of the picture that is sent, and how to fit it. */
+interface UploadQuery {
+  name?: string | number;
+  /** null: it is not fitted. */
+  method?: string | number;
+}
+
+/** Asks for the object of a fit under another light. */
+interface LightQuery {
+  /** A SentLight as JSON; null: one lamp beside the camera. */
+  light?: string | number;
+  size?: string | number;
+}
+
+/** Asks for a file of a fit. */
+interface FitFileQuery {
+  what?: string | number;
+  /** A SentLight as JSON, for a relit picture. */
+  light?: string | number;
+}
+
+/** Says which fits are in a table. */
+interface FitsQuery {
+  /** Their ids, with commas between them. */
+  fits?: string | number;
+}
+
+/** Says what the frame of a video is that is sent. */
+interface FrameQuery {
+  width: string | number;
+  height: string | number;
+  /** Width of the video, of which the frame may be a reduced copy. */
+  of_width: string | number;
+  of_height: string | number;
+  number: string | number;
+  /** In seconds. */
+  time: string | number;
+  /** 1: it does not follow the frame before. */
+  fresh?: string | number;
+  /** 1: its picture without shading is sent back. */
+  flat?: string | number;
 }
 
 /** Data of the events that the server sends, by kind. */
 interface Events {
-  project: Record<string, any>;
+  project: FolderChanged;
   training: Training;
   fitting: Counted | null;
   landmarks: LandmarksChanged | LandmarksChanged[];
+}
+
+/** All routes by their addresses: what varies in these, and what each method takes and answers. */
+interface Routes {
+  "project": {
+    fields: ProjectQuery;
+    GET: { answer: Project | Unchanged };
+  };
+  "events": {
+    fields: {};
+    GET: { file: Blob };
+  };
+  "pictures/{name}/image": {
+    fields: { name: string | number } & ImageQuery;
+    GET: { file: Blob };
+  };
+  "pictures/{name}/chroma": {
+    fields: { name: string | number } & ImageQuery;
+    GET: { file: Blob };
+  };
+  "pictures/{name}/tiles/{level}/{column}/{row}": {
+    fields: { name: string | number; level: string | number; column: string | number; row: string | number } & TileQuery;
+    GET: { file: Blob };
+  };
+  "pictures/{name}/landmarks": {
+    fields: { name: string | number };
+    GET: { answer: Marks };
+    PUT: { body: SaveMarks; answer: Saved };
+  };
+  "pictures/{name}/history": {
+    fields: { name: string | number };
+    GET: { answer: HistoryEntry[] };
+  };
+  "pictures/{name}/scale": {
+    fields: { name: string | number } & ScaleQuery;
+    GET: { answer: FoundScale };
+  };
+  "pictures/{name}/others": {
+    fields: { name: string | number };
+    GET: { answer: Record<string, (number[] | null)[]> };
+  };
+  "review": {
+    fields: {};
+    POST: { body: Review; answer: Reviewed };
+  };
+  "sides": {
+    fields: {};
+    PUT: { body: SaveSides; answer: SidesBefore };
+  };
+  "files": {
+    fields: FileQuery;
+    POST: { body: Blob; answer: Added };
+  };
+  "removed": {
+    fields: {};
+    POST: { body: RemovePictures; answer: Removed };
+  };
+  "restored": {
+    fields: {};
+    POST: { body: RestorePictures; answer: Removed };
+  };
+  "renamed": {
+    fields: {};
+    POST: { body: RenamePicture; answer: Renamed };
+  };
+  "template": {
+    fields: {};
+    PUT: { body: SaveTemplate; answer: Template | null };
+  };
+  "template/file": {
+    fields: FileQuery;
+    POST: { body: Blob; answer: Template };
+  };
+  "sets": {
+    fields: {};
+    POST: { body: MakeSet; answer: MadeSet };
+  };
+  "agreement": {
+    fields: {};
+    GET: { answer: Agreement };
+  };
+  "agreement/model": {
+    fields: {};
+    GET: { answer: ShapeAgreement };
+  };
+  "export/{kind}": {
+    fields: { kind: string | number };
+    GET: { file: Blob };
+  };
+  "measurements": {
+    fields: ShapesQuery;
+    GET: { file: Blob };
+  };
+  "shapes": {
+    fields: ShapesQuery;
+    GET: { answer: Shapes };
+  };
+  "groups": {
+    fields: {};
+    PUT: { body: SaveGroups; answer: Grouped };
+  };
+  "training": {
+    fields: {};
+    POST: { body: StartTraining; answer: Training };
+    DELETE: { body: StopTraining; answer: Training };
+  };
+  "model/file": {
+    fields: {};
+    GET: { file: Blob };
+  };
+  "model/face": {
+    fields: {};
+    DELETE: { answer: null };
+  };
+  "model/guest": {
+    fields: FileQuery;
+    POST: { body: Blob; answer: null };
+    DELETE: { answer: null };
+  };
+  "uploads": {
+    fields: UploadQuery;
+    POST: { body: Blob; answer: Upload };
+  };
+  "uploads/{id}/image": {
+    fields: { id: string | number } & ImageQuery;
+    GET: { file: Blob };
+  };
+  "uploads/{id}/chroma": {
+    fields: { id: string | number } & ImageQuery;
+    GET: { file: Blob };
+  };
+  "uploads/{id}/tiles/{level}/{column}/{row}": {
+    fields: { id: string | number; level: string | number; column: string | number; row: string | number } & TileQuery;
+    GET: { file: Blob };
+  };
+  "fits": {
+    fields: {};
+    POST: { body: FitOne; answer: Fit };
+  };
+  "fits/all": {
+    fields: {};
+    POST: { body: FitAll; answer: Fits };
+  };
+  "fits/table": {
+    fields: FitsQuery;
+    GET: { file: Blob };
+  };
+  "fits/{id}/layers/{layer}": {
+    fields: { id: string | number; layer: string | number } & ImageQuery;
+    GET: { file: Blob };
+  };
+  "fits/{id}/relit": {
+    fields: { id: string | number } & LightQuery;
+    GET: { file: Blob };
+  };
+  "fits/{id}/export": {
+    fields: { id: string | number } & FitFileQuery;
+    GET: { file: Blob };
+  };
+  "recordings": {
+    fields: {};
+    POST: { body: Blob; file: Blob };
+  };
+  "live": {
+    fields: {};
+    POST: { answer: LiveVideo };
+  };
+  "live/{id}/frames": {
+    fields: { id: string | number } & FrameQuery;
+    POST: { body: Blob; file: Blob };
+  };
+  "live/{id}": {
+    fields: { id: string | number };
+    DELETE: { answer: null };
+  };
 }

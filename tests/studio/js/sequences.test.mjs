@@ -88,7 +88,7 @@ async function openTab(server, storage, first) {
     select(name) { this.current = name; opening = tab.opening.open(name); },
     saveMarks: async (name, body) => server.put(name, copy(body)),
   };
-  const api = { url: (...parts) => parts, get: async ([, name]) => server.marks(name) };
+  const api = { url: (_, { name }) => name, get: async (name) => server.marks(name) };
   const toasts = [];
   const toast = (text) => { toasts.push(text); return () => {}; };
   const app = { state, api, toast, ui: { dialog: async () => "theirs" }, pictures: { fetch: async () => ({ bitmap: {} }) } };

@@ -13,7 +13,7 @@ const IGNORED = /(^|\/)(\.|Thumbs\.db$|desktop\.ini$)/i;
 const UNSAVED = /^\{"kind":"liaam-studio-unsaved"/;
 const suffixOf = (path) => /\.[^./]+$/.exec(path.toLowerCase())?.[0] ?? "";
 const stemOf = (path) => path.slice(0, path.length - suffixOf(path).length);
-const isVideo = ({ file, path }, { videos }) => file.type.startsWith("video/") || videos.includes(suffixOf(path));
+const isVideo = ({ file, path }, /** @type {Formats} */ { videos }) => file.type.startsWith("video/") || videos.includes(suffixOf(path));
 
 /** All files of a drop with their paths: [{file, path}]; folders are opened. */
 async function filesIn(transfer) {
@@ -135,7 +135,7 @@ export function createAdding(app) {
     const how = `start the studio with --model ${file.name}`;
     if (file.size > limit)
       throw new Error(`${file.name} is larger than ${Math.round(limit / 1e6)} MB, the limit for models: ${how}`);
-    await api.upload(api.url("model", "guest", { name: file.name }), file);
+    await api.upload(api.url("model/guest", { name: file.name }), file);
     await state.refresh();
     app.openTab("fit");
   }

@@ -78,7 +78,8 @@ export function createOpening(tab, { begins, cover = null }) {
     tab.refresh();
   }
 
-  /** Show a picture's marks from the server, or those that an earlier page could not save. */
+  /** Show a picture's marks from the server, or those that an earlier page could not save.
+   *  @param {string} name; @param {Marks} marks */
   async function take(name, marks, own = turn, key = keyOf(name)) {
     const { saver } = tab;
     const kept = (await tab.saving.inherited(name, marks)) ?? saver.pending(name);
@@ -183,12 +184,15 @@ export function createOpening(tab, { begins, cover = null }) {
 
 /** Marks that a picture opens with: its own, the model's proposal, or the mean of the done pictures. */
 export class FirstMarks {
+  /** @type {import("./state.js").State} */
   #state;
   #fetchMarks;
   #begins;
-  #shapes = new Map(); // name -> promise of the marks of a done picture
+  /** @type {Map<string, Promise<Marks | null>>} */
+  #shapes = new Map(); // of done pictures by name
 
-  /** fetchMarks(name) -> Promise of the server's marks; begins() -> "layout" or "click". */
+  /** begins() -> "layout" or "click".
+   *  @param {{state: import("./state.js").State, fetchMarks: (name: string) => Promise<Marks>, begins: () => string}} options */
   constructor({ state, fetchMarks, begins }) {
     this.#state = state;
     this.#fetchMarks = fetchMarks;
@@ -198,6 +202,7 @@ export class FirstMarks {
   forget(name) { this.#shapes.delete(name); }
   clear() { this.#shapes.clear(); }
 
+  /** @param {string} name; @param {Marks} marks */
   async of(name, { points, invisible, absent = [], origins = null, source, width, height, bar = null }) {
     const { names } = this.#state.project.template;
     const fits = points.length === names.length; // a file may belong to another template

@@ -19,9 +19,10 @@ export function createSaving(tab) {
   const { api, state, toast, ui } = tab.app;
   const page = new Page();
   let deciding = false;
-  const fetchMarks = (name) => api.get(api.url("pictures", name, "landmarks"));
+  const fetchMarks = (name) => api.get(api.url("pictures/{name}/landmarks", { name }));
   const tryToFetch = (name) => fetchMarks(name).catch(() => null);
 
+  /** @param {string} name; @param {SaveMarks} body */
   const put = (name, body) => state.saveMarks(name, body, { keepalive: JSON.stringify(body).length < KEEPALIVE });
 
   const saver = new Saver({
@@ -29,7 +30,7 @@ export function createSaving(tab) {
     template: () => tab.template && { names: tab.template.names, revision: tab.template.revision },
     onStatus: (what, message) => tab.status.show(what, message), onConflict: decide, onTemplate: templateMoved,
     onForeign: (name) => tab.opening.foreign(name), onLost: (_name, sentence) => toast(sentence, "bad"),
-    onSaved: (name, { picture }) => {
+    onSaved: (name, /** @type {Saved} */ { picture }) => {
       tab.opening.forget(name);
       if (picture) state.update(picture);
     },
@@ -37,6 +38,7 @@ export function createSaving(tab) {
 
   async function markUnchecked(name) {
     const { revision, points } = await fetchMarks(name);
+    /** @type {SaveMarks} */
     const body = { points: points.map(() => null), invisible: [], revision, unchecked: true };
     state.update((await put(name, body)).picture);
   }

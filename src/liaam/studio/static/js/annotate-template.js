@@ -96,7 +96,9 @@ export function createTemplates(tab) {
     if (wrong) return panel.tell(wrong);
     const mapping = saved && drafts.rearranges(draft, saved.names.length) ? draft.origins : null;
     // Taken now, because the template may be changed elsewhere while the dialog is open.
-    const template = { ...drafts.templateOf(draft), revision: saved?.revision ?? null };
+    /** @type {SaveTemplate} */
+    const template = drafts.templateOf(draft);
+    template.revision = saved?.revision ?? null;
     const lost = mapping && drafts.consequences(draft, saved.names.length, state.project);
     const text = `${lost} This cannot be undone.`;
     if (lost && !(await confirm("Change the template?", text, "Change the template"))) return;
@@ -121,7 +123,9 @@ export function createTemplates(tab) {
     const before = marking.state ?? (isNew ? null : await tab.saving.fetchMarks(tab.name));
     saving = true;
     try {
-      const change = mapping ? { ...template, mapping } : template;
+      /** @type {SaveTemplate} */
+      const change = { ...template };
+      if (mapping) change.mapping = mapping;
       const saved = await state.send((folder) => api.put(api.url("template"), { ...change, folder }));
       state.takeTemplate(saved);
       await tab.saving.rebase(tab.saver.dirty, mapping);
@@ -142,7 +146,8 @@ export function createTemplates(tab) {
       }
       await tab.saver.flush(tab.name);
     } catch (error) {
-      if (error.status !== 409 || !error.body?.template) throw error;
+      const { status, body } = /** @type {import("./api.js").ApiError} */ (error);
+      if (status !== 409 || !body?.template) throw error;
       // Keep the changes in the editor, on top of the current template.
       saving = false;
       known = ""; // follow the template of the server in any case

@@ -129,7 +129,10 @@ export class Tab {
     const { state, saver, opening, commands } = this;
     state.addEventListener("select", (/** @type {any} */ { detail }) => this.#selected(detail));
     state.addEventListener("project", () => this.templates.noticed() || opening.refresh());
-    state.addEventListener("landmarks", (/** @type {any} */ { detail }) => saver.heard(detail.name, detail.revision, detail.beside));
+    state.addEventListener("landmarks", (/** @type {any} */ { detail }) => {
+      const { name, revision, beside } = /** @type {LandmarksChanged} */ (detail);
+      saver.heard(name, revision, beside);
+    });
     state.addEventListener("online", (/** @type {any} */ { detail }) => detail && this.#online());
     this.viewer.addEventListener("view", () => opening.sharpen());
     this.viewer.addEventListener("unmirror", () => commands.mirrorView());
@@ -186,10 +189,11 @@ export class Tab {
     this.sayPlace(index, next);
   }
 
-  /** Ask the server for the ruler or the scale bar of the open picture. Say why if there is none. */
+  /** Ask the server for the ruler or the scale bar of the open picture. Say why if there is none.
+   *  @param {ScaleQuery} asked */
   async #findScale(asked) {
     try {
-      return await api.get(api.url("pictures", this.name, "scale", asked));
+      return await api.get(api.url("pictures/{name}/scale", { name: this.name, ...asked }));
     } catch (error) {
       this.app.toast(error, "bad");
       return null;
@@ -199,7 +203,9 @@ export class Tab {
   /** Set the scale bar of the open picture in all others of the shown folder, also in those that filters hide. */
   #shareBar(bar, anyway) {
     const others = this.state.pictures.map(({ name }) => name).filter((name) => name !== this.name);
-    this.app.list.bulk.run("scaled", others, { bar, of: this.name, anyway });
+    /** @type {Partial<Review>} */
+    const scale = { bar, of: this.name, anyway };
+    this.app.list.bulk.run("scaled", others, scale);
   }
 
   /** Other points were selected. */

@@ -18,13 +18,19 @@ const UNREACHABLE = "The server is not reachable. Is 'liaam studio' still runnin
 /** What the addresses of a further set of landmarks begin with, of which the page is one. */
 const SET = /^\/set\/[^/]+/.exec(globalThis.location?.pathname ?? "")?.[0] ?? "";
 
-/** Address of a path given in parts: url("pictures", name, "image", {size: 512}). */
-export function url(...parts) {
-  const query = parts.length && typeof parts.at(-1) === "object" ? parts.pop() : null;
-  const path = parts.map((part) => String(part).split("/").map(encodeURIComponent).join("/")).join("/");
-  const text = query ? new URLSearchParams(Object.entries(query).filter(([, value]) => value != null)).toString() : "";
-  return `${SET}/api/${path}${text ? `?${text}` : ""}`;
-}
+const encoded = (name) => String(name).split("/").map(encodeURIComponent).join("/");
+
+/** Address of a route, with what varies in it: url("pictures/{name}/image", {name, size: 512}). Fields that the route does
+ *  not name are its query, without those that are null. @type {Api["url"]} */
+export const url = (route, ...[fields = {}]) => {
+  const query = new Map(Object.entries(fields).filter(([, value]) => value != null));
+  const path = route.replace(/{(\w+)}/g, (_, name) => {
+    query.delete(name);
+    return encoded(fields[name]);
+  });
+  const text = new URLSearchParams([...query]).toString();
+  return /** @type {any} */ (`${SET}/api/${path}${text ? `?${text}` : ""}`);
+};
 
 /** Address of a file of the page, beside this module, where the browser keeps it. */
 export const fileOf = (name) => new URL(`../${name}`, import.meta.url).href;
@@ -65,6 +71,7 @@ async function request(address, options) {
     await new Promise((resolve) => { setTimeout(resolve, delay); });
   }
   if (response.ok) return response;
+  /** @type {Fault | null} */
   const body = await response.json().catch(() => null);
   const message = body?.error ?? `The server answered ${response.status} ${response.statusText}.`;
   throw new ApiError(message, response.status, body);
@@ -86,9 +93,9 @@ function withBody(method) {
     json(address, { method, headers: { "Content-Type": "application/json" }, body: JSON.stringify(body), ...options });
 }
 
+/** @type {Api} */
 export const api = {
   url,
-  /** quiet: nobody waits for the answer, so no progress is shown. */
   get: (address, options = {}) => json(address, options), put: withBody("PUT"), post: withBody("POST"),
   delete: withBody("DELETE"),
   upload: (address, blob, options = {}) =>
@@ -103,6 +110,6 @@ export const api = {
   /** A file to save: [blob, name]. */
   file: async (address, options = {}) => {
     const answer = await send(address, options);
-    return /** @type {[Blob, string]} */ ([await answer.blob(), fileNameIn(answer.headers.get("content-disposition"))]);
+    return [await answer.blob(), fileNameIn(answer.headers.get("content-disposition"))];
   },
 };

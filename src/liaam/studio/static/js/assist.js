@@ -11,14 +11,15 @@ const AUTO_AGAIN = 3; // pictures completed or changed after which it is trained
 const SHOWN = 5; // slips that are listed before training
 const SLIP = "Move what is wrong, or press Enter if the points are right: they are then marked as checked.";
 const AUTO_KEY = "liaam-studio:auto-train";
-const countOf = (pictures, ...states) => pictures.filter(({ state }) => states.includes(state)).length;
+const countOf = (/** @type {Picture[]} */ pictures, ...states) => pictures.filter(({ state }) => states.includes(state)).length;
 
 /** The pictures that a training uses, which may lack absent points, and those of them whose points look wrong. */
-const forTraining = (pictures) => pictures.filter(({ state, left_out: who, absent, placed }) =>
+const forTraining = (/** @type {Picture[]} */ pictures) => pictures.filter(({ state, left_out: who, absent, placed }) =>
   state === "done" && !who && !(absent && placed < FEWEST_PLACED));
 const slipped = (pictures) => forTraining(pictures).filter(({ slip }) => slip);
 
-/** Whether to train automatically. `failedAt`: the `situation` in which training last failed or was stopped. */
+/** Whether to train automatically. `failedAt`: the `situation` in which training last failed or was stopped.
+ *  @param {Project} project; @param {{auto: boolean, failedAt?: string | null}} when */
 export function shouldTrain(project, { auto, failedAt = null }) {
   const { model, training, pictures } = project;
   if (!auto || !project.template || training?.state === "running") return false;
@@ -30,11 +31,11 @@ export function shouldTrain(project, { auto, failedAt = null }) {
 }
 
 /** Key of the training data: training on the same data would fail again. */
-export const situation = ({ model, pictures }) =>
+export const situation = (/** @type {Project} */ { model, pictures }) =>
   JSON.stringify([forTraining(pictures).map(({ name }) => name), model?.stale ?? null]);
 
 /** What is not done yet, as a sentence; "" if all shown pictures are done without a possible slip, and the model was trained
- *  on all of them. */
+ *  on all of them. @param {Pick<Project, "pictures" | "model">} shown */
 export function unfinished({ pictures, model }) {
   const open = pictures.length - countOf(pictures, "done");
   const left = pictures.map(({ name }) => name).filter((name) => name in (model?.left_out ?? {}));
@@ -58,7 +59,8 @@ export function nextOf(state, pictures) {
   return openIn(listed.map((name) => state.picture(name)))[0] ?? null;
 }
 
-/** The picture that helps the model most: by rank, then by position after `current`; null if all are done. */
+/** The picture that helps the model most: by rank, then by position after `current`; null if all are done.
+ *  @param {Picture[]} pictures; @param {string | null} current; @returns {Picture | null} */
 export function nextToTeach(pictures, current) {
   const at = pictures.findIndex((picture) => picture.name === current);
   const round = [...pictures.slice(at + 1), ...pictures.slice(0, Math.max(at, 0))];
@@ -71,6 +73,7 @@ export function nextToTeach(pictures, current) {
 
 const uncertain = (fraction) => (fraction <= 1 ? percent(fraction) : "over 100\u00a0%");
 
+/** Why a picture comes next. @param {Picture | null} picture; @param {Picture[]} pictures; @param {Model | null} model */
 export function reason(picture, pictures, model) {
   if (!picture) return "";
   if (!model) return "Next in the folder. Once there is a model, the picture that helps it most comes first.";
@@ -91,7 +94,7 @@ export function reason(picture, pictures, model) {
 }
 
 /** Notices about the folder and the model: [{title, lines}], without empty ones. A line is a text, or {name, why} about a
- *  picture. */
+ *  picture. @param {Project} project */
 export function notices({ model, template, pictures = [], problems = [] }) {
   const left = Object.entries(model?.left_out ?? {}).map(([name, why]) => ({ name, why }));
   const groups = [
@@ -103,7 +106,7 @@ export function notices({ model, template, pictures = [], problems = [] }) {
   return groups.filter(({ lines }) => lines.length);
 }
 
-/** Message if the model was trained for another template, otherwise "". */
+/** Message if the model was trained for another template, otherwise "". @param {Pick<Project, "model" | "template">} project */
 export function mismatch({ model, template }) {
   if (!model || !template || model.n_points === template.names.length) return "";
   const [has, wants] = [model.n_points, template.names.length];
@@ -155,7 +158,7 @@ export function createAssist(app, commands, onexport) {
     h("div.row", go("Review", "review", () => app.list.review()),
       go("Measure", "measure", () => app.openTab("measure")), go("Export", "export", onexport),
       go("Fit", "fit", () => app.openTab("fit")), go("Try live", "live", () => app.openTab("live"))));
-  const decline = () => api.delete(api.url("model", "face")).then(() => state.refresh());
+  const decline = () => api.delete(api.url("model/face")).then(() => state.refresh());
   const other = button("Use other points…", { small: true, kind: "ghost", testid: "decline-face", onclick: decline });
   const offered = h("p.small.muted", { hidden: true },
     "These are the points of the face model that comes with liaam. ", other);
@@ -252,6 +255,7 @@ export function createAssist(app, commands, onexport) {
     note(project);
   }
 
+  /** @param {Project} project; @param {number} done */
   function explain({ pictures, model, training }, done) {
     const here = state.picture();
     const then = nextOf(state, state.pictures);
@@ -288,7 +292,9 @@ export function createAssist(app, commands, onexport) {
     known = now;
   }
 
-  state.addEventListener("training", (/** @type {any} */ { detail }) => {
+  state.addEventListener("training", (/** @type {any} */ event) => {
+    /** @type {Training} */
+    const detail = event.detail;
     if (detail.state === "failed") fail(detail.error ?? "Training failed.");
     else if (detail.state !== "idle") fail("");
     if (detail.state === "done") failedAt = null;

@@ -42,6 +42,7 @@ const ACTIONS = {
 
 const pictures = ({ length }) => several(length, "picture");
 
+/** What an action has done, as a sentence. @param {string} did; @param {Reviewed} answer */
 export function outcome(did, { changed, refused }) {
   const reasons = Object.values(refused);
   const done = changed.length && `${ACTIONS[did].done(pictures(changed))}.`;
@@ -49,12 +50,15 @@ export function outcome(did, { changed, refused }) {
   return [done, not].filter(Boolean).join(" ");
 }
 
-/** Apply an action to pictures, with `more` data; resolves to the names that changed. `undo` is offered with the message. */
+/** Apply an action to pictures, with `more` data; resolves to the names that changed. `undo` is offered with the message.
+ *  @param {App} app; @param {string} did; @param {string[]} names; @param {{more?: Partial<Review>, undo?: any}} options */
 export async function act({ state, api, toast, saved }, did, names, { more = {}, undo = null } = {}) {
   await saved(); // points that were just moved, or the action would be a change elsewhere to them
   const who = await myName(did === "checked", state.project);
   if (who === null) return [];
-  const answer = await state.send((folder) => api.post(api.url("review"), { folder, pictures: names, did, who, ...more }));
+  /** @type {Review} */
+  const asked = { pictures: names, did, who };
+  const answer = await state.send((folder) => api.post(api.url("review"), { ...asked, ...more, folder }));
   toast(outcome(did, answer), answer.changed.length ? "good" : "info", answer.changed.length && undo && { label: "Undo", onclick: () => undo(answer.changed) });
   await state.refresh();
   return answer.changed;

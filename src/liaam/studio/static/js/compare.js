@@ -12,6 +12,7 @@ const FAMILIAR = ["rgb", "grey"]; // methods to compare the default with at firs
 const SMALL = 300; // css pixels of height below which the object fills a view
 
 class Side {
+  /** @type {Fit | null} */
   #fit = null;
   #run = 0; // number of the newest run, to drop answers of older ones
   // Elements.
@@ -59,7 +60,7 @@ class Side {
 
   show(source) { this.viewer.setPicture(source?.image ?? null, source?.width ?? 0, source?.height ?? 0, source?.tiles ?? null); }
 
-  #take(fit) {
+  #take(/** @type {Fit | null} */ fit) {
     this.#fit = fit;
     this.#badge.hidden = !fit;
     this.viewer.redraw();
@@ -103,6 +104,7 @@ export class Tab extends SourceTab {
     { keys: "X", what: "Swap the sides" },
     { keys: "C L M E T", what: "Show contours, points, mesh, ellipses, ground truth" },
   ];
+  /** @type {Point[] | null} */
   #truth = null; // points of the picture, or null
   #showsTruth = true;
   #left;
@@ -127,7 +129,8 @@ export class Tab extends SourceTab {
       one.addEventListener("view", () => one.width === other.width && other.setView(one.view));
     this.sources.addEventListener("ready", () => this.#sides.forEach((side) => side.show(this.sources.current)));
     this.state.addEventListener("landmarks", (/** @type {any} */ { detail }) => {
-      if (this.sources.current?.name !== detail.name) return;
+      const { name } = /** @type {LandmarksChanged} */ (detail);
+      if (this.sources.current?.name !== name) return;
       this.#fetchTruth();
       if (this.visible) this.#run();
     });
@@ -188,7 +191,8 @@ export class Tab extends SourceTab {
 
   async #fetchTruth() {
     const source = this.sources.current;
-    const marks = source?.ofFolder ? await api.get(source.address("landmarks")).catch(() => null) : null;
+    const read = (name) => api.get(api.url("pictures/{name}/landmarks", { name })).catch(() => null);
+    const marks = source?.ofFolder ? await read(source.name) : null;
     if (this.sources.current !== source) return;
     this.#truth = marks?.source === "file" && marks.points.some(Boolean) ? marks.points : null;
     this.#truthButton.disabled = !this.#truth;

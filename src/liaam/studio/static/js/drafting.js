@@ -12,6 +12,7 @@ const GRIP_REACH = 20; // css pixels
 
 export class Drafting extends Editable {
   #viewer;
+  /** @type {Template | null} */
   #saved = null;
   #isFresh = true;
   #axis = null;
@@ -35,7 +36,7 @@ export class Drafting extends Editable {
     this.#history = new History(template ? drafts.draftOf(template, points) : { ...draft, kinds });
   }
 
-  rebase(template) {
+  rebase(/** @type {Template} */ template) {
     const draft = drafts.rebased(this.draft, this.saved, template);
     this.#saved = template;
     this.#history = new History(drafts.draftOf(template));

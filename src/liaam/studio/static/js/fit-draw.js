@@ -1,5 +1,8 @@
 // Drawing of fits for the tabs Fit and Compare.
 
+/** @typedef {Pick<Fit, "shape" | "triangles" | "contours" | "covariances"> & Partial<Pick<Fit, "absent" | "specimen">>} Drawn
+ *  what is drawn of a fit, or of that to a frame */
+
 import { drawText } from "./drawing.js";
 import { verdictOf } from "./fit-run.js";
 import { discs, drawContours, drawEllipses, drawMesh, drawPoints, lines, stroked } from "./overlays.js";
@@ -85,7 +88,9 @@ const GOOD = { colour: "#ffd166", dash: [] };
 const UNSURE = { colour: "#ff8c5a", dash: [6, 4] };
 const ABSENT = "#ff2828"; // rings around the places of landmarks that are not there
 
-/** Draw a fit's shape, or that of an iteration, with the overlays in a set of names; opacity: of overlays, by name. */
+/** Draw a fit's shape, or that of an iteration, with the overlays in a set of names; opacity: of overlays, by name.
+ *  @param {CanvasRenderingContext2D} ctx; @param {any} viewer; @param {Drawn & import("./fit-run.js").Judged} fit; @param {Set<string>} shown
+ *  @param {{shape?: Point[], final?: boolean, opacity?: Record<string, number>}} options */
 export function drawFit(ctx, viewer, fit, shown, { shape = fit.shape, final = true, opacity = {} } = {}) {
   const { colour, dash } = verdictOf(fit).kind === "good" ? GOOD : UNSURE;
   const draw = (name, work) => {
@@ -108,7 +113,9 @@ export function drawFit(ctx, viewer, fit, shown, { shape = fit.shape, final = tr
 
 const PALE = 0.55; // opacity of the specimens that are not selected
 
-/** Draw the specimens that are not selected paler, and the names of all above them. */
+/** Draw the specimens that are not selected paler, and the names of all above them.
+ *  @param {CanvasRenderingContext2D} ctx; @param {any} viewer; @param {Fit} chosen; @param {Fit[]} others; @param {Set<string>} shown
+ *  @param {Record<string, number>} opacity */
 export function drawSpecimens(ctx, viewer, chosen, others, shown, opacity) {
   if (!others.length) return;
   const pale = Object.fromEntries(OVERLAYS.map(({ name }) => [name, PALE * (opacity[name] ?? 1)]));

@@ -13,6 +13,7 @@ const STEP = 140; // milliseconds per iteration while playing
 const PRIMARY_BUTTON = 1; // as MouseEvent.buttons counts
 
 export class Iterations {
+  /** @type {Iteration[]} */
   #iterations = [];
   #index = 0;
   #timer = null;
@@ -48,6 +49,7 @@ export class Iterations {
 
   get #last() { return this.#iterations.length - 1; }
 
+  /** @param {Iteration[]} iterations */
   show(iterations) {
     this.pause();
     this.#iterations = iterations;
@@ -151,7 +153,8 @@ export class Iterations {
   }
 }
 
-/** Cost of each iteration from 0 to 1, within its level, since costs of other levels are not comparable. */
+/** Cost of each iteration from 0 to 1, within its level, since costs of other levels are not comparable.
+ *  @param {Iteration[]} iterations */
 export function relativeCosts(iterations) {
   return iterations.map(({ level, cost }) => {
     const ofLevel = iterations.filter((other) => other.level === level);

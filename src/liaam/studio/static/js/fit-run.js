@@ -4,31 +4,41 @@ import { several } from "./annotate-words.js";
 import { api } from "./api.js";
 import { distance, indicesOf, mean } from "./points.js";
 
+/** @typedef {Pick<Fit, "ok" | "status" | "quality"> & Partial<Pick<Fit, "found" | "n_found">> & {fitStatus?: string}} Judged
+ *  what a verdict needs of a fit; fitStatus: of a frame, whose status is that of a track */
+
 export const AUTO = "auto"; // of two sides of an object, that which is likelier
 const KEPT = 32; // fits, so that an earlier picture shows its fit at once; the server keeps 64
 
 export class FitStore {
+  /** @type {Map<string, Fit>} */
   #kept = new Map();
   #changes = 0; // of landmarks, which the errors of fits refer to
 
+  /** @type {import("./state.js").State} */
   #state;
 
+  /** @param {import("./state.js").State} state */
   constructor(state) {
     this.#state = state;
-    state.addEventListener("landmarks", ({ detail }) => {
+    state.addEventListener("landmarks", (/** @type {any} */ { detail }) => {
+      const { name } = /** @type {LandmarksChanged} */ (detail);
       this.#changes += 1;
-      this.#drop((fit) => fit.picture === detail.name);
+      this.#drop((fit) => fit.picture === name);
     });
   }
 
+  /** Fit a picture from a start, null: where it is found.
+   *  @param {import("./fit-source.js").Source} source; @param {string} method; @param {Start | null} start; @param {string} side */
   async run(source, method, start = null, side = AUTO) {
     const key = this.#key(source, method, side); // of the model that is asked, which may be replaced meanwhile
     const changes = this.#changes;
     await source.ready;
     const own = source.takeFit(); // with the upload
-    const asked = { ...source.reference, method, start, side };
+    /** @type {FitOne} */
+    const asked = { method, start, side };
     const fit = cleaned(own?.method === method && !start && side === AUTO ? own
-      : await this.#state.send((folder) => api.post(api.url("fits"), { ...asked, folder })));
+      : await this.#state.send((folder) => api.post(api.url("fits"), { ...asked, ...source.reference, folder })));
     if (changes !== this.#changes) return fit;
     this.#kept.delete(key);
     this.#kept.set(key, fit);
@@ -36,18 +46,22 @@ export class FitStore {
     return fit;
   }
 
-  /** Fit all specimens of a picture: {fits, in reading order; faults, what is not clear}. They are not kept here. */
+  /** Fit all specimens of a picture. They are not kept here.
+   *  @param {import("./fit-source.js").Source} source; @param {string} method; @returns {Promise<Fits>} */
   async runAll(source, method, side = AUTO) {
     await source.ready;
-    const asked = { ...source.reference, method, side };
-    const { fits, faults } = await this.#state.send((folder) => api.post(api.url("fits", "all"), { ...asked, folder }));
+    /** @type {FitAll} */
+    const asked = { method, side };
+    const { fits, faults } = await this.#state.send(
+      (folder) => api.post(api.url("fits/all"), { ...asked, ...source.reference, folder }));
     return { fits: fits.map(cleaned), faults };
   }
 
   /** The newest fit of a source with a method, a side and the current model, or null. */
   recall(source, method, side = AUTO) { return this.#kept.get(this.#key(source, method, side)) ?? null; }
-  forget(fit) { this.#drop((kept) => kept.id === fit.id); }
+  forget(/** @type {Fit} */ fit) { this.#drop((kept) => kept.id === fit.id); }
 
+  /** @param {(fit: Fit) => boolean} isStale */
   #drop(isStale) {
     for (const [key, kept] of this.#kept) if (isStale(kept)) this.#kept.delete(key);
   }
@@ -55,9 +69,9 @@ export class FitStore {
   #key(source, method, side) { return `${source.key}|${method}|${side}|${this.#state.project.model?.number ?? ""}`; }
 }
 
-/** A fit whose points are either [x, y] or null: a diverged fit may lack a coordinate. */
+/** A fit whose points are either [x, y] or null: a diverged fit may lack a coordinate. @param {Fit} fit; @returns {Fit} */
 export function cleaned(fit) {
-  const points = (shape) => shape.map((point) => (point && point.every(Number.isFinite) ? point : null));
+  const points = (/** @type {Point[]} */ shape) => shape.map((point) => (point && point.every(Number.isFinite) ? point : null));
   return {
     ...fit, shape: points(fit.shape),
     covariances: fit.covariances?.map((each) => (each?.flat().every(Number.isFinite) ? each : null)) ?? null,
@@ -76,7 +90,7 @@ const PLAIN = { "max iterations": "not finished", diverged: "lost" };
 const capital = (text) => text[0].toUpperCase() + text.slice(1);
 
 /** Assessment of a fit: {kind of its badge, title, advice or ""}. isExpert: whether the title has the words of fitting.
- *  A frame of a video also has the status of a track. */
+ *  A frame of a video also has the status of a track. @param {Judged} fit */
 export function verdictOf(fit, isExpert = true) {
   const { ok, fitStatus = fit.status, quality } = fit;
   const status = isExpert ? fit.status : (PLAIN[fit.status] ?? fit.status);
@@ -108,11 +122,11 @@ export function significant(value, digits = 3) {
 
 /** An error in pixels or percent, to two decimals. */
 const short = (value) => value < 0.01 ? "< 0.01" : String(Number(value.toFixed(2)));
-const errorText = ({ error: { pixels, percent } }) => `${short(pixels)} px (${short(percent)} %)`;
+const errorText = (/** @type {Fit} */ { error: { pixels, percent } }) => `${short(pixels)} px (${short(percent)} %)`;
 
-/** Facts about a fit, by their titles; isExpert: also what only experts of the fitting need. */
+/** Facts about a fit, by their titles; isExpert: also what only experts of the fitting need. @param {Fit} fit */
 export function factsOf(fit, isExpert = true) {
-  const { search, fit: fitting } = fit.seconds ?? {};
+  const { search, fit: fitting } = fit.seconds;
   return [
     isExpert && ["Quality", fit.quality == null ? "unknown" : percent(fit.quality)],
     fit.side && ["Side", fit.side],
@@ -129,7 +143,8 @@ export function meanDistance(first, second) {
 }
 
 /** How two fits to the same picture compare: {by: "error" or "quality", better: one of them, null if they are equal},
- *  or {by: "copy"} if the landmarks are those of a fit; {} if neither is known. */
+ *  or {by: "copy"} if the landmarks are those of a fit; {} if neither is known.
+ *  @param {Fit | null} left; @param {Fit | null} right; @returns {{by?: string, better?: Fit | null}} */
 function compared(left, right) {
   const pick = (by, gain, least) => ({ by, better: Math.abs(gain) < least ? null : gain > 0 ? left : right });
   if (left?.error && right?.error) {
@@ -142,7 +157,8 @@ function compared(left, right) {
 /** The better of two fits to the same picture: by the known landmarks, or else by quality; null if they are equal. */
 export const betterOf = (left, right) => compared(left, right).better ?? null;
 
-/** Which of two fits to the same picture is better, in words; distance: mean distance of their points in pixels. */
+/** Which of two fits to the same picture is better, in words; distance: mean distance of their points in pixels.
+ *  @param {Fit | null} left; @param {Fit | null} right; @param {number} distance */
 export function comparison(left, right, distance) {
   if (!left || !right) return "";
   const { by, better = null } = compared(left, right);

@@ -24,6 +24,7 @@ const STARTS = [
 const SIDES = { left: "Left", right: "Right", original: "Not mirrored", mirrored: "Mirrored" };
 
 export class SetupPanel {
+  /** @type {import("./fit.js").Tab} */
   #tab;
   // Elements.
   #back; #hint; #label; #method; #mismatch; #needsModel; #ofMethod; #ofSides; #place; #runner; #sides; #starts; #withModel;
@@ -135,7 +136,7 @@ export class SetupPanel {
 export function guestPanel({ state, openTab }) {
   const words = h("p.small.guest-words");
   const onclick = async () => {
-    await api.delete(api.url("model", "guest"));
+    await api.delete(api.url("model/guest"));
     await state.refresh();
     openTab("annotate");
   };
@@ -154,6 +155,7 @@ export function guestPanel({ state, openTab }) {
 }
 
 export class ResultPanel {
+  /** @type {import("./fit.js").Tab} */
   #tab;
   // Elements.
   #all; #facts; #next; #remedies; #specimens; #status;
@@ -188,16 +190,17 @@ export class ResultPanel {
     this.#specimens.replaceChildren();
   }
 
-  /** List specimens that were fitted together: a press selects one. What is not clear about the picture comes last. */
+  /** List specimens that were fitted together: a press selects one. What is not clear about the picture comes last.
+   *  @param {Fits} all; @param {Fit} chosen */
   #list({ fits, faults }, chosen) {
-    const row = (fit) => button(specimenText(fit, expert.on), {
+    const row = (/** @type {Fit} */ fit) => button(specimenText(fit, expert.on), {
       small: true, kind: "ghost", pressed: fit === chosen, title: fit.specimen.fault, testid: "fit-specimen",
       onclick: () => this.#tab.choose(fit),
     });
     this.#specimens.replaceChildren(...fits.map(row), ...faults.map((fault) => h("p.small.muted", fault)));
   }
 
-  show(fit, several = false) {
+  show(/** @type {Fit} */ fit, several = false) {
     this.element.hidden = false;
     const { kind, title, advice } = verdictOf(fit, expert.on);
     const lines = [
@@ -215,7 +218,7 @@ export class ResultPanel {
 }
 
 /** A specimen in words, such as "tray#2: converged, quality 94 %". */
-export const specimenText = (fit, isExpert = true) => `${fit.specimen.name}: ${verdictOf(fit, isExpert).title}`;
+export const specimenText = (/** @type {Fit} */ fit, isExpert = true) => `${fit.specimen.name}: ${verdictOf(fit, isExpert).title}`;
 
 const EXPORTS = {
   Landmarks: { pts: "Landmarks .pts", ljson: "Landmarks .ljson", csv: "Table .csv", json: "Fit .json" },
@@ -227,6 +230,7 @@ const EXPORTS = {
 const NEEDS = { flat: "flat", shading: "shading", relit: "flat" }; // a layer of the fit
 
 export class ExportMenu {
+  /** @type {import("./fit.js").Tab} */
   #tab;
   // Elements.
   #annotate; #button; #panel; #table;
@@ -275,8 +279,9 @@ export class ExportMenu {
   }
 
   #address(what) {
-    const { fit, lights } = this.#tab;
-    return api.url("fits", fit.id, "export", { what, ...(what === "relit" && lightQuery(lights)) });
+    const { fit: { id }, lights } = this.#tab;
+    const { light } = what === "relit" ? lightQuery(lights) : { light: null };
+    return api.url("fits/{id}/export", { id, what, light });
   }
 
   /** Save a file of the fit without the menu. */
@@ -297,7 +302,7 @@ export class ExportMenu {
     for (const link of fit ? this.#panel.querySelectorAll("a") : []) {
       const { what } = link.dataset;
       if (link === this.#table) {
-        link.href = api.url("fits", "table", { fits: fits.map(({ id }) => id).join() });
+        link.href = api.url("fits/table", { fits: fits.map(({ id }) => id).join() });
         link.hidden = !fits.length;
         continue;
       }
@@ -307,10 +312,10 @@ export class ExportMenu {
   }
 }
 
-/** Save a fit's landmarks for its picture; ask before replacing others. */
+/** Save a fit's landmarks for its picture; ask before replacing others. @param {App} app; @param {Fit} fit */
 export async function useAsAnnotation(app, fit) {
   const { state } = app;
-  const known = await api.get(api.url("pictures", fit.picture, "landmarks"));
+  const known = await api.get(api.url("pictures/{name}/landmarks", { name: fit.picture }));
   const placed = known.source === "file" && known.points.some(Boolean);
   const text = `${fit.picture} already has landmarks (${known.file ?? "in its file"}).`;
   const replace = () =>

@@ -9,6 +9,7 @@ const SHARP_SIZE = 8192; // longest side after zooming in
 const KEPT = 4;
 const LARGE_FILE = 1e6; // bytes of a picture from which on it may be too large to be decoded by the browser
 
+/** @param {Address<Filing<"GET">>} address */
 async function bitmapOf(address) {
   const blob = await api.blob(address);
   return createImageBitmap(blob).catch(() => {
@@ -16,10 +17,10 @@ async function bitmapOf(address) {
   });
 }
 
-/** The tiles of a picture that is large; null for others. addressOf(what) -> address of a part of the picture. */
+/** The tiles of a picture that is large; null for others. addressOf(level, column, row) -> address of a tile. */
 function tilesOf(addressOf, bitmap, width, height) {
   if (width * height < TILED_FROM) return null;
-  return new Tiles(width, height, bitmap.width, (level, column, row) => bitmapOf(addressOf(`tiles/${level}/${column}/${row}`)));
+  return new Tiles(width, height, bitmap.width, (level, column, row) => bitmapOf(addressOf(level, column, row)));
 }
 
 /** The picture in a file; null if it is large: whole, it would take up to a gigabyte, so that it is fetched as tiles. */
@@ -36,9 +37,11 @@ async function decoded(file) {
 
 /** The last few pictures, which are fetched at a higher resolution for zooming in. */
 export class PictureStore {
+  /** @type {import("./state.js").State} */
   #state;
   #pictures = new Map(); // name -> {bitmap, sharp, width, height, tag: of the file}
 
+  /** @param {import("./state.js").State} state */
   constructor(state) { this.#state = state; }
 
   /** Fetch a picture: {bitmap, width, height}, with the size of landmark coordinates. */
@@ -64,9 +67,10 @@ export class PictureStore {
 
   async #load(name, size) {
     const { tag } = this.#state.picture(name);
-    const bitmap = await bitmapOf(api.url("pictures", name, "image", { size, tag }));
+    const bitmap = await bitmapOf(api.url("pictures/{name}/image", { name, size, tag }));
     const { width, height } = await this.#sizeOf(name, bitmap);
-    const tiles = tilesOf((what) => api.url("pictures", name, what, { tag }), bitmap, width, height);
+    const tiles = tilesOf((level, column, row) => (
+      api.url("pictures/{name}/tiles/{level}/{column}/{row}", { name, tag, level, column, row })), bitmap, width, height);
     const isSharp = size > SHOWN_SIZE || tiles !== null;
     const picture = { bitmap, sharp: isSharp, width, height, tag, tiles };
     this.#pictures.get(name)?.tiles?.close();
@@ -79,12 +83,13 @@ export class PictureStore {
     return picture;
   }
 
-  /** The picture's size, also if the project lacks it: that of the bitmap, unless it was scaled down. */
+  /** The picture's size, also if the project lacks it: that of the bitmap, unless it was scaled down.
+   *  @param {string} name; @param {ImageBitmap} bitmap; @returns {Promise<{width?: number, height?: number}>} */
   async #sizeOf(name, bitmap) {
     const known = this.#state.picture(name);
     if (known?.width) return known;
     const isWhole = Math.max(bitmap.width, bitmap.height) < SHOWN_SIZE;
-    return isWhole ? bitmap : api.get(api.url("pictures", name, "landmarks"));
+    return isWhole ? bitmap : api.get(api.url("pictures/{name}/landmarks", { name }));
   }
 }
 
@@ -98,6 +103,7 @@ export class Source {
   #width = 0;
   #height = 0;
   #method = null;
+  /** @type {Fit | null} */
   #fit = null;
   #quality = null;
   #ready = Promise.resolve();
@@ -139,8 +145,8 @@ export class Source {
   }
 
   async #upload() {
-    const asked = { name: this.name, method: this.#method };
-    const { id, width, height, fit = null } = await api.upload(api.url("uploads", asked), this.#file);
+    const address = api.url("uploads", { name: this.name, method: this.#method });
+    const { id, width, height, fit = null } = await api.upload(address, this.#file);
     this.#id = id;
     this.#width = width; // landmark coordinates refer to the server's size
     this.#height = height;
@@ -158,11 +164,19 @@ export class Source {
 
   close() { this.#tiles?.close(); }
   get ofFolder() { return this.tag !== null; }
+  /** @returns {Pick<FitAll, "picture" | "upload">} */
   get reference() { return this.ofFolder ? { picture: this.name } : { upload: this.#id }; }
 
-  address(what, query = {}) {
-    if (!this.ofFolder) return api.url("uploads", this.#id, what, query);
-    return api.url("pictures", this.name, what, { ...query, tag: this.tag });
+  /** Address of the picture in a size: its "image" or its "chroma". @param {"image" | "chroma"} what; @param {number} size */
+  address(what, size) {
+    if (!this.ofFolder) return api.url(`uploads/{id}/${what}`, { id: this.#id, size });
+    return api.url(`pictures/{name}/${what}`, { name: this.name, size, tag: this.tag });
+  }
+
+  tileAddress(level, column, row) {
+    const { name, tag } = this;
+    if (!this.ofFolder) return api.url("uploads/{id}/tiles/{level}/{column}/{row}", { id: this.#id, level, column, row });
+    return api.url("pictures/{name}/tiles/{level}/{column}/{row}", { name, tag, level, column, row });
   }
 }
 
@@ -171,13 +185,16 @@ let uploads = 0;
 /** Holds the current source. Events: "taken" before the upload of a file starts, "change" when another source is shown,
  *  "ready" when the server has it, "failed" with the error. */
 export class Sources extends EventTarget {
+  /** @type {import("./state.js").State} */
   #state;
+  /** @type {PictureStore} */
   #pictures;
   #current = null;
   #watchers = new Set(); // the open tabs that show the source
   #chosen = false; // whether a picture of the folder was selected since a file was opened
   #wanted = null; // the newest source, which may be still opening
 
+  /** @param {import("./state.js").State} state; @param {PictureStore} pictures */
   constructor(state, pictures) {
     super();
     this.#state = state;
@@ -270,8 +287,9 @@ export class Sources extends EventTarget {
   async #fetch(source) {
     const { width, height } = source;
     const isTiled = width * height >= TILED_FROM;
-    const image = await bitmapOf(source.address("image", { size: isTiled ? SHOWN_SIZE : SHARP_SIZE }));
-    source.show(image, width, height, tilesOf((what) => source.address(what), image, width, height));
+    const image = await bitmapOf(source.address("image", isTiled ? SHOWN_SIZE : SHARP_SIZE));
+    const tiles = tilesOf((level, column, row) => source.tileAddress(level, column, row), image, width, height);
+    source.show(image, width, height, tiles);
   }
 
   #show(source) {
@@ -310,7 +328,7 @@ export class SourceTab {
   /** Show the fit of a source, while the tab is open. */
   showFit(_source) {}
   /** There is another model, or none: earlier fits are out of date. */
-  useModel(_model) {}
+  useModel(/** @type {Model | null} */ _model) {}
   /** Show what can be done with the present source and model. */
   offer() {}
   /** The source cannot be shown. */

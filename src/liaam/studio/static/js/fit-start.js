@@ -54,6 +54,7 @@ export class BoxTool {
   }
 
   get box() { return this.#box; }
+  /** @returns {Start | null} */
   get start() { return this.#box && isDrawn(this.#box) ? { box: this.#box } : null; }
 
   clear() {
@@ -114,6 +115,7 @@ export class BoxTool {
 /** The mean shape, which gestures edit by its frame. */
 export class MeanTool extends Editable {
   #viewer;
+  /** @type {Model | null} */
   #model = null;
   #placed = null; // the points
   #isFitted = false; // whether the fit from this start is shown; then only the frame is drawn until it is moved
@@ -125,7 +127,7 @@ export class MeanTool extends Editable {
     this.use(null);
   }
 
-  use(model) {
+  use(/** @type {Model | null} */ model) {
     this.#model = model;
     this.clear();
   }
@@ -138,6 +140,7 @@ export class MeanTool extends Editable {
     this.#viewer.redraw();
   }
 
+  /** @returns {Start | null} */
   get start() { return this.#placed && { shape: this.#placed }; }
 
   /** Its fit is shown, or no longer. */

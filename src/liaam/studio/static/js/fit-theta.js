@@ -180,7 +180,7 @@ export class InvariantView {
     this.#asked = source;
     await source.ready;
     try {
-      const chroma = parseChroma(await api.buffer(source.address("chroma", { size: SIZE })));
+      const chroma = parseChroma(await api.buffer(source.address("chroma", SIZE)));
       if (this.#asked === source) this.#take(chroma);
     } catch (error) {
       if (this.#asked !== source) return;

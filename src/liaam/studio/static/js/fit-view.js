@@ -32,7 +32,9 @@ const REST = 150; // milliseconds after the last move of a lamp until the exact 
 
 export class FitView {
   #source = null;
+  /** @type {Fit | null} */
   #fit = null;
+  /** @type {Fit[]} */
   #others = []; // fits of the other specimens
   #name = "picture";
   #iteration = null; // {shape, final} of the slider, null for the result
@@ -43,8 +45,10 @@ export class FitView {
   #drawn = new Map(VIEWS.map(({ name }) => [name, new Set(name === "picture" ? ["contours", "landmarks"] : [])]));
   #images = new Map();
   #faults = new Map(); // view -> error message of the server
-  #scales = new Map(); // view -> {limit, what} of its colours
+  /** @type {Map<string, Partial<ColourScale & LayerPlace>>} */
+  #scales = new Map(); // by view
   #split = new Set(["flat", "relit"]); // views that are shown beside the picture
+  /** @type {import("./fit.js").Tab} */
   #tab;
   #rough = null; // computes the relit picture in the browser
   #moved = false; // whether it has not been painted since a lamp moved
@@ -103,7 +107,7 @@ export class FitView {
     this.setFit(null);
   }
 
-  /** Show a fit, and those of the other specimens that were fitted with it. */
+  /** Show a fit, and those of the other specimens that were fitted with it. @param {Fit | null} fit; @param {Fit[]} others */
   setFit(fit, others = []) {
     this.#fit = fit;
     this.#others = others;
@@ -190,7 +194,7 @@ export class FitView {
     if (this.#images.has(layer)) return;
     this.#images.set(layer, null); // requested
     try {
-      const { image, scale } = await api.layer(api.url("fits", fit.id, "layers", layer, { size: LAYER_SIZE }));
+      const { image, scale } = await api.layer(api.url("fits/{id}/layers/{layer}", { id: fit.id, layer, size: LAYER_SIZE }));
       if (this.#fit !== fit) return;
       this.#images.set(layer, image);
       this.#scales.set(layer, scale);
@@ -231,7 +235,7 @@ export class FitView {
     const fit = this.#fit;
     try {
       const size = Math.min(Math.max(fit.width, fit.height), LAYER_SIZE);
-      const { image } = await api.layer(api.url("fits", fit.id, "relit", lightQuery(this.light, size)));
+      const { image } = await api.layer(api.url("fits/{id}/relit", { id: fit.id, ...lightQuery(this.light, size) }));
       if (turn !== this.#awaited) return;
       this.#images.get("relit")?.close();
       this.#images.set("relit", image);
@@ -302,7 +306,7 @@ export class FitView {
     this.viewer.redraw();
   }
 
-  #explain(scale) {
+  #explain(/** @type {Partial<ColourScale> | null} */ scale) {
     this.#legend.hidden = !scale;
     if (!scale) return;
     const shading = this.#name === "shading";

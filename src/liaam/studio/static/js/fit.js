@@ -25,9 +25,12 @@ export class Tab extends SourceTab {
   #method;
   #start = "auto";
   #side = AUTO; // of the object in the picture, if the model knows two
+  /** @type {Fit | null} */
   #fit = null;
   #lastDropMs = null; // from the newest drop to the first frame painted with its fit
+  /** @type {Fit["objects"]} */
   #objects = []; // boxes of several in the picture, that of the fit first
+  /** @type {Fits} */
   #specimens = { fits: [], faults: [] }; // all of the picture that were fitted together
   #run = 0; // number of the newest run, to drop answers of older ones
   // Parts.
@@ -89,7 +92,7 @@ export class Tab extends SourceTab {
     })) || this.#view.key(event));
   }
 
-  /** Fit the shown picture from a start, or the chosen one. Resolves once the fit is painted. */
+  /** Fit the shown picture from a start, or the chosen one. Resolves once the fit is painted. @param {Start | null} given */
   async run(given = null) {
     const source = this.sources.current;
     if (!source || !this.state.project.model) return null;
@@ -133,14 +136,14 @@ export class Tab extends SourceTab {
   }
 
   /** Select one of the specimens that were fitted together. */
-  choose(fit) {
+  choose(/** @type {Fit} */ fit) {
     this.#take(fit);
     this.#view.viewer.redraw();
   }
 
   get startTool() { return { box: this.#box, mean: this.#mean }[this.#start] ?? null; }
 
-  #take(fit) {
+  #take(/** @type {Fit | null} */ fit) {
     this.#fit = fit;
     if (!this.#specimens.fits.includes(fit)) this.#specimens = { fits: [], faults: [] };
     if (fit?.objects?.length) this.#objects = [...fit.objects];
@@ -152,7 +155,7 @@ export class Tab extends SourceTab {
     this.#mean.showFit(Boolean(fit));
   }
 
-  forgotten(fit) {
+  forgotten(/** @type {Fit} */ fit) {
     this.app.fits.forget(fit);
     this.app.toast("The server no longer has this fit, so the picture is fitted again.");
     this.run();
@@ -179,7 +182,7 @@ export class Tab extends SourceTab {
     else if ((await this.run()) && !source.ofFolder) this.#lastDropMs ??= performance.now() - source.started;
   }
 
-  useModel(model) {
+  useModel(/** @type {Model | null} */ model) {
     this.#run += 1;
     this.#side = AUTO;
     this.#setup.offerSides(model);

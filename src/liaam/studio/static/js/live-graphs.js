@@ -13,6 +13,7 @@ const MOUTH = ["upper_lip_bottom", "lower_lip_top"]; // its opening, in the mode
 const NOTE = "Roll is the turn in the picture from the model's mean shape. Turns to the side and nods are not measured.";
 
 export class LiveGraphs {
+  /** @type {App} */
   #app;
   #seek;
   #pair = null; // the two points of the distance, by index

@@ -22,7 +22,8 @@ export class LiveView {
   // Elements.
   #bar; #cameras; #empty; #facts; #needs; #openers; #panels; #play; #slider; #status; #strip; #time; #tools;
 
-  /** act: functions camera (by id), file (of a File), stop, play, flat, mirror, record, save and seek (to seconds). */
+  /** act: functions camera (by id), file (of a File), stop, play, flat, mirror, record, save and seek (to seconds).
+   *  @param {HTMLElement} root; @param {App} app; @param {any} act */
   constructor(root, app, act) {
     const container = h("div.fit-viewer");
     this.viewer = new Viewer(container, { label: "Live picture" });
@@ -145,6 +146,7 @@ export class LiveView {
     if (this.#mirrored) ctx.transform(-1, 0, 0, 1, mirroredIn(plane), 0);
   }
 
+  /** @param {any} source; @param {Model | null} model */
   dress({ video, isOpen, isFile, camera, cameras }, model) {
     this.#needs.hidden = Boolean(model);
     for (const panel of this.#panels) panel.hidden = !model;

@@ -20,19 +20,21 @@ export class Tab {
     { keys: "R", what: "Record" },
     { keys: "C L M E", what: "Show contours, points, mesh, ellipses" },
   ];
+  /** @type {App} */
   #app;
   #source;
   #view;
   #track;
   #message = ""; // what is wrong
   #recorder = null;
-  /** @type {Promise<{id: string, header: string}> | null} */
+  /** @type {Promise<LiveVideo> | null} */
   #video = null; // the server's work on the video
   #number = 0; // of the next frame
   #inFlight = 0; // frames that the server works on
   #before = null; // time of the frame that was sent last
   #missed = null; // time of the newest frame that waits, or null
 
+  /** @param {HTMLElement} root; @param {App} app */
   constructor(root, app) {
     this.#app = app;
     this.#source = new LiveSource((time) => this.#frame(time));
@@ -100,7 +102,7 @@ export class Tab {
 
   /** End the server's work on the video; a next frame begins it again. */
   #end() {
-    const end = ({ id }) => api.delete(api.url("live", id), {}, { quiet: true, keepalive: true });
+    const end = ({ id }) => api.delete(api.url("live/{id}", { id }), {}, { quiet: true, keepalive: true });
     this.#video?.then(end).catch(() => {});
     this.#video = null;
     this.#inFlight = this.#number = 0;
@@ -131,15 +133,17 @@ export class Tab {
     const { canvas: { width, height }, time } = frame;
     const { videoWidth: of_width, videoHeight: of_height } = this.#source.video;
     const { data } = frame.canvas.getContext("2d").getImageData(0, 0, width, height);
-    const flags = { flat: Number(frame.asked), fresh: Number(isJump(this.#before, time)) };
-    const query = { width, height, of_width, of_height, number: this.#number, time, ...flags };
+    const fresh = Number(isJump(this.#before, time));
+    /** @type {FrameQuery} */
+    const query = { width, height, of_width, of_height, number: this.#number, time, fresh, flat: Number(frame.asked) };
     this.#before = time;
     this.#number += 1;
     this.#inFlight += 1;
     const asked = (this.#video ??= this.#begin());
     let answer = null;
     try {
-      const address = api.url("live", (await asked).id, "frames", query);
+      const { id } = await asked;
+      const address = api.url("live/{id}/frames", { id, ...query });
       // A blob is handed over faster than an array.
       answer = await parts(await api.buffer(address, { method: "POST", body: new Blob([data]), quiet: true }));
       this.#message = "";

@@ -6,6 +6,8 @@
 // from (origins.js), and `bar` is the scale bar, or null. A *book* {history, covariances, doubtful, ...} holds everything
 // about one picture.
 
+/** @typedef {Pick<Marks, "points" | "invisible" | "absent" | "origins" | "bar"> & {source: Marks["source"] | "layout"}} MarksState */
+
 import { Editable, placing } from "./gestures.js";
 import { isOwn, nextToConfirm, originsAfter, originsOf } from "./origins.js";
 import {
@@ -38,9 +40,11 @@ export class Marking extends Editable {
   /** Whether mirrored points (twins) move together. */
   get mirrored() { return this.#mirrored; }
   get invisible() { return this.#invisible; }
+  /** @returns {Template | null} */
   get template() { return this.#template(); }
   get names() { return this.template?.names ?? []; }
   get history() { return this.#book?.history ?? null; }
+  /** @returns {MarksState | null} */
   get state() { return this.history?.state ?? null; }
   get points() { return this.shown ?? this.state?.points ?? []; }
   get editable() { return this.#book !== null && !this.#hidden && !this.#locked; }

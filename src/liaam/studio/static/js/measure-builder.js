@@ -10,6 +10,7 @@ export class MeasureBuilder {
   /** @type {number[]} */
   #picked = []; // indices of the points of the measure that is being made, in order
   element = h("section.panel.measure-card", { "aria-label": "New measure" });
+  /** @type {import("./measure.js").Tab} */
   #tab;
   // Elements.
   #add; #hint; #kind; #list; #picker; #scale;

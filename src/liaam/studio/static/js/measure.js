@@ -100,7 +100,7 @@ export class Tab {
     }, after);
   }
 
-  /** Parameters of the requests for measures and shapes. */
+  /** Parameters of the requests for measures and shapes. @returns {ShapesQuery} */
   get #query() {
     const { measures, scale } = this.wanted;
     const estimate = this.#estimate.checked ? "1" : null;
@@ -256,7 +256,7 @@ export class Tab {
     return `${numberText(distance)} from the mean shape${distance > space.limit ? ", unusual" : ""}`;
   }
 
-  /** Title of a column for people. */
+  /** Title of a column for people. @param {Column} column */
   #title({ measure, unit }) {
     const text = measure === null ? "Centroid size" : measureText(measure, this.names);
     return `${text}, ${unit}`;
@@ -355,7 +355,7 @@ function compared(a, b, down) {
   return a < b === down ? 1 : -1;
 }
 
-/** Number, mean, standard deviation and range of a column in words. */
+/** Number, mean, standard deviation and range of a column in words. @param {Column} column */
 function summaryText({ values, unit }) {
   const { n, mean, sd, least, most } = summary(values);
   if (!n) return "No picture has all points of this measure, or a scale.";

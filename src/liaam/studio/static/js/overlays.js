@@ -33,7 +33,8 @@ export function drawContours(ctx, viewer, points, contours, { colour = "#ffd166"
   stroked(ctx, colour, width, dash);
 }
 
-/** Make a path of the contours without the segments at missing points. */
+/** Make a path of the contours without the segments at missing points.
+ *  @param {CanvasRenderingContext2D} ctx; @param {any} viewer; @param {Point[]} points; @param {Contour[]} contours */
 export function contourPath(ctx, viewer, points, contours) {
   ctx.beginPath();
   for (const { indices, closed } of contours) {
@@ -63,6 +64,7 @@ export function discs(ctx, viewer, points, radius) {
   }
 }
 
+/** Draw triangles. @param {CanvasRenderingContext2D} ctx; @param {any} viewer; @param {Point[]} points; @param {Model["triangles"]} triangles */
 export function drawMesh(ctx, viewer, points, triangles, { colour = "rgb(255 255 255 / 70%)", width = 1 } = {}) {
   const at = points.map((point) => point && viewer.toScreen(point));
   const whole = triangles.filter((corners) => corners.every((i) => at[i]));

@@ -66,17 +66,18 @@ export const PRESETS = {
 
 const channelsOf = (colour) => [1, 3, 5].map((at) => parseInt(colour.slice(at, at + 2), 16) / 255);
 
-/** Lights with colours as numbers, for the server and for the computation in the browser. @param {Lights} lights */
+/** Lights with colours as numbers, for the server and for the computation in the browser.
+ *  @param {Lights} lights; @returns {SentLight} */
 export function numbersOf({ lamps, ambient }) {
   const round = (value) => Number(value.toFixed(4));
-  const sent = lamps.map(({ direction, colour, strength, softness }) => ({
-    direction: direction.map(round), colour: channelsOf(colour).map(round), strength, softness,
-  }));
-  return { lamps: sent, ambient };
+  /** @returns {SentLamp} */
+  const sent = (/** @type {Lamp} */ { direction, colour, strength, softness }) => (
+    { direction: direction.map(round), colour: channelsOf(colour).map(round), strength, softness });
+  return { lamps: lamps.map(sent), ambient };
 }
 
-/** Query of a picture under lights. @param {Lights} lights @param {number} [size] */
-export const lightQuery = (lights, size) => ({ light: JSON.stringify(numbersOf(lights)), ...(size ? { size } : {}) });
+/** Query of a picture under lights. @param {Lights} lights; @param {number} [size]; @returns {LightQuery} */
+export const lightQuery = (lights, size = null) => ({ light: JSON.stringify(numbersOf(lights)), size });
 
 /** A lamp on a picture, over a ball around the object that fills the parent element, or is at `middle` of it.
  *  onmove(direction); further attributes are those of the element. */

@@ -15,8 +15,9 @@ const DID = {
 const EXPORTS = { pts: ".pts files (zip)", coco: "COCO keypoints", tps: "tpsDig (.tps)", csv: "Table (.csv)", sliders: "Sliders (.csv)", measure: "Measurements…" };
 const UNMEASURED = "It is measured on pictures that are held out from a training on four or more. In these, a person must " +
   "have placed, moved or confirmed (Y) at least half of the points: accepted ones would confirm the model that made them.";
-export const sentence = ({ who, did }) => `${who || "Someone"} ${DID[did]}`;
+export const sentence = (/** @type {HistoryEntry} */ { who, did }) => `${who || "Someone"} ${DID[did]}`;
 
+/** What the errors of models are. @param {Version[]} versions */
 export function accuracyText(versions) {
   const { held_out: count } = versions.at(-1);
   const others = versions.some(({ same }) => !same) ? " Pale bars: measured on other pictures." : "";
@@ -43,7 +44,7 @@ export function createReview(tab) {
     small: true, kind: "ghost", title: "Your name in the history", onclick: () => askName(state.project).then(show),
   });
   const save = async (format) =>
-    (format === "measure" ? app.openTab("measure") : saveFile(...(await api.file(api.url("export", format)))));
+    (format === "measure" ? app.openTab("measure") : saveFile(...(await api.file(api.url("export/{kind}", { kind: format })))));
   const files = menu("Export all…", EXPORTS, save, {
     class: "small", "aria-label": "Export all landmarks", testid: "export-all",
   });
@@ -54,12 +55,13 @@ export function createReview(tab) {
   async function fetchHistory() {
     const picture = state.current;
     if (!history.open || !picture) return;
-    const lines = await api.get(api.url("pictures", picture, "history"), { quiet: true });
+    const lines = await api.get(api.url("pictures/{name}/history", { name: picture }), { quiet: true });
     if (picture !== state.current) return;
     const texts = lines.map((line) => `${sentence(line)}, ${new Date(line.time).toLocaleString()}`);
     entries.replaceChildren(listOf(texts.length ? texts : ["Nothing yet"]));
   }
 
+  /** @param {Project} project */
   function draw({ versions, model }) {
     accuracy.hidden = !versions.length && model?.source !== "studio";
     if (!versions.length) {
@@ -82,7 +84,7 @@ export function createReview(tab) {
   }
 
   function show() {
-    const { checked, state: progress, unconfirmed } = /** @type {any} */ (state.picture() ?? {});
+    const { checked, state: progress, unconfirmed } = /** @type {Partial<Picture>} */ (state.picture() ?? {});
     element.hidden = !state.project.template;
     const seen = unconfirmed ? `${several(unconfirmed, "point")} not confirmed` : "Not checked yet";
     now.textContent = checked ? `Checked by ${checked}` : progress === "done" ? seen : "";

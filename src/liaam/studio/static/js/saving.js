@@ -2,6 +2,8 @@
 // while the server is unreachable. The content is {points, invisible, absent, origins, bar}, as far as it is known. This
 // module is independent of the page.
 
+/** @typedef {Pick<SaveMarks, "points" | "invisible" | "absent" | "origins" | "bar">} Content */
+
 import { sameBar, sameMarks } from "./points.js";
 import { carried } from "./template.js";
 
@@ -9,13 +11,20 @@ const DELAY = 250; // milliseconds between a change and its request
 const RETRY = [1000, 2000, 4000, 8000];
 
 /** Body of a request: the content with the revisions of the file and, if known, of the template. A scale bar that stays
- *  is left out, since it may have been set with those of other pictures meanwhile. */
-function body({ sent, saved, revision, template }) {
+ *  is left out, since it may have been set with those of other pictures meanwhile. @returns {SaveMarks} */
+function body(/** @type {{sent: Content, saved: Content | null, revision: string | null, template: any}} */ entry) {
+  const { sent, saved, revision, template } = entry;
   const { bar, ...points } = sent;
-  const content = saved && sameBar(bar, saved.bar) ? points : sent;
   const { absent, origins } = saved ?? {};
-  const base = { ...(absent && { absent }), ...(origins && { origins }) };
-  return { ...content, ...(absent || origins ? { base } : {}), revision, ...(template?.revision === undefined ? {} : { template: template.revision }) };
+  /** @type {SaveMarks} */
+  const asked = { ...(saved && sameBar(bar, saved.bar) ? points : sent), revision };
+  /** @type {Base} */
+  const base = {};
+  if (absent) base.absent = absent;
+  if (origins) base.origins = origins;
+  if (absent || origins) asked.base = base;
+  if (template?.revision !== undefined) asked.template = template.revision;
+  return asked;
 }
 
 const sizeOf = ({ width = null, height = null }) => ({ width, height });
@@ -23,7 +32,8 @@ const sizeOf = ({ width = null, height = null }) => ({ width, height });
 /** Whether two sizes may belong to the same picture; unknown sizes may. */
 const mayBeOne = (a, b) => !a?.width || !b?.width || (a.width === b.width && a.height === b.height);
 
-/** The contents of a picture's landmark file, from the server's answer; proposals are not in a file. */
+/** The contents of a picture's landmark file, from the server's answer; proposals are not in a file.
+ *  @param {Pick<Marks, "points" | "invisible" | "absent" | "origins" | "source"> & Partial<Marks>} marks; @returns {Content} */
 export function contentOf({ points, invisible, absent, origins, source, bar = null }) {
   const known = { ...(absent && { absent }), ...(source === "file" && origins && { origins }) };
   return source === "file" ? { points, invisible, bar, ...known }
@@ -174,6 +184,7 @@ export class Saver {
     }
   }
 
+  /** @param {string} name; @param {any} entry; @param {Partial<Saved>} answer */
   #landed(name, entry, answer) {
     const { revision, beside = null, merged = false } = answer;
     Object.assign(entry, { revision, beside, saved: entry.sent, sent: null, retries: 0 });
@@ -192,7 +203,7 @@ export class Saver {
     entry.wanted ??= sent;
     entry.sent = null;
     this.#keep(name, entry);
-    const { current, template } = (error.status === 409 && error.body) || {};
+    const { current, template } = /** @type {Partial<Fault>} */ ((error.status === 409 && error.body) || {});
     if (template && !current) {
       this.#mark(entry, "failing", error.message);
       this.#options.onTemplate(name); // not awaited: it waits for this request
@@ -249,7 +260,8 @@ export class Saver {
   }
 
   /** Convert the unsaved marks of a picture to the current template.
-   *  current: the server's marks with that template; `mapping`: old index or null of each new point, if known. */
+   *  current: the server's marks with that template; `mapping`: old index or null of each new point, if known.
+   *  @param {string} name; @param {Marks} current; @param {(number | null)[] | null} mapping */
   rebase(name, current, mapping = null) {
     const entry = this.#entry(name);
     const content = this.pending(name);
@@ -292,7 +304,8 @@ export class Saver {
     return wanted;
   }
 
-  /** Restore marks that an earlier page could not save; return the content to show, or null if there is none. */
+  /** Restore marks that an earlier page could not save; return the content to show, or null if there is none.
+   *  @param {string} name; @param {Marks} current */
   restore(name, current) {
     const kept = this.#unsaved.get(name);
     const content = contentOf(current);

@@ -17,6 +17,7 @@ const LENGTHS = [1e-6, 1e9]; // those that can be entered are between
 const known = () => JSON.parse(localStorage.getItem(KEY) ?? '{"length": 10, "unit": "mm"}');
 
 export class ScaleBar extends Editable {
+  /** @type {import("./marking.js").Marking} */
   #marking;
   #on = false;
   #ends = [null, null];
@@ -41,6 +42,7 @@ export class ScaleBar extends Editable {
   async onfind(_asked) { return null; }
   alone() { return false; }
 
+  /** @returns {Bar | null} */
   get bar() { return this.#marking.state?.bar ?? null; }
   get history() { return this.#marking.history; }
   get editable() { return this.#marking.editable; }
@@ -127,7 +129,9 @@ export class ScaleBar extends Editable {
       h("p.small.muted", "The number beside a scale bar is not read. What is not clear is refused."));
     const find = { label: "Find", kind: "primary", value: true, checks: true, testid: "find-go" };
     const answer = await dialog("Find the scale in the picture", body, [find]);
-    return [answer, { kind: kind.value, length: Number(length.value), unit: unit.value }];
+    /** @type {ScaleQuery} */
+    const asked = { kind: kind.value, length: Number(length.value), unit: unit.value };
+    return [answer, asked];
   }
 
   /** Say what was found. Returns "save", "share" or null, and whether to replace other scales too.

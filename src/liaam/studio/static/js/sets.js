@@ -59,6 +59,7 @@ export async function makeSet(app) {
     choice("same", "The same points, another observer", same, { disabled: !template }));
   const make = { label: "Make the set", kind: "primary", value: "make", checks: true, testid: "set-make" };
   if ((await dialog("New set of landmarks", body, [{ label: "Cancel", value: null }, make])) !== "make") return;
+  /** @type {MakeSet} */
   const asked = { name: name.value, same: body.querySelector("input:checked").value === "same" };
   go(app, (await state.send((folder) => api.post(api.url("sets"), { ...asked, folder }))).name);
 }
@@ -86,7 +87,8 @@ export function createAgreement(tab) {
     const wanted = isOn ? `${current} ${picture.revision}` : "";
     if (wanted === asked) return;
     asked = wanted;
-    const found = isOn ? await app.api.get(app.api.url("pictures", current, "others"), { quiet: true }).catch(() => ({})) : {};
+    const read = () => app.api.get(app.api.url("pictures/{name}/others", { name: current }), { quiet: true });
+    const found = isOn ? await read().catch(() => ({})) : {};
     if (wanted !== asked) return;
     others = found;
     if (isOn && !Object.keys(others).length) toast("No other observer has placed all points of this picture yet.");
@@ -107,7 +109,6 @@ export function createAgreement(tab) {
 
 /** Show how far observers are apart, and the pictures and points where most. @param {App} app */
 export async function showAgreement({ api, state }) {
-  /** @type {Agreement} */
   const { observers, sd, percent: share, repeatability, points, pictures, unconfirmed, file, table: text, shapes } =
     await api.get(api.url("agreement"));
   const ignored = unconfirmed.length > 0 && h("p.small.warn-text", { testid: "agreement-unconfirmed" },

@@ -89,7 +89,7 @@ export function scatter({ points, groups, chosen, unusual, titles, names, onpick
 function fitted(points, width, height) {
   const [x0, y0, x1, y1] = bounds(points) ?? [0, 0, 1, 1];
   const scale = Math.min((width - 2 * PAD) / (x1 - x0 || 1e-9), (height - 2 * PAD) / (y1 - y0 || 1e-9));
-  return ([x, y]) => [width / 2 + scale * (x - (x0 + x1) / 2), height / 2 + scale * (y - (y0 + y1) / 2)];
+  return (/** @type {number[]} */ [x, y]) => [width / 2 + scale * (x - (x0 + x1) / 2), height / 2 + scale * (y - (y0 + y1) / 2)];
 }
 
 const pathOf = (points, closed = false) => points.length ? `M${points.map(([x, y]) => `${x.toFixed(1)} ${y.toFixed(1)}`).join("L")}${closed ? "Z" : ""}` : "";
@@ -118,7 +118,7 @@ const combined = (base, parts, scores) =>
 export const shapeAt = ({ mean, axes }, scores) => combined(mean, axes, scores);
 
 /** The thin-plate grid that takes the mean shape to that at some scores. */
-export function bentGrid(space, scores, { contours, label, width = 460, height = 230 }) {
+export function bentGrid(/** @type {Space} */ space, scores, { contours, label, width = 460, height = 230 }) {
   const { rows, columns, points, bends } = space.grid;
   const bent = combined(points, bends, scores);
   const shape = shapeAt(space, scores);

@@ -71,35 +71,35 @@ export function createShapeSpace(tab) {
   const element = h("div.measure-view", whyNot, cards);
 
   /** The group of each shape as an index; -1 for none. */
-  function groupsOf(space) {
+  function groupsOf(/** @type {Space} */ space) {
     const { of } = tab.groups; // once, since it is computed
     return space.of.map((picture) => of[picture]);
   }
 
   /** Index of the selected picture among those that have a shape; -1 for none. */
-  const selectedIn = (space) => space.of.indexOf(tab.chosen);
+  const selectedIn = (/** @type {Space} */ space) => space.of.indexOf(tab.chosen);
 
   /** Mean scores of a group. */
-  function centreOf(space, group) {
+  function centreOf(/** @type {Space} */ space, group) {
     const groups = groupsOf(space);
     const rows = space.scores.filter((_, i) => groups[i] === group);
     return space.axes.map((_, c) => rows.reduce((sum, row) => sum + row[c], 0) / rows.length);
   }
 
   /** The change that the grid shows: its scores at amount 1, its name, and the unit of its amount. */
-  function changeOf(space) {
+  function changeOf(/** @type {Space} */ space) {
     if (change === SELECTED) return changeToSelected(space);
     const pair = pairIn(change);
     return pair ? changeBetween(space, pair) : changeAlong(space, Number(change));
   }
 
-  function changeToSelected(space) {
+  function changeToSelected(/** @type {Space} */ space) {
     const noChange = space.axes.map(() => 0);
     const scores = space.scores[selectedIn(space)] ?? noChange;
     return { scores, name: `from the mean shape to ${tab.state.current}`, unit: "times" };
   }
 
-  function changeBetween(space, /** @type {number[]} */ [from, to]) {
+  function changeBetween(/** @type {Space} */ space, /** @type {number[]} */ [from, to]) {
     const start = centreOf(space, from);
     const end = centreOf(space, to);
     const scores = end.map((score, c) => score - start[c]);
@@ -107,20 +107,20 @@ export function createShapeSpace(tab) {
     return { scores, name: `from ${names[from]} to ${names[to]}`, unit: "times" };
   }
 
-  function changeAlong(space, component) {
+  function changeAlong(/** @type {Space} */ space, component) {
     const step = deviation(space.scores.map((row) => row[component]));
     const scores = space.axes.map((_, c) => (c === component ? step : 0));
     return { scores, name: `along PC${component + 1}`, unit: "SD" };
   }
 
   /** All pairs [a, b] of groups that have shapes, as indices. */
-  function pairsOfGroups(space) {
+  function pairsOfGroups(/** @type {Space} */ space) {
     const groups = new Set(groupsOf(space));
     const present = tab.groups.names.map((_, i) => i).filter((i) => groups.has(i));
     return present.flatMap((a) => present.filter((b) => b > a).map((b) => [a, b]));
   }
 
-  function fillLists(space) {
+  function fillLists(/** @type {Space} */ space) {
     const shares = space.shares.slice(0, MOST_AXES);
     const components = Object.fromEntries(shares.map((share, c) => [c, `PC${c + 1}, ${percent(share)}`]));
     axes.across = Math.min(axes.across, shares.length - 1);
@@ -141,12 +141,12 @@ export function createShapeSpace(tab) {
   }
 
   /** Indices of the shapes that are unusually far from the mean, the farthest first. */
-  function unusualIn({ distances, limit }) {
+  function unusualIn(/** @type {Space} */ { distances, limit }) {
     const far = distances.map((_, i) => i).filter((i) => distances[i] > limit);
     return far.sort((a, b) => distances[b] - distances[a]);
   }
 
-  function drawOutliers(space, unusual) {
+  function drawOutliers(/** @type {Space} */ space, unusual) {
     if (!unusual.length) return outliers.replaceChildren(h("span.muted", "No shape is unusually far from the mean."));
     const limit = numberText(space.limit);
     const buttons = unusual.slice(0, MOST_NAMED).map((i) => button(tab.data.pictures[space.of[i]], {
@@ -159,7 +159,7 @@ export function createShapeSpace(tab) {
     return outliers.replaceChildren("Unusual shapes:", ...buttons, more > 0 ? `and ${more} more` : "");
   }
 
-  function drawScatter(space, unusual) {
+  function drawScatter(/** @type {Space} */ space, unusual) {
     const { across: x, upward: y } = axes;
     scatterPlot.replaceChildren(scatter({
       points: space.scores.map((row) => [row[x], row[y] ?? 0]), // there may be a single component
@@ -173,7 +173,7 @@ export function createShapeSpace(tab) {
   }
 
   /** The contours between the landmarks that the shapes have. */
-  function contoursIn(space) {
+  function contoursIn(/** @type {Space} */ space) {
     const position = new Map(space.landmarks.map((landmark, i) => [landmark, i]));
     return tab.contours.map(({ indices, closed }) => {
       const present = indices.filter((landmark) => position.has(landmark));
@@ -181,13 +181,13 @@ export function createShapeSpace(tab) {
     });
   }
 
-  function drawCloud(space, contours) {
+  function drawCloud(/** @type {Space} */ space, contours) {
     const chosen = space.shapes[selectedIn(space)] ?? null;
     cloudPlot.replaceChildren(
       superimposed({ shapes: space.shapes, mean: space.mean, contours, chosen, groups: groupsOf(space) }));
   }
 
-  function drawGrid(space, contours) {
+  function drawGrid(/** @type {Space} */ space, contours) {
     const { scores, name, unit } = changeOf(space);
     const words = unit === "SD" ? `${amount.toFixed(1)} SD` : `× ${amount.toFixed(1)}`;
     slider.show(amount, words);
@@ -197,7 +197,7 @@ export function createShapeSpace(tab) {
   }
 
   function drawTests() {
-    const line = ({ groups, p, share, distance, specimens }) => {
+    const line = (/** @type {GroupTest} */ { groups, p, share, distance, specimens }) => {
       const apart = distance === null ? "" : `${numberText(distance)} apart, `;
       return h("li", `${groups}: ${apart}${percent(share)} of the variance of shape of ${specimens}, P = ${p.toFixed(3)}`);
     };

@@ -15,7 +15,7 @@ export function sidesInWords({ own, other, n_own: n, n_other: nOther }) {
 
 /** Say the side of pictures, "" to withdraw it. The message offers to undo that. @param {App} app */
 export async function saySide({ api, state, toast }, names, side) {
-  const put = async (sides) => {
+  const put = async (/** @type {Record<string, string>} */ sides) => {
     const answer = await state.send((folder) => api.put(api.url("sides"), { sides, folder }));
     await state.refresh();
     return answer;

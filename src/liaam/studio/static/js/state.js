@@ -39,20 +39,24 @@ export function remember({ tab, name }) {
 export class State extends EventTarget {
   /** @type {Project | null} */
   #project;
+  /** @type {string | null} */
   #current = null;
+  /** @type {string[]} */
   #order = [];
   #worstFirst = false;
   #folder = "";
+  /** @type {Counted | null} */
   #adding = null;
   #online = true;
   #restarted = false;
   #unsure = false; // whether another server, for another folder, may have taken over the port
   #indexed = null; // the project whose pictures are in #byName
+  /** @type {Map<string, Picture>} */
   #byName = new Map();
   #refreshing = null; // promise of the fetch in progress
   #fetchAgain = false; // whether to fetch once more after it
 
-  /** @param {any} project what the server has already sent, if it has */
+  /** @param {Project | null} project what the server has already sent, if it has */
   constructor(project = null) {
     super();
     this.#project = project;
@@ -160,13 +164,13 @@ export class State extends EventTarget {
     this.#emit("folder");
   }
 
-  /** Save the marks of a picture; options are those of api.put. */
+  /** Save the marks of a picture. @param {string} name; @param {SaveMarks} marks; @param {Options} options */
   saveMarks(name, marks, options = {}) {
-    const address = api.url("pictures", name, "landmarks");
+    const address = api.url("pictures/{name}/landmarks", { name });
     return this.send((folder) => api.put(address, { ...marks, folder, who: whoAmI(this.#project) }, options));
   }
 
-  /** Take over what the server has answered about one picture. */
+  /** Take over what the server has answered about one picture. @param {Picture} picture */
   update(picture) {
     const current = this.picture(picture.name);
     if (!current) return;
@@ -174,7 +178,7 @@ export class State extends EventTarget {
     this.#emit("project");
   }
 
-  /** Take over the template that the server has saved; its pictures follow by `refresh`. */
+  /** Take over the template that the server has saved; its pictures follow by `refresh`. @param {Template} template */
   takeTemplate(template) { this.#project.template = template; }
 
   /** Take over the state of a training, or of placing points.
@@ -184,7 +188,7 @@ export class State extends EventTarget {
     this.#emit(work, now);
   }
 
-  /** Files are being added: {done, total}; null: no longer. */
+  /** Files are being added; null: no longer. @param {Counted | null} progress */
   setAdding(progress) {
     this.#adding = progress;
     this.#emit("fitting");
@@ -197,7 +201,7 @@ export class State extends EventTarget {
   async #lookForChanges() {
     if (document.hidden || this.#refreshing || !this.#project) return;
     const project = await api.get(api.url("project", { stamp: this.#project.stamp }), { quiet: true });
-    if (!project.unchanged && !this.#refreshing) this.#take(project);
+    if (!("unchanged" in project) && !this.#refreshing) this.#take(project);
   }
 
   #watchFolder() {
@@ -215,19 +219,21 @@ export class State extends EventTarget {
     setInterval(look, LOOK_EVERY);
   }
 
-  /** Send a request with the id of the page's folder. A server of another folder refuses it, and the page reloads. */
+  /** Send a request with the id of the page's folder. A server of another folder refuses it, and the page reloads.
+   *  @template T; @param {(folder: string) => Promise<T>} request; @returns {Promise<T>} */
   async send(request) {
     if (this.#unsure) await this.refresh(); // otherwise send at once, since the page may be closing
     try {
       return await request(this.#project.id);
     } catch (error) {
-      const isForAnotherFolder = Boolean(error.body?.folder);
+      const isForAnotherFolder = Boolean(/** @type {ApiError} */ (error).body?.folder);
       if (isForAnotherFolder) await this.refresh();
       throw error;
     }
   }
 
-  /** Take over the project that the server has sent. Of another folder or version, the page is loaded again. */
+  /** Take over the project that the server has sent. Of another folder or version, the page is loaded again.
+   *  @param {Project} project */
   #take(project) {
     const isAnother = this.#project && (this.#project.id !== project.id || this.#project.version !== project.version);
     if (isAnother) {
@@ -246,7 +252,7 @@ export class State extends EventTarget {
   async #fetch() {
     const quiet = Boolean(this.#project); // once a project is shown, a lost connection is shown beside it instead
     try {
-      this.#take(await api.get(api.url("project"), { quiet }));
+      this.#take(/** @type {Project} */ (await api.get(api.url("project"), { quiet })));
       this.#setOnline(true);
     } catch (error) {
       const isRefused = error.status === 401;

@@ -5,6 +5,7 @@ const STATES = {
   broken: "cannot be read",
 };
 
+/** @type {Record<string, {label: string, has: (picture: Picture, left: Record<string, string>) => boolean}>} */
 export const FILTERS = {
   all: { label: "All", has: () => true },
   todo: { label: "To do", has: ({ state }) => !["done", "broken", "reading"].includes(state) },
@@ -25,11 +26,13 @@ export const folderOf = (name) => name.slice(0, Math.max(name.lastIndexOf("/"), 
 export const isIn = (name, folder) => !folder || name.startsWith(`${folder}/`);
 export const baseOf = (name) => name.slice(name.lastIndexOf("/") + 1);
 
-/** Why a picture is not used for training; null if it is. left: reasons of the current model, by name. */
+/** Why a picture is not used for training; null if it is. left: reasons of the current model, by name.
+ *  @param {Picture} picture; @param {Record<string, string>} left */
 export function whyLeftOut({ name, state, left_out: who }, left) {
   return who ? `${who} left it out of training` : (state === "done" && left[name]) || null;
 }
 
+/** The state of a picture in words. @param {Picture} picture; @param {Record<string, string>} left */
 export function describe(picture, left) {
   const { state, placed, doubtful, checked, error, slip, absent } = picture;
   if (slip) return "possible slip";
@@ -50,13 +53,14 @@ export function foldersOf(pictures) {
   return Object.fromEntries(names.map((name) => [name, `${name} (${counts.get(name)})`]));
 }
 
-/** Keys to sort by, smallest first. */
+/** Keys to sort by, smallest first. @type {Record<string, (picture: Picture) => number>} */
 const KEYS = {
   quality: ({ quality, doubtful, slip }) => (slip ? -2 : quality == null ? 2 : quality - (doubtful ? 1 : 0)),
   uncertainty: ({ uncertainty, doubtful }) => -(uncertainty ?? -1) - (doubtful ? 1e6 : 0),
 };
 
-/** The pictures to show, in order. wanted: {text, filter, folder, order}. */
+/** The pictures to show, in order. wanted: {text, filter, folder, order}.
+ *  @param {Picture[]} pictures; @param {Record<string, string>} wanted; @param {Record<string, string>} left */
 export function matching(pictures, { text, filter, folder, order }, left) {
   const { has } = FILTERS[filter];
   const found = pictures.filter(
@@ -67,7 +71,7 @@ export function matching(pictures, { text, filter, folder, order }, left) {
 }
 
 /** Pictures with work left: those with a possible slip, and those that are not done. */
-export const openIn = (pictures) =>
+export const openIn = (/** @type {Picture[]} */ pictures) =>
   pictures.filter(({ state, slip }) => slip || !["done", "broken", "reading"].includes(state));
 
 /** The names from one to another in a list, both included; only the second if the first is not there. */

@@ -18,6 +18,7 @@ const REST = 90; // milliseconds without scrolling until thumbnails are fetched
 export function mountStrip(root, app) {
   const { api, state } = app;
   const items = new Map(); // name -> {element, key} of the items that exist
+  /** @type {Picture[]} */
   let pictures = []; // as filtered and sorted
   let resting = 0; // timer until the list rests
   let selecting = false; // whether a click selects several pictures
@@ -162,13 +163,14 @@ export function mountStrip(root, app) {
 
   const leftOut = () => state.project.model?.left_out ?? {};
 
+  /** @param {Picture} picture; @param {string | null} why */
   function make(picture, why) {
     const { name, tag, rank, error, checked, slip, quality, side } = picture;
     const what = [filters.describe(picture, leftOut()), side, quality != null && `${Math.round(100 * quality)} %`].filter(Boolean).join(", ");
     const folder = filters.folderOf(name);
     const face = picture.state === "broken"
       ? h("span.no-picture", icon("warning", 20))
-      : h("img", { alt: "", draggable: false, dataset: { src: api.url("pictures", name, "image", { tag, size: THUMBNAIL }) } });
+      : h("img", { alt: "", draggable: false, dataset: { src: api.url("pictures/{name}/image", { name, tag, size: THUMBNAIL }) } });
     return h("div.strip-item", {
       role: "option", id: `strip-${encodeURIComponent(name)}`,
       title: error ?? slip ?? (why ? `${name}: left out, because ${why}` : checked ? `${name}: checked by ${checked}` : name),
@@ -181,7 +183,7 @@ export function mountStrip(root, app) {
       h("span.strip-state", folder ? `${what} · ${folder}` : what)));
   }
 
-  /** The item of a picture, made again if the picture has changed. */
+  /** The item of a picture, made again if the picture has changed. @param {Picture} picture */
   function itemOf(picture) {
     const { name, state: progress, placed, doubtful, rank, error, tag, checked, slip, quality, absent, side } = picture;
     const why = filters.whyLeftOut(picture, leftOut());

@@ -18,7 +18,7 @@ const SEMILANDMARK = "semilandmark";
 /** Whether a point of a template is a semilandmark, which slides along its curve. */
 export const slides = (template, index) => template.kinds?.[index] === SEMILANDMARK;
 
-/** A draft of a saved template with its `points` on the picture, or null for its own layout. */
+/** A draft of a saved template with its `points` on the picture, or null for its own layout. @param {Template} template */
 export function draftOf(template, points = null) {
   return {
     names: template.names.slice(), points: points ?? template.points ?? template.names.map(() => null),
@@ -181,7 +181,8 @@ export function fault(draft) {
   return null;
 }
 
-/** The template of a draft, as JSON for the server. */
+/** The template of a draft, as JSON for the server.
+ *  @returns {Pick<SaveTemplate, "names" | "points" | "kinds" | "contours" | "mirror">} */
 export function templateOf(draft) {
   const { names, points, kinds, contours, mirror } = newPath(draft);
   return {

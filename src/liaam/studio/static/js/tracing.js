@@ -14,6 +14,7 @@ import { slides } from "./template.js";
 const LEAST = 3; // points of a contour that is traced
 
 export class Tracing extends Editable {
+  /** @type {import("./marking.js").Marking} */
   #marking;
   #contour = null; // that is traced, or null
   #history = new History([]); // of the knots; `shown` are those during a gesture

@@ -6,14 +6,14 @@ import { button, h, iconButton, press, slider, svg } from "./ui.js";
 
 const FIRST = 90; // percent of quality from which points are accepted, until a person chooses another
 
-export const acceptable = (pictures, least) =>
+export const acceptable = (/** @type {Picture[]} */ pictures, least) =>
   pictures.filter(({ state, doubtful, quality }) => state === "proposed" && !doubtful && quality >= least)
     .map(({ name }) => name);
 
-const keyOf = ({ revision, quality, tag, state }) => [revision, quality, tag, state].join();
+const keyOf = (/** @type {Picture} */ { revision, quality, tag, state }) => [revision, quality, tag, state].join();
 
 /** shown() -> pictures; onworst(): the worst will be opened; turn(): go to the next page -> pictures of this one.
- *  @param {{app: App, shown: () => any[], accept: (names: string[]) => any, onchange: () => any, onworst: () => any, turn: () => any[]}} options */
+ *  @param {{app: App, shown: () => Picture[], accept: (names: string[]) => any, onchange: () => any, onworst: () => any, turn: () => Picture[]}} options */
 export function createWall({ app, shown, accept, onchange, onworst, turn }) {
   const { api, state } = app;
   const outlines = new Map(); // by name: {key, promise of the drawing} of the points that were in view last
@@ -114,7 +114,7 @@ export function createWall({ app, shown, accept, onchange, onworst, turn }) {
   }
 
   async function draw(name) {
-    const { points, width, height } = await api.get(api.url("pictures", name, "landmarks"), { quiet: true });
+    const { points, width, height } = await api.get(api.url("pictures/{name}/landmarks", { name }), { quiet: true });
     const d = points.filter(Boolean).map(([x, y]) => `M${x.toFixed(1)} ${y.toFixed(1)}h0`).join("");
     const dot = Math.max(width, height) / 60;
     const viewBox = `-0.5 -0.5 ${width} ${height}`;
