@@ -1,7 +1,12 @@
 """Specimens from fits, tables of batches and landmark files."""
 
+import csv
+import io
 import json
+import re
+import zipfile
 from pathlib import Path
+from xml.sax.saxutils import escape
 
 import numpy as np
 import pytest
@@ -385,3 +390,71 @@ def test_individuals_may_be_added_to_a_table_of_a_batch(tmp_path: Path) -> None:
     (specimen,) = read_specimens(path)
     assert specimen.individual == "fly 1"
     assert_fit(specimen)
+
+
+def saved_by_a_person(table: Path, how: str) -> Path:
+    """Save a table of a batch again, as spreadsheets do, or with its columns in another order."""
+    rows = list(csv.reader(table.read_text(encoding="utf-8").splitlines()))
+    if how == "utf-8 with a byte order mark":
+        return saved_as(table.with_name("own.csv"), rows, ",", "utf-8-sig")
+    if how == "semicolons and decimal commas":
+        rows = [[re.sub(r"\A(-?\d+)\.(\d+)\Z", r"\1,\2", value) for value in row] for row in rows]
+        return saved_as(table.with_name("own.csv"), rows, ";", "latin-1")
+    if how == "unicode text":
+        return saved_as(table.with_name("own.txt"), rows, "\t", "utf-16")
+    if how == "spreadsheet":
+        path = table.with_name("own.xlsx")
+        path.write_bytes(workbook_of(rows))
+        return path
+    rows = [["fly 1" if i else "individual", *reversed(row)] for i, row in enumerate(rows)]
+    return saved_as(table.with_name("own.csv"), rows, ",", "utf-8")
+
+
+def workbook_of(rows: list[list[str]]) -> bytes:
+    main = "http://schemas.openxmlformats.org/spreadsheetml/2006/main"
+    office = "http://schemas.openxmlformats.org/officeDocument/2006/relationships"
+    cells = [[f'<c t="inlineStr"><is><t>{escape(value)}</t></is></c>' for value in row] for row in rows]
+    lines = "".join(f"<row>{''.join(row)}</row>" for row in cells)
+    sheet = '<sheets><sheet name="t" r:id="a"/></sheets>'
+    parts = {
+        "xl/workbook.xml": f'<workbook xmlns="{main}" xmlns:r="{office}">{sheet}</workbook>',
+        "xl/_rels/workbook.xml.rels": '<Relationships><Relationship Id="a" Target="worksheets/a.xml"/></Relationships>',
+        "xl/worksheets/a.xml": f'<worksheet xmlns="{main}"><sheetData>{lines}</sheetData></worksheet>',
+    }
+    data = io.BytesIO()
+    with zipfile.ZipFile(data, "w") as archive:
+        for name, text in parts.items():
+            archive.writestr(name, text)
+    return data.getvalue()
+
+
+def saved_as(path: Path, rows: list[list[str]], separator: str, encoding: str) -> Path:
+    with path.open("w", encoding=encoding, newline="") as file:
+        csv.writer(file, delimiter=separator).writerows(rows)
+    return path
+
+
+@pytest.mark.parametrize(
+    "how",
+    [
+        "utf-8 with a byte order mark",
+        "semicolons and decimal commas",
+        "unicode text",
+        "spreadsheet",
+        "another order, and a first column of individuals",
+    ],
+)
+def test_tables_of_batches_that_people_save_keep_status_and_errors(tmp_path: Path, how: str) -> None:
+    rows = [row_of("bräutigam_left.png"), row_of("b.png", "doubtful") | {"side": "right"}]
+    path = tmp_path / "t.csv"
+    write_table(path, BatchTable([(json.dumps(row), row) for row in rows], 3, True, {}))
+    first, second = read_specimens(saved_by_a_person(path, how))
+    assert (first.name, first.status) == ("bräutigam_left", "converged")
+    assert (second.name, second.status, second.side, second.is_usable) == ("b", "doubtful", "right", False)
+    assert_fit(first)
+
+
+def test_a_line_of_a_table_of_a_batch_with_too_many_cells_is_named(tmp_path: Path) -> None:
+    (tmp_path / "t.csv").write_text("path,status,quality,x1,y1\na.png,converged,1,2,3\nb.png,converged,1,2,3,4\n")
+    with pytest.raises(LiaamError, match=r"t\.csv: line 3 has 6 cells but the header 5: correct the line"):
+        read_specimens(tmp_path / "t.csv")
