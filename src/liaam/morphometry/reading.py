@@ -17,7 +17,7 @@ import numpy as np
 from liaam.batch.tables import TABLE_SUFFIXES, TEXT_SUFFIXES, is_table_of_text, read_rows, rows_of_text
 from liaam.datasets.units import CORNER, FEWEST
 from liaam.errors import LandmarkError, LiaamError
-from liaam.fitting.result import USABLE
+from liaam.fitting.result import USABLE, FitStatus
 from liaam.io.files import existing_file, is_copy, natural_key, some_names
 from liaam.io.fit_files import ROUNDING, corrected_file, points_of_fit, read_fit
 from liaam.io.landmarks import LANDMARK_SUFFIXES, Contour, LandmarkFile, Landmarks
@@ -31,6 +31,9 @@ from liaam.morphometry.records import Record, doubts_about, objects_of_records, 
 from liaam.morphometry.specimens import MOST, Specimen
 from liaam.scale.choice import length_of, tagged_length
 from liaam.scale.lengths import Length, unit_of
+
+STATUSES = frozenset(("error", *map(str, FitStatus)))
+"""What a column ``status`` of landmarks means; other words, such as ``checked``, mean nothing."""
 
 _LOOKED_AT = 20  # Images of a file that are looked at to judge the unit of its positions
 _SAME = 2.0  # Difference in pixels that rounding to whole pixels can make between distances, and a little more
@@ -316,6 +319,7 @@ def _specimen_of(name: str, landmarks: Landmarks, path: Path, entry: str, of_ima
         scale=None if length is None else length.value,
         curves=landmarks.contours,
         file=path.name,
+        status=landmarks.status if landmarks.status in STATUSES else "",
         individual=landmarks.individual,
         side=side_of_text(landmarks.side) or folder_side(entry),
         unit="" if length is None else length.unit,
