@@ -15,6 +15,7 @@ from liaam.cli.train import parse_contour
 from liaam.errors import LiaamError
 from liaam.io import read_image, read_landmarks, write_image, write_landmarks
 from liaam.model import load_model
+from liaam.morphometry import read_specimens
 from scenes import Head, lateral, make_set, render
 
 PLAIN = ("--diagonal", 40, "--copies", 0, "--lamps", "none")
@@ -361,6 +362,26 @@ def test_fit_does_not_overwrite_a_persons_landmarks(run, portraits, model_file, 
     code, _, err = run(*arguments, "-o", tmp_path / "out")
     assert code == 1
     assert "mine.pts: its points were changed after the fit; give another -o" in err
+
+
+def test_fits_that_may_not_be_used_are_only_in_files_that_say_so(run, model_file, tmp_path):
+    write_image(tmp_path / "wall.png", np.full((120, 150, 3), 90, np.uint8))
+    fitted = ("fit", model_file, tmp_path / "wall.png", "-o")
+    code, out, err = run(*fitted, tmp_path / "a", "--format", "pts,tps,csv")
+    assert code == 1 and f"written to {tmp_path / 'a'}" in " ".join(out.split())
+    assert "wall.png: not written as .pts and .tps, which cannot state that a fit may not be used" in " ".join(
+        err.split()
+    )
+    assert sorted(path.name for path in (tmp_path / "a").iterdir()) == ["wall.csv", "wall_fit.png"]
+    (specimen,) = read_specimens(tmp_path / "a")
+    assert specimen.status and not specimen.is_usable
+    code, out, err = run(*fitted, tmp_path / "wall.tps")
+    assert code == 1 and not (tmp_path / "wall.tps").exists() and "written to" not in out
+    assert "give a name that ends in .json or .csv" in " ".join(err.split())
+    code, _, err = run(*fitted, tmp_path / "b", "--format", "json,tps")
+    assert code == 1 and (tmp_path / "b" / "wall.tps").exists() and "not written" not in err
+    assert run(*fitted, tmp_path / "b", "--format", "tps")[0] == 1
+    assert not (tmp_path / "b" / "wall.tps").exists()  # that of the earlier fit
 
 
 def test_train_does_not_overwrite_a_picture(run, portraits, tmp_path):

@@ -612,7 +612,7 @@ def test_entries_that_all_name_one_large_part_are_refused() -> None:
         struct.pack("<I", zlib.crc32(bytes(len(part)))), struct.pack("<I", zlib.crc32(part))
     )
     # Python refuses them by itself from some versions on.
-    with pytest.raises(LandmarkError, match="its files have more than 40,000,000 bytes together|Overlapped entries"):
+    with pytest.raises(LandmarkError, match=r"its files have more than 40,000,000 bytes together|Overlapped entries"):
         parse("a.zip", data)
 
 

@@ -96,3 +96,30 @@ def test_a_table_of_other_images_of_the_same_names_is_refused(tmp_path: Path) ->
         with_lengths(fits_of("fly.png"), lengths)
     lengths = read_lengths(save(tmp_path, header + "fly.tif,0.01,mm,aa\n"))  # of which fly.png may be a copy
     assert with_lengths(fits_of("fly.png", fingerprints={"fly.png": "bb"}), lengths)[0].scale == 0.01
+
+
+@pytest.mark.parametrize(
+    ("text", "encoding"),
+    [
+        ("\ufeffimage;scale;unit;scale_se\na.png;0,0055;mm;0,0001\n;;;\n", "utf-8"),
+        ("image\tscale\tunit\tscale_se\na.png\t0.0055\tmm\t0.0001\n", "utf-16"),
+        ("sep=;\nimage;scale;unit;scale_se\na.png;5,5;µm;0,1\n", "latin-1"),
+        ("image,scale,unit,scale_se\na.png,5.5,μm,0.1\n", "utf-8"),
+        ("image,scale,unit,scale_se\na.png,5.5,microns,0.1\n", "utf-8"),
+    ],
+)
+def test_tables_that_spreadsheets_save_are_read(tmp_path: Path, text: str, encoding: str) -> None:
+    path = tmp_path / "scales.csv"
+    path.write_bytes(text.encode(encoding))
+    length = read_lengths(path)["a.png"]
+    assert length is not None and str(length.within("mm")) == "0.0055 ± 0.0001 mm"
+
+
+def test_lengths_have_the_source_that_their_row_states(tmp_path: Path) -> None:
+    table = save(tmp_path, HEADER + "a.png,1,mm,0,a scale bar in the image\nb.png,1,mm,,\nc.png,1,mm\n")
+    sources = {image: length and length.source for image, length in read_lengths(table).items()}
+    assert sources == {
+        "a.png": "a scale bar in the image",
+        "b.png": "the table of scales",
+        "c.png": "the table of scales",
+    }

@@ -1,14 +1,19 @@
 """Specimens from fits, tables of batches and landmark files."""
 
+import csv
+import io
 import json
+import re
+import zipfile
 from pathlib import Path
+from xml.sax.saxutils import escape
 
 import numpy as np
 import pytest
 
 from liaam.batch.tables import BatchTable, write_table
 from liaam.errors import LiaamError
-from liaam.io import Landmarks, read_collection, write_collection, write_image, write_landmarks
+from liaam.io import Landmarks, read_collection, write_collection, write_columns, write_image, write_landmarks
 from liaam.io.fit_files import FIT_SUFFIXES, write_fit
 from liaam.io.landmarks import Contour
 from liaam.morphometry import Specimen, alike, measure, of_one_side, read_specimens
@@ -386,3 +391,106 @@ def test_individuals_may_be_added_to_a_table_of_a_batch(tmp_path: Path) -> None:
     (specimen,) = read_specimens(path)
     assert specimen.individual == "fly 1"
     assert_fit(specimen)
+
+
+def saved_by_a_person(table: Path, how: str) -> Path:
+    """Save a table of a batch again, as spreadsheets do, or with its columns in another order."""
+    rows = list(csv.reader(table.read_text(encoding="utf-8").splitlines()))
+    if how == "utf-8 with a byte order mark":
+        return saved_as(table.with_name("own.csv"), rows, ",", "utf-8-sig")
+    if how == "semicolons and decimal commas":
+        rows = [[re.sub(r"\A(-?\d+)\.(\d+)\Z", r"\1,\2", value) for value in row] for row in rows]
+        return saved_as(table.with_name("own.csv"), rows, ";", "latin-1")
+    if how == "unicode text":
+        return saved_as(table.with_name("own.txt"), rows, "\t", "utf-16")
+    if how == "spreadsheet":
+        path = table.with_name("own.xlsx")
+        path.write_bytes(workbook_of(rows))
+        return path
+    rows = [["fly 1" if i else "individual", *reversed(row)] for i, row in enumerate(rows)]
+    return saved_as(table.with_name("own.csv"), rows, ",", "utf-8")
+
+
+def workbook_of(rows: list[list[str]]) -> bytes:
+    main = "http://schemas.openxmlformats.org/spreadsheetml/2006/main"
+    office = "http://schemas.openxmlformats.org/officeDocument/2006/relationships"
+    cells = [[f'<c t="inlineStr"><is><t>{escape(value)}</t></is></c>' for value in row] for row in rows]
+    lines = "".join(f"<row>{''.join(row)}</row>" for row in cells)
+    sheet = '<sheets><sheet name="t" r:id="a"/></sheets>'
+    parts = {
+        "xl/workbook.xml": f'<workbook xmlns="{main}" xmlns:r="{office}">{sheet}</workbook>',
+        "xl/_rels/workbook.xml.rels": '<Relationships><Relationship Id="a" Target="worksheets/a.xml"/></Relationships>',
+        "xl/worksheets/a.xml": f'<worksheet xmlns="{main}"><sheetData>{lines}</sheetData></worksheet>',
+    }
+    data = io.BytesIO()
+    with zipfile.ZipFile(data, "w") as archive:
+        for name, text in parts.items():
+            archive.writestr(name, text)
+    return data.getvalue()
+
+
+def saved_as(path: Path, rows: list[list[str]], separator: str, encoding: str) -> Path:
+    with path.open("w", encoding=encoding, newline="") as file:
+        csv.writer(file, delimiter=separator).writerows(rows)
+    return path
+
+
+@pytest.mark.parametrize(
+    "how",
+    [
+        "utf-8 with a byte order mark",
+        "semicolons and decimal commas",
+        "unicode text",
+        "spreadsheet",
+        "another order, and a first column of individuals",
+    ],
+)
+def test_tables_of_batches_that_people_save_keep_status_and_errors(tmp_path: Path, how: str) -> None:
+    rows = [row_of("bräutigam_left.png"), row_of("b.png", "doubtful") | {"side": "right"}]
+    path = tmp_path / "t.csv"
+    write_table(path, BatchTable([(json.dumps(row), row) for row in rows], 3, True, {}))
+    first, second = read_specimens(saved_by_a_person(path, how))
+    assert (first.name, first.status) == ("bräutigam_left", "converged")
+    assert (second.name, second.status, second.side, second.is_usable) == ("b", "doubtful", "right", False)
+    assert_fit(first)
+
+
+def test_a_line_of_a_table_of_a_batch_with_too_many_cells_is_named(tmp_path: Path) -> None:
+    (tmp_path / "t.csv").write_text("path,status,quality,x1,y1\na.png,converged,1,2,3\nb.png,converged,1,2,3,4\n")
+    with pytest.raises(LiaamError, match=r"t\.csv: line 3 has 6 cells but the header 5: correct the line"):
+        read_specimens(tmp_path / "t.csv")
+
+
+@pytest.mark.parametrize("names", [(), ("base", "tip", "end")])
+def test_a_fit_as_csv_keeps_its_status_and_side(tmp_path: Path, names: tuple[str, ...]) -> None:
+    landmarks = Landmarks(POINTS, names=names)
+    write_fit(tmp_path / "a_left.csv", landmarks, {"status": "doubtful", "side": "right"}, (30, 40))
+    (specimen,) = read_specimens(tmp_path)
+    assert (specimen.status, specimen.side, specimen.names, specimen.is_usable) == ("doubtful", "right", names, False)
+    np.testing.assert_array_equal(specimen.points, POINTS)
+
+
+def test_a_column_status_counts_if_it_is_that_of_a_fit(tmp_path: Path) -> None:
+    rows = ["a,1,2,checked", "a,3,5,checked", "b,1,2,diverged", "b,3,5,diverged", "c,1,2,", "c,3,5,"]
+    (tmp_path / "t.csv").write_text("\n".join(["image,x,y,status", *rows]))
+    statuses = [specimen.status for specimen in read_specimens(tmp_path / "t.csv")]
+    assert statuses == ["", "diverged", ""]
+    (tmp_path / "t.csv").write_text("image,X1,Y1,X2,Y2,status\na,1,2,3,5,error\nb,1,2,3,5,converged\n")
+    assert [specimen.is_usable for specimen in read_specimens(tmp_path / "t.csv")] == [False, True]
+
+
+@pytest.mark.parametrize("scale", [None, "0.1 mm"])
+def test_tables_of_measurements_are_no_landmarks(tmp_path: Path, scale: str | None) -> None:
+    moved = [Specimen(f"w{i}", POINTS * (i + 1), side="right") for i in range(3)]
+    write_columns(tmp_path / "table.csv", measure(moved, "distance:1-2", scale))
+    with pytest.raises(LiaamError, match=r"table\.csv: it is a table of 'liaam measure', whose coordinates are those"):
+        read_specimens(tmp_path / "table.csv")
+    for name in ("table_groups.csv", "table_components.csv"):
+        first = "group,specimens,landmark,x,y" if "groups" in name else "component,of,X1,Y1,X2,Y2"
+        row = "female,3,1,0.5,-0.5" if "groups" in name else "mean,,0.5,-0.5,0.1,0.2"
+        (tmp_path / name).write_text(f"{first}\n{row}\n{row}\n")
+        with pytest.raises(LiaamError, match=f"{name}: it is a table of 'liaam measure'"):
+            read_specimens(tmp_path / name)
+    (tmp_path / "theirs.csv").write_text("specimen,centroid_size,X1,Y1,X2,Y2\na,5,10,20,13,24\n")
+    (specimen,) = read_specimens(tmp_path / "theirs.csv")
+    assert measure([specimen], "distance:1-2")["distance_1_2"] == [5.0]

@@ -114,6 +114,8 @@ def test_groups_are_read_and_found_by_name(tmp_path: Path):
         groups_of(["x"], groups)
     table.write_text("image,group\na.jpg,male\n", encoding="utf-8")
     assert read_groups(table) == {"a.jpg": "male"}
+    table.write_text("\ufeffimage;group\na.jpg;male\n;\n", encoding="utf-8")  # as Excel saves it
+    assert read_groups(table) == {"a.jpg": "male"}
     table.write_text("specimen,group\na,male\na,female\n", encoding="utf-8")
     with pytest.raises(LiaamError, match="line 3 has 'a' again"):
         read_groups(table)

@@ -13,12 +13,14 @@ from typing import Any, TextIO
 
 import numpy as np
 
-from liaam.errors import LiaamError, installing
+from liaam.errors import LandmarkError, LiaamError, installing
 from liaam.fitting.result import USABLE
 from liaam.io import Contour, Landmarks, atomic_path
 from liaam.io.files import json_object
 from liaam.io.fit_files import TPS_DECIMALS
+from liaam.io.landmarks.reading import Source
 from liaam.io.landmarks.writers import tps_text, upwards
+from liaam.io.table_reader import named_rows
 
 GROUP = 1000  # Rows per Parquet row group, which are in memory together
 # Columns and their types. Only the last one differs between runs.
@@ -182,19 +184,31 @@ def _write_tps(path: Path, table: BatchTable) -> None:
                 file.write(tps_text(upwards(landmarks, row["size"]), TPS_DECIMALS))
 
 
-TABLE_SUFFIXES = (".parquet", ".csv", ".jsonl")  # Suffixes of tables that can be read
+TABLE_SUFFIXES = (".parquet", ".csv", ".jsonl")
+"""Suffixes of tables that are written and read."""
+
+TEXT_SUFFIXES = (".csv", ".tsv", ".txt", ".xlsx")
+"""Suffixes of tables of text, and of those that a person saved again from a spreadsheet."""
+
+_ESSENTIAL = frozenset(("path", "status"))
+_OTHERS = frozenset(("message", "quality", "cost", "theta_deg"))
+"""Columns of which a table of a batch has at least one; people remove and add columns, and change their order."""
 
 
-def is_table(path: Path) -> bool:
-    """Whether a file is a table of a batch, by its suffix or, for CSV, its first line."""
-    if path.suffix.lower() != ".csv":
-        return path.suffix.lower() in TABLE_SUFFIXES
-    with path.open("rb") as file:
-        return file.readline(100).startswith(b"path,status,message,")
+def is_table_of_text(file: Source) -> bool:
+    """Whether a file of text or a spreadsheet is a table of a batch, by the names of its columns."""
+    if file.path.suffix.lower() not in TEXT_SUFFIXES:
+        return False
+    try:
+        _, header = file.rows[0]
+    except LandmarkError:
+        return False
+    titles = {title.strip() for title in header}
+    return titles >= _ESSENTIAL and bool(titles & _OTHERS)
 
 
 def read_rows(path: Path) -> Iterator[dict[str, Any]]:
-    """Iterate over the rows of a table of :func:`write_table`.
+    """Iterate over the rows of a table ``.parquet`` or ``.jsonl`` of :func:`write_table`.
 
     Each has ``path``, ``status``, ``landmarks`` and ``covariance``, and ``landmark_names`` if there are names.
 
@@ -203,15 +217,27 @@ def read_rows(path: Path) -> Iterator[dict[str, Any]]:
     LiaamError
         If a row cannot be read, or pyarrow is missing.
     """
+    return _checked(path, _READERS[path.suffix.lower()](path))
+
+
+def rows_of_text(file: Source) -> Iterator[dict[str, Any]]:
+    """Iterate over the rows of a table of text or a spreadsheet, as :func:`read_rows`."""
+    return _checked(file.path, _parsed(file))
+
+
+def _checked(path: Path, rows: Iterator[dict[str, Any]]) -> Iterator[dict[str, Any]]:
+    """Iterate over rows that have what every row of a batch has."""
     n_read = 0
     try:
-        for row in _READERS[path.suffix.lower()](path):
+        for row in rows:
             checked = {"path": str(row["path"]), "status": str(row["status"]), "landmarks": row.get("landmarks")}
             n_read += 1
             yield row | checked
     except ImportError as fault:
         raise LiaamError(f"{path}: Parquet needs pyarrow; run {installing('batch')}") from fault
-    except (ValueError, KeyError, TypeError, OSError, csv.Error, RecursionError) as fault:
+    except LandmarkError as fault:
+        raise LandmarkError(f"{path}: {fault}") from fault
+    except (ValueError, KeyError, TypeError, OSError, RecursionError) as fault:
         raise LiaamError(
             f"{path}: row {n_read + 1} is not one of 'liaam batch' ({fault}): run the batch again"
         ) from fault
@@ -225,20 +251,22 @@ def _read_parquet(path: Path) -> Iterator[dict[str, Any]]:
             yield from (row | {NAMES: names} for row in group.to_pylist())
 
 
-def _read_csv(path: Path) -> Iterator[dict[str, Any]]:
-    with path.open(encoding="utf-8", newline="") as file:
-        reader = csv.DictReader(file)
-        x_columns = [name for name in reader.fieldnames or () if re.fullmatch(r"x(\d+|_.+)", name, re.DOTALL)]
-        suffixes = [name.removeprefix("x") for name in x_columns]
-        headers = {column: _headers(column, suffixes) for column in _PARTS}
-        names = [suffix.removeprefix("_") for suffix in suffixes if suffix.startswith("_")]
-        for row in reader:
-            lists = {}
-            for column, flat in headers.items():
-                cells = [row.get(header) or "" for header in flat]
-                if any(cells):  # else the list is absent
-                    lists[column] = [float(cell) if cell else None for cell in cells]
-            yield {**row, NAMES: names, **lists}
+def _parsed(file: Source) -> Iterator[dict[str, Any]]:
+    """Yield the rows of a table of text, with the lists that flat columns hold."""
+    titles = [title.strip() for title in file.rows[0][1]]
+    x_columns = [name for name in titles if re.fullmatch(r"x(\d+|_.+)", name, re.DOTALL)]
+    suffixes = [name.removeprefix("x") for name in x_columns]
+    if all(map(str.isdigit, suffixes)):
+        suffixes.sort(key=int)
+    headers = {column: _headers(column, suffixes) for column in _PARTS}
+    names = [suffix.removeprefix("_") for suffix in suffixes if suffix.startswith("_")]
+    for _, row in named_rows(file.rows):
+        lists = {}
+        for column, flat in headers.items():
+            cells = [row.get(header, "") for header in flat]
+            if any(cells):  # else the list is absent
+                lists[column] = [float(cell) if cell else None for cell in cells]
+        yield {**row, NAMES: names, **lists}
 
 
 def _read_lines(path: Path) -> Iterator[dict[str, Any]]:
@@ -246,5 +274,5 @@ def _read_lines(path: Path) -> Iterator[dict[str, Any]]:
         yield from map(json.loads, file)
 
 
-_READERS = {".parquet": _read_parquet, ".csv": _read_csv, ".jsonl": _read_lines}
+_READERS = {".parquet": _read_parquet, ".jsonl": _read_lines}
 _WRITERS = {".parquet": _write_parquet, ".csv": _write_csv, ".jsonl": _write_lines, ".tps": _write_tps}

@@ -23,6 +23,7 @@ from liaam.io.atomic import is_disk_full
 from liaam.io.files import count_of, some_names
 from liaam.io.fit_files import (
     FIT_SUFFIXES,
+    STATELESS,
     corrected_file,
     image_facts,
     is_of_other_image,
@@ -106,8 +107,9 @@ def fit(
         str,
         typer.Option(
             "--format",
-            help="Landmark files to write into the folder: json (with covariances, quality and status), pts, csv or "
-            "tps, or several, such as json,tps.",
+            help="Landmark files to write into the folder: json (with covariances, quality and status), csv (with the "
+            "status), pts or tps, or several, such as json,tps. Fits that may not be used are written as pts or tps "
+            "only beside their json.",
         ),
     ] = "json",
     scheme: Annotated[
@@ -171,7 +173,7 @@ def fit(
     if alone and outputs.report is None and stems == [image.stem for image in images]:
         alone += ", with the same -o"  # replaces their files, which are named alike
     ways = inputs.other_ways(model, side, rotations, alone)
-    report = FitReport(every=every, other_ways=ways, on_absent=outputs.on_absent)
+    report = FitReport(every=every, other_ways=ways, on_absent=outputs.on_absent, on_unusable=outputs.on_unusable)
     threads = min(len(images), all_cores())
     # With a single image, its search may use all cores.
     with one_thread() if threads > 1 else one_blas_thread(), progress_bar() as progress:
@@ -189,7 +191,8 @@ def fit(
                     complain(f"stopped: {i - 1} of {len(images)} images are done; make room, and fit the others")
                     break
     outputs.write_report(model, paths)
-    report.show(output, on_page=outputs.report is not None)
+    is_written = outputs.only is None or outputs.only.exists()
+    report.show(output if is_written else None, on_page=outputs.report is not None)
     if model.scale is not None and report.rows:
         say(f"images that state no scale have that of the training images, {model.scale} per pixel")
     if report.failed:
@@ -210,6 +213,7 @@ class FitReport:
     every: bool  # whether every object of an image is fitted
     other_ways: str  # what to try for fits that may be wrong
     on_absent: str  # what is said of absent landmarks
+    on_unusable: str  # what is said of fits that may not be used and are not written, or empty
     rows: list[dict[str, str]] = field(default_factory=list)  # cells by the name of their column
     advice: defaultdict[str, list[str]] = field(default_factory=lambda: defaultdict(list))
     statuses: Counter[str] = field(default_factory=Counter)
@@ -245,6 +249,8 @@ class FitReport:
             yield f"{others} in the image: add --all to fit each, or --init to choose one"
         if not result.status.ok:
             yield f"{result.status}: {result.message}"
+            if self.on_unusable:
+                yield self.on_unusable
         elif result.absent.any():
             yield self.on_absent
         if result.status.ok and result.without_colour:
@@ -264,7 +270,7 @@ class FitReport:
             table.add_row(*(cell(row[name] or "–") for name in columns))
         return table
 
-    def show(self, output: Path, *, on_page: bool = False) -> None:
+    def show(self, output: Path | None, *, on_page: bool = False) -> None:
         """Print the table, if there is any fit, or if it is on a page the numbers of fits by status; and the advice."""
         if on_page:
             say(in_words(self.statuses))
@@ -272,7 +278,7 @@ class FitReport:
             show_table(self.table())
         if self.uncalibrated:
             say("the quality is unknown, and uncertainty and ellipses are not calibrated: see 'liaam show MODEL'")
-        if self.rows or on_page:
+        if output is not None and (self.rows or on_page):
             say(f"written to {output}")
         inputs.say_advice(self.advice)
 
@@ -367,6 +373,24 @@ class Outputs:
             raise LiaamError(f"{output} is one file; give a folder with -o, since there may be several results")
         suffixes = () if is_picture else (output.suffix,)
         return cls(folder=output.parent, suffixes=suffixes, picture=is_picture, only=output, scheme=scheme)
+
+    def suffixes_for(self, result: "FitResult") -> tuple[str, ...]:
+        """Return the suffixes of the landmark files of a fit.
+
+        One that may not be used is written only where its status is, or beside its .json file, to be corrected.
+        """
+        if result.status.ok or ".json" in self.suffixes:
+            return self.suffixes
+        return tuple(suffix for suffix in self.suffixes if suffix.lower() not in STATELESS)
+
+    @property
+    def on_unusable(self) -> str:
+        """What is said of fits that may not be used and are therefore not written; empty if all are."""
+        left_out = [suffix for suffix in self.suffixes if suffix.lower() in STATELESS]
+        if not left_out or ".json" in self.suffixes:
+            return ""
+        remedy = "give a name that ends in .json or .csv" if self.only is not None else "--format json or csv states it"
+        return f"not written as {' and '.join(left_out)}, which cannot state that a fit may not be used; {remedy}"
 
     @property
     def on_absent(self) -> str:
@@ -499,7 +523,10 @@ def write_object(
         points = in_scheme(result.landmarks, result.landmark_names, outputs.scheme)
         landmarks = Landmarks(points, **of_image)
         facts = {key: value for key, value in facts.items() if key not in OF_LANDMARKS}
-    with all_or_none([outputs.path_of(name, suffix) for suffix in outputs.suffixes]) as paths:
+    suffixes = outputs.suffixes_for(result)
+    for suffix in (suffix for suffix in outputs.suffixes if suffix not in suffixes):
+        outputs.path_of(name, suffix).unlink(missing_ok=True)  # that of an earlier fit
+    with all_or_none([outputs.path_of(name, suffix) for suffix in suffixes]) as paths:
         for path in paths:
             write_fit(path, landmarks, facts, (width, height))
         if outputs.picture:

@@ -13,10 +13,13 @@ from liaam.io.files import companions, fingerprint_of, json_object, real_path
 from liaam.io.landmarks import LandmarkFile, Landmarks, write_landmarks
 from liaam.io.landmarks.annotations import is_fit
 from liaam.io.landmarks.reading import read_text
-from liaam.io.landmarks.writers import tps_text, upwards
+from liaam.io.landmarks.writers import csv_text, tps_text, upwards
 
 FIT_SUFFIXES = (".pts", ".csv", ".tps", ".json")
 """Suffixes of the files that a fit can have."""
+
+STATELESS = (".pts", ".tps")
+"""Those of them that cannot hold the status of a fit."""
 
 ROUNDING = 0.02
 """Difference in pixels below which points of two files are the same."""
@@ -29,7 +32,7 @@ TPS_DECIMALS = 3
 
 
 def write_fit(path: Path, landmarks: Landmarks, facts: dict, image_size: tuple[int, int]) -> None:
-    """Write the landmarks of a fit, and in a .json file its further facts.
+    """Write the landmarks of a fit, in a .json file its further facts, and in a .csv file its side and status.
 
     Landmarks are in pixels from the centre of the top-left one, and ``image_size`` is width and height. In .json files,
     numbers that are not finite become null.
@@ -37,6 +40,9 @@ def write_fit(path: Path, landmarks: Landmarks, facts: dict, image_size: tuple[i
     if path.suffix.lower() == ".tps":
         text = tps_text(upwards(landmarks, image_size), TPS_DECIMALS)
         return write_text_atomically(path, text, LandmarkError)
+    if path.suffix.lower() == ".csv":
+        more = {name: str(facts[name]) for name in ("side", "status") if facts.get(name)}
+        return write_text_atomically(path, csv_text(landmarks, more), LandmarkError)
     if path.suffix.lower() != ".json":
         return write_landmarks(path, landmarks, image_size)
     return write_text_atomically(path, fit_text(landmarks, {**facts, "image_size": image_size}))

@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-import csv
 from collections import Counter
 from collections.abc import Mapping, Sequence
 
 from liaam.errors import LiaamError
-from liaam.io.files import AnyPath, existing_file
-from liaam.io.landmarks.reading import read_text
+from liaam.io.files import AnyPath
+from liaam.io.table_reader import NamedRow, named_rows_in, read_named_rows
 from liaam.morphometry.scale_tables import images_of
 
 NAMES = ("specimen", "image")
@@ -27,27 +26,26 @@ def read_groups(path: AnyPath) -> dict[str, str]:
     LiaamError
         If the file or a column is missing, or a specimen occurs twice.
     """
-    path = existing_file(path, LiaamError, "table of groups")
-    return groups_in(read_text(path), str(path))
+    return _groups_of_rows(read_named_rows(path, "table of groups"), str(path))
 
 
 def groups_in(text: str, path: str) -> dict[str, str]:
     """Parse the text of a table of groups, as :func:`read_groups`; ``path`` names it in messages."""
-    try:
-        rows = list(csv.DictReader(text.splitlines()))
-    except csv.Error as fault:  # such as a field of a hundred thousand letters
-        raise LiaamError(f"{path} is no table ({fault}): save it again as .csv") from fault
-    column = next((column for column in NAMES if rows and column in rows[0]), None)
-    if column is None or "group" not in rows[0]:
+    return _groups_of_rows(named_rows_in(text, path), path)
+
+
+def _groups_of_rows(rows: Sequence[NamedRow], path: str) -> dict[str, str]:
+    column = next((column for column in NAMES if rows and column in rows[0][1]), None)
+    if column is None or "group" not in rows[0][1]:
         raise LiaamError(
             f"{path} has no columns specimen (or image) and group: give a .csv file with one row for each specimen"
         )
     groups: dict[str, str] = {}
-    for number, row in enumerate(rows, 2):
-        name = (row[column] or "").strip()
+    for number, row in rows:
+        name = row[column].strip()
         if name in groups:
             raise LiaamError(f"{path}: line {number} has '{name[:60]}' again: keep one line for each specimen")
-        groups[name] = (row["group"] or "").strip()
+        groups[name] = row["group"].strip()
     return groups
 
 

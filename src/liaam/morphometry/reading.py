@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 import warnings
 from collections import defaultdict
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import replace
 from functools import partial
 from itertools import islice
@@ -14,10 +14,10 @@ from typing import Any
 
 import numpy as np
 
-from liaam.batch.tables import TABLE_SUFFIXES, is_table, read_rows
+from liaam.batch.tables import TABLE_SUFFIXES, TEXT_SUFFIXES, is_table_of_text, read_rows, rows_of_text
 from liaam.datasets.units import CORNER, FEWEST
 from liaam.errors import LandmarkError, LiaamError
-from liaam.fitting.result import USABLE
+from liaam.fitting.result import USABLE, FitStatus
 from liaam.io.files import existing_file, is_copy, natural_key, some_names
 from liaam.io.fit_files import ROUNDING, corrected_file, points_of_fit, read_fit
 from liaam.io.landmarks import LANDMARK_SUFFIXES, Contour, LandmarkFile, Landmarks
@@ -31,6 +31,9 @@ from liaam.morphometry.records import Record, doubts_about, objects_of_records, 
 from liaam.morphometry.specimens import MOST, Specimen
 from liaam.scale.choice import length_of, tagged_length
 from liaam.scale.lengths import Length, unit_of
+
+STATUSES = frozenset(("error", *map(str, FitStatus)))
+"""What a column ``status`` of landmarks means; other words, such as ``checked``, mean nothing."""
 
 _LOOKED_AT = 20  # Images of a file that are looked at to judge the unit of its positions
 _SAME = 2.0  # Difference in pixels that rounding to whole pixels can make between distances, and a little more
@@ -186,17 +189,26 @@ def _of_file(path: Path, complain: Callable[[str], object], reading: Reading) ->
         name = str(fit.get("specimen") or "") if fit.get("code") else place
         fitted = _specimen(path, name or place, fit, fit.get("covariance"))
         yield Record(place, _corrected(path, fit, fitted, complain))
-    elif is_table(path):
-        rows = list(read_rows(path))
-        names = unique_names(row["path"] for row in rows)
-        for row in rows:
-            place = names[row["path"]] + (f"#{row['object']}" if row.get("object") else "")
-            name = str(row["specimen"]) if row.get("code") else place
-            specimen = _specimen(path, name, row, row.get("covariance"))
-            side = specimen.side or folder_side(row["path"])
-            yield Record(place, replace(specimen, side=side, image=row["path"]))
+        return
+    if path.suffix.lower() in TABLE_SUFFIXES and path.suffix.lower() not in TEXT_SUFFIXES:
+        yield from _of_batch(path, list(read_rows(path)))
+        return
+    file = LandmarkFile.read(path, reading)
+    if is_table_of_text(file):
+        yield from _of_batch(path, list(rows_of_text(file)))
     else:
-        yield from _of_landmarks(path, reading, complain)
+        yield from _of_landmarks(file, complain)
+
+
+def _of_batch(path: Path, rows: Sequence[dict[str, Any]]) -> Iterator[Record]:
+    """Yield the records of a table of a batch, given its rows."""
+    names = unique_names(row["path"] for row in rows)
+    for row in rows:
+        place = names[row["path"]] + (f"#{row['object']}" if row.get("object") else "")
+        name = str(row["specimen"]) if row.get("code") else place
+        specimen = _specimen(path, name, row, row.get("covariance"))
+        side = specimen.side or folder_side(row["path"])
+        yield Record(place, replace(specimen, side=side, image=row["path"]))
 
 
 def _specimen(path: Path, name: str, facts: dict[str, Any], covariances: Any) -> Specimen:
@@ -264,9 +276,8 @@ def _numbers(values: Any) -> np.ndarray:
     return np.where(np.abs(numbers) <= MOST, numbers, np.nan)
 
 
-def _of_landmarks(path: Path, reading: Reading, complain: Callable[[str], object]) -> Iterator[Record]:
-    file = LandmarkFile.read(path, reading)
-
+def _of_landmarks(file: LandmarkFile, complain: Callable[[str], object]) -> Iterator[Record]:
+    path = file.path
     names = {"": name_of(path)} if file.is_single else unique_names(file.entries)
     folder = "" if file.is_single else shared_folder(file.entries)
 
@@ -309,6 +320,7 @@ def _specimen_of(name: str, landmarks: Landmarks, path: Path, entry: str, of_ima
         scale=None if length is None else length.value,
         curves=landmarks.contours,
         file=path.name,
+        status=landmarks.status if landmarks.status in STATUSES else "",
         individual=landmarks.individual,
         side=side_of_text(landmarks.side) or folder_side(entry),
         unit="" if length is None else length.unit,

@@ -2,24 +2,23 @@
 
 from __future__ import annotations
 
-import csv
 from collections import defaultdict
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import PureWindowsPath
 
 from liaam.errors import LiaamError
-from liaam.io.files import AnyPath, existing_file, name_key, some_names
+from liaam.io.files import AnyPath, name_key, some_names
 from liaam.io.landmarks.matching import stem_of
-from liaam.io.landmarks.reading import read_text
+from liaam.io.table_reader import read_named_rows
 from liaam.morphometry.specimens import Specimen
-from liaam.scale.lengths import Length
+from liaam.scale.lengths import Length, unit_of
 
-COLUMNS = ("image", "scale", "unit", "scale_se", "fingerprint")
-"""Columns of a table of lengths that are read."""
+COLUMNS = ("image", "scale", "unit", "scale_se", "how", "fingerprint")
+"""Columns of a table of lengths that are read; the last three may be absent."""
 
-FOUND = "a ruler in the image"
-"""Source of these lengths."""
+TYPED = "the table of scales"
+"""Source of the lengths whose row does not say how they were found, as a person puts them into the table."""
 
 
 def read_lengths(path: AnyPath) -> dict[str, Length | None]:
@@ -32,27 +31,28 @@ def read_lengths(path: AnyPath) -> dict[str, Length | None]:
     LiaamError
         If the file or a column is missing, a cell is not a number, or an image occurs twice.
     """
-    path = existing_file(path, LiaamError, "table of scales")
-    rows = list(csv.DictReader(read_text(path).splitlines()))
-    if not rows or not {*COLUMNS[:3]} <= rows[0].keys():
+    rows = read_named_rows(path, "table of scales")
+    if not rows or not {*COLUMNS[:3]} <= rows[0][1].keys():
         raise LiaamError(f"{path} has no columns {', '.join(COLUMNS[:3])}: give a table of 'liaam scale'")
     lengths: dict[str, Length | None] = {}
-    for number, row in enumerate(rows, 2):
+    for number, row in rows:
         if row["image"] in lengths:
             raise LiaamError(f"{path}: line {number} has '{row['image'][:60]}' again: keep one line for each image")
         try:
             lengths[row["image"]] = _length_in(row)
-        except ValueError as fault:
+        except (ValueError, LiaamError) as fault:
             raise LiaamError(f"{path}: line {number} has no length of a pixel ({fault}): correct it") from fault
     return lengths
 
 
 def _length_in(row: Mapping[str, str]) -> Length | None:
     """Return the length of a pixel in a row; None if it is empty."""
-    if not (row["scale"] or "").strip():
+    if not row["scale"].strip():
         return None
-    fingerprint = (row.get("fingerprint") or "").strip()
-    return Length(float(row["scale"]), (row["unit"] or "").strip(), float(row.get("scale_se") or 0), FOUND, fingerprint)
+    unit = row["unit"].strip()
+    source = row.get("how", "").strip() or TYPED
+    fingerprint = row.get("fingerprint", "").strip()
+    return Length(float(row["scale"]), unit_of(unit) or unit, float(row.get("scale_se") or 0), source, fingerprint)
 
 
 def with_lengths(specimens: Sequence[Specimen], lengths: Mapping[str, Length | None]) -> tuple[Specimen, ...]:

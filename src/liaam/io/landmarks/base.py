@@ -85,6 +85,8 @@ class Landmarks:
         Side of the individual, if a table has a column for it, or empty.
     unit : str
         Unit of the scale, such as mm, or empty if unknown. Only ``.ljson`` stores it.
+    status : str
+        How the fit ended that placed the landmarks, if a table has a column for it, or empty.
 
     Raises
     ------
@@ -106,6 +108,7 @@ class Landmarks:
     individual: str = ""
     side: str = ""
     unit: str = ""
+    status: str = ""
 
     def __post_init__(self) -> None:
         points = _checked_points(self.points)

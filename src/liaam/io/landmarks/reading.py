@@ -146,36 +146,7 @@ class Source:
     @cached_property
     def rows(self) -> list[TableLine]:
         """Its rows of cells, without blank ones. Decimal commas become points if commas do not separate."""
-        text = re.sub(r"\A(?:[^\S\r\n]*[\r\n])+", "", self.text)
-        separator = ""
-        declared = re.match(r"\"?sep=(.)\"?[^\S\n\r]*[\r\n]+", text, re.IGNORECASE)
-        if declared is not None:  # as Excel writes it
-            separator = declared[1]
-            text = text[declared.end() :]
-        first = text.splitlines()[0] if text else ""
-        most = max(";\t,|", key=first.count)
-        separator = separator or (most if most in first else " ")
-        if separator == " ":
-            text = "\n".join(" ".join(line.split()) for line in text.splitlines())
-        blanks = all(cell[:1] == " " for cell in first.split(separator)[1:])  # they are no part of cells
-        try:
-            reader = csv.reader(io.StringIO(text, newline=""), delimiter=separator, skipinitialspace=blanks)
-            rows = [(reader.line_num, row) for row in reader]
-        except csv.Error as fault:
-            too_long = "field larger" in str(fault)
-            remedy = "end the quotes, or export JSON if cells are that long" if too_long else "export it again"
-            raise LandmarkError(f"this is not a CSV table ({fault}): {remedy}.") from fault
-        rows = rows or [(1, [""])]
-        if "Label" in rows[0][1]:
-            rows = [(number, row) for number, row in rows if not _SUMMARY & {*row} or number == rows[0][0]]
-        if separator != ",":
-            _check_marks(cell.strip() for _, row in rows for cell in row)
-            rows = [(number, [decimal(cell) for cell in row]) for number, row in rows]
-        if len(rows) > 1 and len(rows[0][1]) == 1 and rows[0][1][0].strip().isdigit():  # the number of rows
-            rows = rows[1:]
-        if len(rows) > 1 and all(len(row) == len(rows[0][1]) + 1 for _, row in rows[1:] if row):  # R names rows only
-            rows = [(rows[0][0], ["", *rows[0][1]]), *rows[1:]]
-        return rows
+        return table_rows(self.text)
 
     @cached_property
     def header(self) -> list[str]:
@@ -204,6 +175,49 @@ class Source:
                 yield made
         if first is not None and not some:
             raise first
+
+
+def table_rows(text: str) -> list[TableLine]:
+    """Return the rows of cells of a table, as people and programs save it.
+
+    The separator is that of the header, or that which Excel declares (``sep=;``). Decimal commas become points if
+    commas do not separate. Names of rows, which R writes without a title, and ImageJ's summary are no cells of columns.
+
+    Raises
+    ------
+    LandmarkError
+        If quotes do not match, or numbers have commas as well as points.
+    """
+    text = re.sub(r"\A(?:[^\S\r\n]*[\r\n])+", "", text)
+    separator = ""
+    declared = re.match(r"\"?sep=(.)\"?[^\S\n\r]*[\r\n]+", text, re.IGNORECASE)
+    if declared is not None:  # as Excel writes it
+        separator = declared[1]
+        text = text[declared.end() :]
+    first = text.splitlines()[0] if text else ""
+    most = max(";\t,|", key=first.count)
+    separator = separator or (most if most in first else " ")
+    if separator == " ":
+        text = "\n".join(" ".join(line.split()) for line in text.splitlines())
+    blanks = all(cell[:1] == " " for cell in first.split(separator)[1:])  # they are no part of cells
+    try:
+        reader = csv.reader(io.StringIO(text, newline=""), delimiter=separator, skipinitialspace=blanks)
+        rows = [(reader.line_num, row) for row in reader]
+    except csv.Error as fault:
+        too_long = "field larger" in str(fault)
+        remedy = "end the quotes, or export JSON if cells are that long" if too_long else "export it again"
+        raise LandmarkError(f"this is not a CSV table ({fault}): {remedy}.") from fault
+    rows = rows or [(1, [""])]
+    if "Label" in rows[0][1]:
+        rows = [(number, row) for number, row in rows if not _SUMMARY & {*row} or number == rows[0][0]]
+    if separator != ",":
+        _check_marks(cell.strip() for _, row in rows for cell in row)
+        rows = [(number, [decimal(cell) for cell in row]) for number, row in rows]
+    if len(rows) > 1 and len(rows[0][1]) == 1 and rows[0][1][0].strip().isdigit():  # the number of rows
+        rows = rows[1:]
+    if len(rows) > 1 and all(len(row) == len(rows[0][1]) + 1 for _, row in rows[1:] if row):  # R names rows only
+        rows = [(rows[0][0], ["", *rows[0][1]]), *rows[1:]]
+    return rows
 
 
 def json_of(text: str) -> Any:

@@ -29,6 +29,7 @@ IMAGES |= {"photo", "picture", "photo_name", "path", "filepath", "file_path", "f
 SPECIMENS = {"specimen", "specimen_id", "specimen_name", "individual", "sample", "sample_id", "subject", "animal"}
 INDIVIDUALS = {"ind", "individual", "individual_id"}  # beside a column of specimens
 SIDE = "side"
+STATUS = "status"
 LANDMARKS = {"landmark", "landmark_name", "landmark_id", "landmarks", "lm", "point", "point_name", "point_id", "points"}
 LANDMARKS |= {"keypoint", "keypoint_name", "bodypart", "part", "marker", "joint", "lmk", "landmark_number", "kp"}
 SIZES = ("image_width", "image_height"), ("img_width", "img_height"), ("width", "height")
@@ -58,14 +59,19 @@ class Columns:
     landmark: int | None = None
     visible: int | None = None
     size: tuple[int, ...] = ()  # those of the width and height of the images
-    factors: tuple[tuple[str, int], ...] = ()  # individual and side, by the name that `Landmarks` has for them
+    factors: tuple[tuple[str, int], ...] = ()  # individual, side and status, by the name that `Landmarks` has for them
 
 
-class _Whose(NamedTuple):
-    """What an object is a structure of."""
+_OF_SHAPES = (("specimen", "centroid_size"), ("component", "of"), ("group", "specimens"))
+"""Columns by which the tables of shapes of ``liaam measure`` are known; a unit may follow the second."""
+
+
+class _Stated(NamedTuple):
+    """What is stated of an object: what it is a structure of, and how its fit ended."""
 
     individual: str = ""
     side: str = ""
+    status: str = ""
 
 
 def _check_width(header: Sequence[str], row: TableLine) -> TableLine:
@@ -77,6 +83,20 @@ def _check_width(header: Sequence[str], row: TableLine) -> TableLine:
 def whole(source: Source, header: Sequence[str], rows: Sequence[TableLine]) -> list[TableLine]:
     """Return the rows that have as many cells as the header, and leave out others."""
     return list(source.each(((f"line {row[0]}", row) for row in rows), partial(_check_width, header)))
+
+
+def _refuse_shapes(source: Source, cells: Iterable[str]) -> None:
+    """Raise if a table is one of shapes that ``liaam measure`` wrote; ``cells`` are its coordinates.
+
+    Shapes are of centroid size 1. Other programs may have such columns beside positions.
+    """
+    known = any(
+        first in source.header and any(re.fullmatch(rf"{second}(_[a-z]+)?", title) for title in source.header)
+        for first, second in _OF_SHAPES
+    )
+    if known and all(abs(float(cell)) <= 1 for cell in cells if is_number(cell)):
+        what = "it is a table of 'liaam measure', whose coordinates are those of shapes, not positions in images"
+        raise LandmarkError(f"{what}: give the landmarks that were measured.")
 
 
 def is_of_imagej(source: Source) -> bool:
@@ -95,6 +115,7 @@ def parse_long(source: Source, first: int = 1) -> list[Landmarks]:
     header = source.header
     numbered = [(number + first - 1, row) for number, row in source.rows[1:] if any(row) or len(row) == len(header)]
     rows = [_check_width(header, row) for row in numbered]
+    _refuse_shapes(source, (row[header.index(axis)] for _, row in rows for axis in "xy" if axis in header))
     columns = columns_of(header, [row for _, row in rows])
     if columns.landmark is not None and header[columns.landmark] not in LANDMARKS | {*UNCLEAR}:
         source.notes.say("landmarks are named by the values of a column", header[columns.landmark])
@@ -110,7 +131,7 @@ def parse_long(source: Source, first: int = 1) -> list[Landmarks]:
         names = () if columns.landmark is None else tuple(row[columns.landmark] for _, row in lines)
         names = names if any(names) else ()
         size = size_of(dict(zip(("width", "height"), (lines[0][1][i] for i in columns.size), strict=False)))
-        whose = _Whose(**{name: _common(row[i] for _, row in lines) for name, i in columns.factors})
+        stated = _Stated(**{name: _common(row[i] for _, row in lines) for name, i in columns.factors})
         return Landmarks(
             np.array(points) - shift,
             (),
@@ -118,8 +139,7 @@ def parse_long(source: Source, first: int = 1) -> list[Landmarks]:
             image or None,
             label=specimen,
             placing=Placing(size),
-            individual=whose.individual,
-            side=whose.side,
+            **stated._asdict(),
         )
 
     groups = ((group[0][0] or "its table", group) for group in _grouped(source, rows, columns))
@@ -135,7 +155,7 @@ def _common(cells: Iterable[str]) -> str:
 
 
 def factors_of(header: Sequence[str]) -> tuple[tuple[str, int], ...]:
-    """Return the columns of the individual and of the side that objects belong to, in a header in lower case.
+    """Return the columns of the individual, the side and the status of objects, in a header in lower case.
 
     Individuals are specimens where no other column names these.
 
@@ -150,7 +170,8 @@ def factors_of(header: Sequence[str]) -> tuple[tuple[str, int], ...]:
     sides = [("side", i) for i, name in enumerate(header) if name == SIDE]
     if len(sides) > 1:
         raise LandmarkError(f"there are {len(sides)} columns '{SIDE}': keep one, with left or right in each row.")
-    return (*found[:1], *sides)
+    statuses = [("status", i) for i, name in enumerate(header) if name == STATUS]
+    return (*found[:1], *sides, *statuses[:1])
 
 
 def _filled(source: Source, rows: list[TableLine], column: int | None) -> list[str]:
@@ -210,6 +231,7 @@ def parse_wide(source: Source) -> list[Landmarks]:
     if any("z" in axes for axes in pairs.values()):
         raise LandmarkError("it has columns of z: export x and y only.")
     used = {i for axes in pairs.values() for i in axes.values()}
+    _refuse_shapes(source, (row[i] for _, row in rows for i in used))
     name = name_column(source.header, [row for _, row in rows], used)
     # Numbers out of order may be the names of landmarks in another order.
     named = not numbered or list(pairs) != list(given)
@@ -258,8 +280,8 @@ def _of_rows(
         pairs = objects[label]
         points: Any = [parse_point((row[axes["x"]], row[axes["y"]]), f"line {number}") for axes in pairs.values()]
         names = tuple(pairs) if named else ()
-        whose = _Whose(**{factor: row[i].strip() for factor, i in factors})
-        return Landmarks(points, (), names, image_of(row), label=label, individual=whose.individual, side=whose.side)
+        stated = _Stated(**{factor: row[i].strip() for factor, i in factors})
+        return Landmarks(points, (), names, image_of(row), label=label, **stated._asdict())
 
     return list(source.each(((f"line {row[0]}", (row, label)) for row in rows for label in objects), make))
 

@@ -37,22 +37,23 @@ def ljson_text(landmarks: Landmarks) -> str:
     return json.dumps({"labels": labels, "landmarks": body, **scale, "version": 2}, ensure_ascii=False, indent=1) + "\n"
 
 
-def csv_text(landmarks: Landmarks) -> str:
-    """Return the text of a table of one image's landmarks."""
-    return csv_of_many({"": landmarks}, {})
+def csv_text(landmarks: Landmarks, more: Mapping[str, str] = {}) -> str:
+    """Return the text of a table of one image's landmarks, with the value of each of ``more`` columns in all rows."""
+    return csv_of_many({"": landmarks}, {}, more)
 
 
-def csv_of_many(collection: Mapping[str, Landmarks], _: Sizes) -> str:
-    """Return the text of a table of the landmarks of many images, by file name."""
+def csv_of_many(collection: Mapping[str, Landmarks], _: Sizes, more: Mapping[str, str] = {}) -> str:
+    """Return the text of a table of the landmarks of many images, by file name; see :func:`csv_text`."""
     buffer = io.StringIO(newline="")
     titled = any(collection)
     named = any(landmarks.names for landmarks in collection.values())
     writer = csv.writer(buffer)  # lines end in \r\n, so that a \r in a name is quoted
-    writer.writerow(["image"] * titled + ["x", "y"] + ["name"] * named)
+    writer.writerow(["image"] * titled + ["x", "y"] + ["name"] * named + [*more])
     for image, landmarks in collection.items():
         names = landmarks.names or [""] * len(landmarks)
         for (x, y), name in zip(landmarks.points.tolist(), names, strict=True):
-            writer.writerow([image] * titled + (["", ""] if x != x else [repr(x), repr(y)]) + [name] * named)
+            place = ["", ""] if x != x else [repr(x), repr(y)]
+            writer.writerow([image] * titled + place + [name] * named + [*more.values()])
     return buffer.getvalue()
 
 

@@ -1,0 +1,54 @@
+"""Read tables with named columns, as people and spreadsheets save them."""
+
+from collections.abc import Sequence
+from pathlib import Path
+
+from liaam.errors import LandmarkError, LiaamError
+from liaam.io.files import AnyPath, existing_file
+from liaam.io.landmarks.reading import TableLine, read_text, table_rows
+
+NamedRow = tuple[int, dict[str, str]]
+"""The number of a line, and its cells by the names of their columns."""
+
+
+def read_named_rows(path: AnyPath, kind: str) -> list[NamedRow]:
+    """Read a table of text; ``kind`` says what it should be.
+
+    A byte order mark, any usual separator and decimal commas are understood, as in landmark files
+    (:func:`liaam.io.landmarks.reading.table_rows`).
+
+    Raises
+    ------
+    LiaamError
+        If the file is missing or no table.
+    """
+    path = existing_file(path, LiaamError, kind)
+    return named_rows_in(read_text(path), path)
+
+
+def named_rows_in(text: str, path: str | Path) -> list[NamedRow]:
+    """Parse the text of a table, as :func:`read_named_rows`; ``path`` names it in messages."""
+    try:
+        return named_rows(table_rows(text))
+    except LandmarkError as fault:
+        raise LiaamError(f"{path}: {fault}") from fault
+
+
+def named_rows(lines: Sequence[TableLine]) -> list[NamedRow]:
+    """Return the rows below a header that are not blank. Cells that lack at the end of a row are empty.
+
+    Raises
+    ------
+    LandmarkError
+        If a row has more cells than the header.
+    """
+    (_, header), *rows = lines
+    titles = [title.strip() for title in header]
+    named = []
+    for number, row in rows:
+        if any(row[len(titles) :]):
+            raise LandmarkError(f"line {number} has {len(row)} cells but the header {len(titles)}: correct the line.")
+        if any(row):
+            cells = [*row, *[""] * (len(titles) - len(row))]
+            named.append((number, dict(zip(titles, cells, strict=False))))
+    return named
