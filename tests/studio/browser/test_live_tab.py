@@ -179,9 +179,10 @@ def test_a_video_is_tracked_and_its_frames_are_kept(live, picture, artefacts, tm
     wait_for(live, TRACKED)
     wait_for(live, "() => window.liaamStudio.live.video().ended")
     live.locator("[data-testid=live-play]", has_text="Play").wait_for()
-    live.evaluate(SEEK, "0.5")
-    wait_for(live, "() => Math.abs(window.liaamStudio.live.shown().time - 0.5) < 0.06")
-    wait_for(live, TRACKED)
+    for time in ("0.2", "0.5"):  # a busy machine may have skipped their frames while the video played
+        live.evaluate(SEEK, time)
+        wait_for(live, f"() => Math.abs(window.liaamStudio.live.shown().time - {time}) < 0.06")
+        wait_for(live, TRACKED)
     shoot(live, artefacts, "live-timeline")
     strip = live.locator("#tab-live .live-strip")
     before = strip.evaluate("strip => strip.toDataURL()")
