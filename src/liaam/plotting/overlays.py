@@ -355,7 +355,7 @@ def overlay_of_faults(image: np.ndarray, points: np.ndarray, faults: Sequence[La
     (h', w', 3) uint8
         The surroundings of the landmarks, enlarged.
     """
-    is_known = np.isfinite(points).all(axis=1)
+    is_known = np.asarray(np.isfinite(points).all(axis=1))
     known = points[is_known]
     margin = 0.15 * np.ptp(known, axis=0).max() + 5
     size_of_image = np.array(image.shape[1::-1])
