@@ -88,7 +88,7 @@ def test_curves_are_resampled_and_slid(run, tmp_path):
         (["distance:1-9"], "there is no landmark '9'; give numbers from 1 to 4"),
         (["--scale", "5 apples"], "scale '5 apples': give the length of a pixel"),
         (["-o", "t.txt"], "give a name that ends in .csv"),
-        (["-o", "fits/wing0.csv"], "is the input, or a file in it"),
+        (["-o", "fits/wing0.csv"], "is an input, or a file in it"),
         (["-o", "no/t.csv"], "cannot be written"),
     ],
 )
@@ -214,7 +214,7 @@ def test_tables_beside_the_output_do_not_replace_the_input(run, wings, tmp_path,
     file = wings.rename(tmp_path / name)
     before = file.read_bytes()
     code, _, err = run("measure", file, "-o", tmp_path / "t.csv", *options)
-    assert code == 1 and "is the input, or a file in it; give the output a name elsewhere" in " ".join(err.split())
+    assert code == 1 and "is an input, or a file in it; give the output a name elsewhere" in " ".join(err.split())
     assert file.read_bytes() == before and not (tmp_path / "t.csv").exists()
 
 
@@ -433,13 +433,37 @@ def test_a_missing_end_of_a_scale_bar_is_no_missing_shape(run, tmp_path, rng):
 
 def test_a_table_of_scales_is_used(run, tmp_path):
     file = tps(tmp_path / "all.tps", [0, 0])
-    (tmp_path / "s.csv").write_text("image,scale,unit,scale_se\nw0.png,0.1,mm,0.001\nw1.png,,,\n")
+    (tmp_path / "s.csv").write_text(
+        "image,scale,unit,scale_se,how\nw0.png,0.1,mm,0.001,a ruler in the image\nw1.png,,,,\n"
+    )
     code, out, err = run("measure", file, "distance:1-2", "-o", tmp_path / "t.csv", "--scale", tmp_path / "s.csv")
     assert code == 0 and "a ruler in the image (0.1 mm per pixel)" in " ".join(out.split())
     table = pd.read_csv(tmp_path / "t.csv")
     assert table["distance_1_2_mm"].tolist()[0] == pytest.approx(1) and np.isnan(table["distance_1_2_mm"][1])
     assert table["scale_mm_per_px_se"][0] == 0.001
     assert "1 of 2 have no scale" in " ".join(err.split())
+
+
+@pytest.mark.parametrize(
+    ("name", "options"),
+    [
+        ("s.csv", ("--scale", "s.csv")),
+        ("t_groups.csv", ("--groups", "t_groups.csv")),
+        ("t_anova.csv", ("--symmetry", "object", "--pairs", "t_anova.csv")),
+        ("mine/t.csv", ("--compare", "mine")),
+    ],
+)
+def test_what_options_name_is_not_overwritten(run, tmp_path, monkeypatch, name, options):
+    monkeypatch.chdir(tmp_path)
+    tps(tmp_path / "all.tps", [0, 0])
+    Path(name).parent.mkdir(exist_ok=True)
+    Path(name).write_text("a person's work")
+    output = "t.csv" if name.startswith("t_") else name
+    code, _, err = run("measure", "all.tps", "-o", output, *options)
+    assert code == 1 and f"{name} is an input, or a file in it; give the output a name elsewhere" in " ".join(
+        err.split()
+    )
+    assert Path(name).read_text() == "a person's work"
 
 
 def test_the_agreement_with_people_and_the_variance_of_groups_are_written(run, tmp_path, rng):

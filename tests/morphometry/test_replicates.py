@@ -14,6 +14,7 @@ from liaam.morphometry import (
     Specimen,
     measure,
     measurement_error,
+    of_one_side,
     read_specimens,
     replicates as module,
 )
@@ -188,3 +189,16 @@ def test_pixels_are_not_compared_with_units() -> None:
     assert (counts["shape"], counts["angle_1_2_3"]) == (4, 4)
     of_distance = error["measure"].index("distance_1_2")
     assert error["sd"][of_distance] == pytest.approx(right["sd"][of_distance])
+
+
+def test_a_flipped_image_is_no_replicate_of_the_other_side() -> None:
+    points = np.random.default_rng(3).normal(0, 50, (5, 2))
+    sides = [("w1_left", "left"), ("w1_right", "right"), ("w2_left", "right"), ("w2_right", "right")]
+    specimens = [Specimen(name, points + i, side=side) for i, (name, side) in enumerate(sides)]
+    one_side, _ = of_one_side(specimens, by="_")
+    with pytest.raises(LiaamError, match="no specimen has replicates"):
+        measurement_error(one_side, measure(one_side), "_")
+    numbered = [replace(each, name=f"{each.name}_{i}") for each in specimens for i in (1, 2)]
+    one_side, _ = of_one_side(numbered, by="_")
+    error = measurement_error(one_side, measure(one_side), "_")
+    assert (error["specimens"][0], error["replicates"][0]) == (4, 8)

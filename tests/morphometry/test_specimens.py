@@ -368,6 +368,7 @@ def test_landmarks_in_subfolders_of_sides_are_read(tmp_path: Path) -> None:
             write_landmarks(tmp_path / side / f"{name}.pts", Landmarks(POINTS + shift))
     (tmp_path / ".hidden").mkdir()
     write_landmarks(tmp_path / ".hidden" / "w3.pts", Landmarks(POINTS))
+    (tmp_path / "notes.txt").write_text("The flies of the third drawer.\n")
     for path in (tmp_path, tmp_path / "**"):
         specimens = read_specimens(path)
         assert [each.name for each in specimens] == ["left/w1", "left/w2", "right/w1", "right/w2"]
@@ -379,7 +380,9 @@ def test_landmarks_in_subfolders_of_sides_are_read(tmp_path: Path) -> None:
     assert len(read_specimens(tmp_path / "**")) == 5
     (tmp_path / "w0.pts").rename(tmp_path / ".hidden" / "w0.pts")
     (tmp_path / "left").rename(tmp_path / "hand")
-    with pytest.raises(LiaamError, match=r"holds no results that can be read: .*/\*\*' also reads its subfolders"):
+    with pytest.raises(
+        LiaamError, match=r"holds no results .*/\*\*' also reads its subfolders; no landmarks are in notes\.txt"
+    ):
         read_specimens(tmp_path)
 
 

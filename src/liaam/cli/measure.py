@@ -187,7 +187,9 @@ def measure(
         *(AGREEMENT_FILES if compare else ()),
         *(VARIATION_FILES if wants_variation else ()),
     ]
-    _check_outputs(results, [output, *(_beside(output, end) for end in ends)], plot)
+    given = [results, *(compare or ())]
+    given += [Path(name) for name in (scale, groups, pairs) if name is not None and Path(name).is_file()]
+    _check_outputs(given, [output, *(_beside(output, end) for end in ends)], plot)
     if pairs is not None and symmetry != morphometry.OBJECT:
         raise LiaamError("--pairs are the landmarks of both sides of one structure: give --symmetry object, too")
     reading = Reading(strict, category)
@@ -272,12 +274,12 @@ def _beside(output: Path, end: str) -> Path:
     return output.with_name(f"{output.stem}_{end}")
 
 
-def _check_outputs(results: Path, tables: Sequence[Path], plot: Path | None) -> None:
-    """Raise unless the tables and the figure can be written, and are no inputs."""
+def _check_outputs(given: Sequence[Path], tables: Sequence[Path], plot: Path | None) -> None:
+    """Raise unless the tables and the figure can be written, and are none of the files or in the folders given."""
     for path in tables if plot is None else (*tables, plot):
         check_output(path)
-        if real_path(path).is_relative_to(real_path(results)):
-            raise LiaamError(f"{path} is the input, or a file in it; give the output a name elsewhere")
+        if any(real_path(path).is_relative_to(real_path(each)) for each in given):
+            raise LiaamError(f"{path} is an input, or a file in it; give the output a name elsewhere")
     if plot is not None and plot.suffix.lower() not in FIGURES:
         raise LiaamError(f"{plot}: figures are written as .png, .pdf or .svg; give a name that ends so")
 

@@ -87,26 +87,40 @@ def read_specimens(
         for line in doubts_about(records):
             complain(line)
         return tuple(objects_of_records(records))
-    read: list[Record] = []
-    for file in _chosen_below(path) if is_recursive else _chosen(path) or _of_sides(path):
-        try:
-            read += _below(path, file, _of_file(file, complain, reading))
-        except LiaamError as fault:
-            if isinstance(fault, UnrecognisedError) and file.suffix.lower() in ALSO_OTHER:
-                continue
-            if reading.strict:
-                raise
-            complain(f"skipped {file.relative_to(path).as_posix()}: {str(fault).removeprefix(f'{file}: ')}")
+    others: list[str] = []
+    read = _of_files(path, _chosen_below(path) if is_recursive else _chosen(path), others, complain, reading)
+    if not read and not is_recursive:
+        read = _of_files(path, _of_sides(path), others, complain, reading)
     if not read:
+        besides = f"; no landmarks are in {some_names(others)}" if others else ""
         raise LiaamError(
             f"{path} holds no results that can be read: name a folder of 'liaam fit', a table of 'liaam batch', or "
-            f"landmark files ({', '.join(LANDMARK_SUFFIXES)}); '{path}/**' also reads its subfolders"
+            f"landmark files ({', '.join(LANDMARK_SUFFIXES)}); '{path}/**' also reads its subfolders{besides}"
         )
     read = with_unique_codes(read, complain)
     for line in doubts_about(read):
         complain(line)
     specimens = objects_of_records(read) if replicates else _of_first_files(read, complain)
     return tuple(sorted(specimens, key=lambda specimen: natural_key(specimen.name)))
+
+
+def _of_files(
+    folder: Path, files: Iterable[Path], others: list[str], complain: Callable[[str], object], reading: Reading
+) -> list[Record]:
+    """Return the records of files below a folder; add the names of those that seem to be no results to the others."""
+    read: list[Record] = []
+    for file in files:
+        name = file.relative_to(folder).as_posix()
+        try:
+            read += _below(folder, file, _of_file(file, complain, reading))
+        except LiaamError as fault:
+            if isinstance(fault, UnrecognisedError) and file.suffix.lower() in ALSO_OTHER:  # such as notes
+                others.append(name)
+                continue
+            if reading.strict:
+                raise
+            complain(f"skipped {name}: {str(fault).removeprefix(f'{file}: ')}")
+    return read
 
 
 def _of_first_files(records: Iterable[Record], complain: Callable[[str], object]) -> list[Specimen]:
@@ -162,8 +176,8 @@ def _chosen_below(folder: Path) -> list[Path]:
 
 
 def _of_sides(folder: Path) -> list[Path]:
-    """Return the files below a folder if all are in subfolders that are named after sides."""
-    files = _chosen_below(folder)
+    """Return the files in the subfolders of a folder if all of these are named after sides."""
+    files = [file for file in _chosen_below(folder) if file.parent != folder]
     return files if all(folder_side(file.relative_to(folder).as_posix()) for file in files) else []
 
 

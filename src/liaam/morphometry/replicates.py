@@ -11,6 +11,7 @@ import numpy as np
 
 from liaam.errors import LiaamError
 from liaam.io.files import some_names
+from liaam.io.sides import by_word
 from liaam.morphometry.curves import semilandmarks
 from liaam.morphometry.sides import object_name, refuse_uneven, structure_name
 from liaam.morphometry.specimens import Specimen
@@ -39,7 +40,8 @@ def measurement_error(specimens: Sequence[Specimen], columns: Columns, by: str, 
         (`Specimen.replicate_of`); where that is unknown, those of one name before a ``#`` (``wing1``, ``wing1#2``).
         ``"code"``: specimens of one code are. Otherwise the text before the number of a replicate in names, such as
         ``"_"`` in ``wing1_1`` and ``wing1_2``; of objects ``tray_1#3`` and ``tray_2#3`` of images, those of one number.
-        Then, where specimens state their individual, those of one individual and side are replicates.
+        Then, where specimens state their individual, those of one individual and side are replicates, unless their
+        names state two sides, as of an image that was flipped.
     slid : bool
         Whether semilandmarks slid. Each then has one degree of freedom instead of two.
 
@@ -129,10 +131,20 @@ def _positions(specimens: Sequence[Specimen], number: int) -> np.ndarray:
 
 
 def _groups(specimens: Sequence[Specimen], by: str) -> list[str]:
-    """Return what the replicates of each specimen have in common; see :func:`measurement_error`."""
+    """Return what the replicates of each specimen have in common; see :func:`measurement_error`.
+
+    Where names state two sides of what fits take for one, as of a wing that was flipped, these are no replicates.
+    """
     if by == "image":
         return [object_name(specimen, by) for specimen in specimens]
-    return [structure_name(specimen, by) for specimen in specimens]
+    stated = [by_word(specimen.name).side if specimen.side else "" for specimen in specimens]
+    groups = [structure_name(specimen, by) for specimen in specimens]
+    sides: dict[str, set[str]] = defaultdict(set)
+    for group, side in zip(groups, stated, strict=True):
+        sides[group].add(side)
+    return [
+        f"{group} named {side}" if len(sides[group]) > 1 else group for group, side in zip(groups, stated, strict=True)
+    ]
 
 
 def exchanged_landmarks(specimens: Sequence[Specimen], by: str) -> list[str]:
