@@ -47,13 +47,8 @@ def find_pictures(*sources: str | os.PathLike[str], on_closed: Callable[[str], o
                 existing_file(source, ImageError, "image")  # raises
             yield source  # its row reports other faults
             continue
-        overlays: list[str] = []
-        pictures = _without_overlays(found, overlays.append)
+        pictures = _without_overlays(found, source)
         first = next(pictures, None)
-        if first is None and overlays:
-            raise ImageError(
-                f"{source}: its images are overlays of earlier fits or scales; give the folder of the images themselves"
-            )
         if first is None:
             raise ImageError(
                 f"{source}: no images ({USUAL_SUFFIXES}); give a folder of images, or a quoted "
@@ -71,12 +66,19 @@ def listed_pictures(lines: Iterable[bytes]) -> Iterator[str]:
             yield path
 
 
-def _without_overlays(pictures: Iterable[str], on_overlay: Callable[[str], object]) -> Iterator[str]:
+def _without_overlays(pictures: Iterable[str], source: str) -> Iterator[str]:
+    """Yield the pictures of a source that are no overlays; raise an ImageError if all are."""
+    n_overlays = n_yielded = 0
     for picture in pictures:
         if is_overlay(Path(picture)):
-            on_overlay(picture)
-        else:
-            yield picture
+            n_overlays += 1
+            continue
+        n_yielded += 1
+        yield picture
+    if n_overlays and not n_yielded:
+        raise ImageError(
+            f"{source}: its images are overlays of earlier fits or scales; give the folder of the images themselves"
+        )
 
 
 def _warn(folder: str) -> None:

@@ -193,7 +193,8 @@ class FitJob:
             row = fit_row(result, path, photograph.size, photograph.length, self.settings.absent)
             number = i + 1 if every else None
             named = {"object": number, "specimen": specimen.name, "code": specimen.code, "message": fitted.message(i)}
-            rows.append(row | named | {"fingerprint": photograph.fingerprint})
+            named["fingerprint"] = photograph.fingerprint
+            rows.append(row | named)
         return rows
 
     def _start(self, path: str) -> str | None:

@@ -17,7 +17,7 @@ from liaam.formatting import short_repr
 from liaam.io.files import natural_key, some_names
 from liaam.model.shape import align
 from liaam.morphometry.pairs import checked_twins, parse_pairs
-from liaam.morphometry.sides import are_unreflected, object_name, refuse_uneven, structure_name
+from liaam.morphometry.sides import are_unreflected, individual_name, refuse_uneven, structure_name
 from liaam.morphometry.specimens import Specimen
 from liaam.morphometry.symmetry import (
     ERROR,
@@ -342,7 +342,7 @@ def _groups(specimens: Sequence[Specimen], has_shape: Sequence[bool], by: str | 
     is_matching = len(sides) > 1
     groups: Groups = defaultdict(lambda: {side: [] for side in sides})
     for i, specimen in enumerate(specimens):
-        of_individual = groups[_individual(specimen, by) if is_matching else structure_name(specimen, by)]
+        of_individual = groups[individual_name(specimen, by) if is_matching else structure_name(specimen, by)]
         side = specimen.side if is_matching else ""
         if has_shape[i] and side in of_individual:
             of_individual[side].append(i)
@@ -367,12 +367,8 @@ def _doubts_about_sides(specimens: Sequence[Specimen], by: str | None) -> dict[s
             if specimen.side == specimen.stated_side:
                 found = "mirrored, unlike most others"
             why = f"{specimen.name} is stated {specimen.stated_side}, and is {found}"
-            doubts.setdefault(_individual(specimen, by), _Doubt(why, is_of_fit))
+            doubts.setdefault(individual_name(specimen, by), _Doubt(why, is_of_fit))
     return doubts
-
-
-def _individual(specimen: Specimen, by: str | None) -> str:
-    return specimen.individual or object_name(specimen, by)
 
 
 def _chosen(groups: Groups, sides: Sequence[str], doubts: Mapping[str, _Doubt]) -> tuple[list[str], tuple[str, ...]]:

@@ -90,10 +90,11 @@ def _images_with_lengths(specimens: Sequence[Specimen], lengths: Mapping[str, Le
     """Return the image of each specimen in a table; None if it is not there."""
 
     def is_other(i: int, image: str) -> bool:
-        specimen = specimens[i]
-        fingerprints = {specimen.fingerprint, "" if (length := lengths[image]) is None else length.fingerprint}
+        own, length = specimens[i], lengths[image]
+        if length is None or not length.fingerprint or not own.fingerprint:
+            return False
         # Files of another format may be of the same photograph.
-        return len(fingerprints - {""}) > 1 and _file_name(specimen.image) == _file_name(image)
+        return length.fingerprint != own.fingerprint and _file_name(own.image) == _file_name(image)
 
     names = [specimen.name for specimen in specimens]
     return images_of(names, list(lengths), [specimen.image for specimen in specimens], is_other)

@@ -280,7 +280,12 @@ def structure_name(specimen: Specimen, by: str | None) -> str:
     The side is that which is stated, as records of a structure are named alike, whether its photographs are flipped.
     """
     side = specimen.stated_side or specimen.side
-    return " ".join(filter(None, (specimen.individual or object_name(specimen, by), side)))
+    return " ".join(filter(None, (individual_name(specimen, by), side)))
+
+
+def individual_name(specimen: Specimen, by: str | None) -> str:
+    """Return the name of the individual that a specimen is of; if none is stated, its own without the replicate."""
+    return specimen.individual or object_name(specimen, by)
 
 
 def _sides_of(specimens: Sequence[Specimen], by: str | None) -> tuple[list[Named], dict[int, str]]:
