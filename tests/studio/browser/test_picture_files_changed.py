@@ -1,5 +1,8 @@
 """Pictures are removed and renamed on the page, with undo, by keyboard alone."""
 
+import re
+from contextlib import contextmanager
+
 import pytest
 from people import NAMES, opened, picture, points_of, shoot, wait_for, wait_until
 
@@ -27,6 +30,38 @@ def test_a_picture_is_removed_and_comes_back_with_its_landmarks(listed, marked, 
     opened(listed, NAMES[0])
     assert (points_of(listed) == points).all()
     assert sorted(path.suffix for path in marked.glob("portrait-01.*")) == [".ljson", ".png"]
+
+
+@contextmanager
+def answered_late(page, what):
+    """Let the page hear that the folder has changed before the server's answer to the request that has changed it."""
+    late = []
+    page.route(re.compile(f"/api/{what}$"), lambda route: late.append((route, route.fetch())))
+    with page.expect_response(lambda response: "/api/project" in response.url):
+        yield
+    wait_until(page, lambda: late)
+    page.evaluate("() => new Promise((done) => requestAnimationFrame(() => requestAnimationFrame(done)))")
+    (route, response), *_ = late
+    route.fulfill(response=response)
+
+
+def test_a_picture_that_the_page_removes_is_not_missed_before_the_answer(listed):
+    with answered_late(listed, "removed"):
+        listed.keyboard.press("Delete")
+    listed.locator(".toast", has_text="portrait-01.png removed").wait_for()
+    opened(listed, NAMES[1])
+    assert listed.locator(".toast").count() == 1
+    wait_for(listed, "() => window.liaamStudio.state.project.pictures.length === 2")
+
+
+def test_a_picture_that_the_page_renames_stays_open_before_the_answer(listed):
+    with answered_late(listed, "renamed"):
+        listed.keyboard.press("F2")
+        listed.locator("[data-testid=rename]").fill("lisa")
+        listed.keyboard.press("Enter")
+    listed.locator(".toast", has_text="portrait-01.png is now lisa.png").wait_for()
+    opened(listed, "lisa.png")
+    assert listed.locator(".toast").count() == 1
 
 
 def test_a_picture_is_renamed_with_its_landmarks(listed, marked):

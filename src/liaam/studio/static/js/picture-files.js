@@ -13,8 +13,7 @@ function nextAfter(state, names) {
 
 /** Bring removed pictures back. @param {App} app */
 async function restore({ state, api, toast }, token) {
-  const { pictures } = await state.send((folder) => api.post(api.url("restored"), { token, folder }));
-  await state.refresh();
+  const { pictures } = await state.changeFiles((folder) => api.post(api.url("restored"), { token, folder }));
   toast(`${several(pictures.length, "picture")} restored.`, "good");
   state.select(pictures[0]);
 }
@@ -25,9 +24,9 @@ export async function removePictures(app, names) {
   if (!names.length) return false;
   await saved();
   const next = nextAfter(state, names);
-  const { token } = await state.send((folder) => api.post(api.url("removed"), { pictures: names, folder }));
-  if (names.includes(state.current)) state.select(next);
-  await state.refresh();
+  const { token } = await state.changeFiles((folder) => api.post(api.url("removed"), { pictures: names, folder }), () => {
+    if (names.includes(state.current)) state.select(next);
+  });
   const what = names.length === 1 ? names[0] : several(names.length, "picture");
   toast(`${what} removed from the folder, with the landmarks.`, "good", { label: "Undo", onclick: () => restore(app, token) });
   return true;
@@ -37,9 +36,11 @@ export async function removePictures(app, names) {
 async function renameTo(app, name, wanted) {
   const { state, api, saved } = app;
   await saved();
-  const { name: now } = await state.send((folder) => api.post(api.url("renamed"), { picture: name, to: wanted, folder }));
-  await state.renamed(name, now);
-  return now;
+  const answer = await state.changeFiles(
+    (folder) => api.post(api.url("renamed"), { picture: name, to: wanted, folder }),
+    ({ name: now }) => state.renamed(name, now),
+  );
+  return answer.name;
 }
 
 const stemOf = (name) => name.replace(/^.*\//, "").replace(/\.[^.]*$/, "");

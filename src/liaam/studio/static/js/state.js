@@ -55,6 +55,8 @@ export class State extends EventTarget {
   #byName = new Map();
   #refreshing = null; // promise of the fetch in progress
   #fetchAgain = false; // whether to fetch once more after it
+  #changing = 0; // requests in progress that remove, restore or rename pictures
+  #changed = 0; // how many have ended
 
   /** @param {Project | null} project what the server has already sent, if it has */
   constructor(project = null) {
@@ -141,12 +143,13 @@ export class State extends EventTarget {
     this.select(names[Math.min(Math.max(position, 0), last)]);
   }
 
-  /** A picture has another name: fetch the project again, and select it by that name if it was selected. */
-  async renamed(before, now) {
-    const isShown = this.#current === before;
-    if (isShown) this.#current = null; // it is not gone
-    await this.refresh();
-    if (isShown) this.select(now);
+  /** A picture has another name: it stays selected if it was. @param {string} before; @param {string} now */
+  renamed(before, now) {
+    const picture = this.picture(before);
+    if (!picture) return;
+    picture.name = now;
+    this.#indexed = null;
+    if (this.#current === before) this.select(now);
   }
 
   /** The list shows pictures in this order; worstFirst: whether that is by quality. */
@@ -200,8 +203,9 @@ export class State extends EventTarget {
   /** Check the folder for changes by other programs, which send no events, while the page is visible. */
   async #lookForChanges() {
     if (document.hidden || this.#refreshing || !this.#project) return;
+    const began = this.#changed;
     const project = await api.get(api.url("project", { stamp: this.#project.stamp }), { quiet: true });
-    if (!("unchanged" in project) && !this.#refreshing) this.#take(project);
+    if (!("unchanged" in project) && !this.#refreshing) this.#take(project, began);
   }
 
   #watchFolder() {
@@ -232,15 +236,33 @@ export class State extends EventTarget {
     }
   }
 
+  /** Send a request that removes, restores or renames pictures. The server says that its folder has changed before it
+   *  answers. No project is taken over until `follow` has selected what the answer leaves, so that nothing is missed.
+   *  @template T; @param {(folder: string) => Promise<T>} request; @param {(answer: T) => void} [follow]; @returns {Promise<T>} */
+  async changeFiles(request, follow = () => {}) {
+    this.#changing += 1;
+    try {
+      const answer = await this.send(request);
+      follow(answer);
+      return answer;
+    } finally {
+      this.#changing -= 1;
+      this.#changed += 1;
+      await this.#refreshing?.catch(() => {}); // it may have begun before
+      await this.refresh().catch(() => {});
+    }
+  }
+
   /** Take over the project that the server has sent. Of another folder or version, the page is loaded again.
-   *  @param {Project} project */
-  #take(project) {
+   *  @param {Project} project; @param {number} began how many changes of files had ended when it was asked for */
+  #take(project, began) {
     const isAnother = this.#project && (this.#project.id !== project.id || this.#project.version !== project.version);
     if (isAnother) {
       location.reload(); // unsaved marks are kept with the id of their folder
       throw new ApiError("The studio now serves another folder, or is of another version.", 0);
     }
     this.#unsure = false;
+    if (this.#changing || began !== this.#changed) return; // another is fetched after the change
     this.#project = project;
     if (!this.picture()) {
       if (this.#current) toast(`${this.#current} is no longer in the folder.`);
@@ -251,8 +273,9 @@ export class State extends EventTarget {
 
   async #fetch() {
     const quiet = Boolean(this.#project); // once a project is shown, a lost connection is shown beside it instead
+    const began = this.#changed;
     try {
-      this.#take(/** @type {Project} */ (await api.get(api.url("project"), { quiet })));
+      this.#take(/** @type {Project} */ (await api.get(api.url("project"), { quiet })), began);
       this.#setOnline(true);
     } catch (error) {
       const isRefused = error.status === 401;
