@@ -26,6 +26,9 @@ from liaam.cli.terminal import complain, progress_bar, say
 from liaam.errors import LiaamError
 from liaam.io.files import count_of
 
+LANDMARKS_ONLY = ".tps"
+"""Suffix of the output that has landmarks and no columns."""
+
 
 def batch(
     sources: Annotated[
@@ -109,6 +112,8 @@ def batch(
     if summary.absent:
         what = "estimates" if absent == "estimate" else "empty"
         say(f"{count_of(summary.absent, 'fit')} with absent landmarks, which are {what}: see the column 'message'")
+    if output.suffix.lower() == LANDMARKS_ONLY and len(summary.sides) > 1:
+        complain(_about_sides(output, summary.sides))
     # A fit to another object, or to one that is turned, may also not converge.
     if uncertain := sum(summary.statuses.get(status, 0) for status in (FitStatus.DOUBTFUL, FitStatus.MAX_ITERATIONS)):
         advice = f"fits that may be wrong: {uncertain}; check those, by the column 'status'"
@@ -116,6 +121,16 @@ def batch(
         complain("; ".join(filter(None, (advice, ways))))
     if errors == summary.total:
         raise typer.Exit(1)
+
+
+def _about_sides(output: Path, sides: dict[str, int]) -> str:
+    """Say that a file of landmarks has no sides, and what this means for statistics."""
+    counts = " and ".join(f"{n} {side}" for side, n in sides.items())
+    return (
+        f"{output}: {counts} ones are as they lie in the images, and .tps has no sides: the shapes of one side are "
+        "mirrored against the other. 'liaam measure' reflects them; for other programs, reflect one side first, by the "
+        "column 'side' of a table (-o fits.csv)"
+    )
 
 
 def input_paths(

@@ -8,7 +8,13 @@ from dataclasses import replace
 
 import numpy as np
 
-from liaam.datasets.sides import FEWEST_COMMON, others_by_shape, refuse_many_against
+from liaam.datasets.sides import (
+    FEWEST_COMMON,
+    are_upside_down,
+    mirrored_shapes,
+    others_by_shape,
+    refuse_many_against,
+)
 from liaam.errors import LiaamError
 from liaam.fitting.result import USABLE
 from liaam.io.files import count_of, some_names
@@ -42,6 +48,9 @@ def of_one_side(
     training (:func:`liaam.datasets.sides.sides_of_shapes`). If a fit or a shape clearly contradicts the side that is
     stated, its own side is taken, and `Specimen.stated_side` keeps the stated one. By it,
     :func:`liaam.morphometry.asymmetry` leaves individuals out.
+
+    Where nothing states sides, shapes that are clearly mirrored against most others are reflected, too: they cannot be
+    compared otherwise. Their side is then ``mirrored``, and that of the others ``original``.
 
     Parameters
     ----------
@@ -78,7 +87,7 @@ def of_one_side(
         what = f"the specimens are of the sides {some_names(sides)}" if sides else "no specimen has a known side"
         raise LiaamError(f"--side {side}: {what}; give auto, {REFLECTED}, {IGNORED}, or one of them")
     if not sides:
-        return specimens, ""
+        return _reflected_by_shape(specimens)
     sided = tuple(
         replace(specimen, side=each.side, individual=specimen.individual or each.rest, stated_side=by_fit.get(i, ""))
         for i, (specimen, each) in enumerate(zip(specimens, named, strict=True))
@@ -113,6 +122,35 @@ def of_one_side(
     if doubts and strict:
         raise LiaamError(doubts)
     return found, "; ".join(filter(None, (done, doubts)))
+
+
+def _reflected_by_shape(specimens: tuple[Specimen, ...]) -> tuple[tuple[Specimen, ...], str]:
+    """Reflect specimens that are clearly mirrored against most others, where nothing states sides; say which."""
+    n = max((len(each.points) for each in specimens), default=0)
+    compared = [i for i, each in enumerate(specimens) if _shows_side(each, n)]
+    if not compared:
+        return specimens, ""
+    shapes = np.array([specimens[i].measured for i in compared])
+    is_mirrored = mirrored_shapes(shapes)
+    if not is_mirrored.any():
+        return specimens, ""
+    is_upside_down = are_upside_down(shapes, is_mirrored)
+    found = list(specimens)
+    for i, mirrored in zip(compared, is_mirrored.tolist(), strict=True):
+        own = reflected(found[i]) if mirrored else found[i]
+        found[i] = own if is_upside_down else replace(own, side=MIRRORED if mirrored else ORIGINAL)
+    names = [specimens[i].name for i in np.array(compared)[is_mirrored].tolist()]
+    were = "is mirrored by its shape, and was" if len(names) == 1 else "are mirrored by their shapes, and were"
+    cause = (
+        "state the sides of left and right structures (a column 'side', folders left and right, or names such as "
+        "wing1_left), and flip back photographs that were flipped"
+    )
+    if is_upside_down:
+        cause = "y of these seems to count from the other border: correct it"
+    return tuple(found), (
+        f"{len(names)} of {count_of(len(specimens), 'specimen')} {were} reflected, to be compared with the others: "
+        f"{some_names(names)}; {cause}, or give --side {IGNORED} to compare all as they are"
+    )
 
 
 def _reflection_said(n: int, kept: str, turned: str) -> str:
