@@ -225,8 +225,11 @@ def measure(
         group_of = morphometry.groups_of([specimen.name for specimen in specimens], morphometry.read_groups(groups))
     variation = None
     if wants_variation:
-        variation = morphometry.shape_variation(specimens, columns, group_of, permutations, seed)
-    agreement = _agreement(specimens, compare, group_of, reading) if compare else None
+        variation = morphometry.shape_variation(specimens, columns, group_of, permutations, seed, replicates)
+    agreement = None
+    if compare:
+        individuals = morphometry.individuals_of(specimens, replicates)
+        agreement = _agreement(specimens, compare, group_of, individuals, reading)
 
     write_columns(output, columns)
     what = "specimen" if replicates is None else "record"
@@ -323,12 +326,17 @@ def _twins(pairs: str | None, results: Path, specimens: "Sequence[Specimen]") ->
 
 
 def _agreement(
-    specimens: "Sequence[Specimen]", labels: Sequence[Path], groups: Sequence[str] | None, reading: Reading
+    specimens: "Sequence[Specimen]",
+    labels: Sequence[Path],
+    groups: Sequence[str] | None,
+    individuals: Sequence[str],
+    reading: Reading,
 ) -> "ShapeAgreement":
     """Compare specimens with the landmarks that people have placed."""
     from liaam.evaluation import compare_specimens
 
-    return compare_specimens(specimens, [_labels(path, reading) for path in labels], groups)
+    people = [_labels(path, reading) for path in labels]
+    return compare_specimens(specimens, people, groups, individuals=individuals)
 
 
 def _labels(path: Path, reading: Reading) -> "list[Specimen]":

@@ -8,7 +8,7 @@ from liaam.morphometry.missing import far_estimates, with_estimated_landmarks
 from liaam.morphometry.reading import read_specimens
 from liaam.morphometry.replicates import exchanged_landmarks, measurement_error
 from liaam.morphometry.scale_tables import read_lengths, with_lengths
-from liaam.morphometry.sides import of_one_side
+from liaam.morphometry.sides import individuals_of, of_one_side
 from liaam.morphometry.space import Grid, ShapeSpace, shape_space, thin_plate_weights
 from liaam.morphometry.specimens import Specimen
 from liaam.morphometry.symmetry import Asymmetry, matching_asymmetry, object_asymmetry
@@ -32,6 +32,7 @@ __all__ = [
     "far_estimates",
     "groups_in",
     "groups_of",
+    "individuals_of",
     "matching_asymmetry",
     "measure",
     "measurement_error",

@@ -326,6 +326,28 @@ def individual_name(specimen: Specimen, by: str | None) -> str:
     return specimen.individual or object_name(specimen, by)
 
 
+def individuals_of(specimens: Iterable[Specimen], by: str | None = None) -> tuple[str, ...]:
+    """Return the individual that each specimen is a record of: records of one individual are not independent.
+
+    It is stated, or follows from what tells sides and replicates (:func:`of_one_side`), as do the objects of an image
+    that has several records. A specimen of which nothing is known is its own individual.
+
+    Parameters
+    ----------
+    specimens : iterable of Specimen
+        As :func:`of_one_side` gives them.
+    by : str, optional
+        What tells replicates, as in :func:`liaam.morphometry.measurement_error`.
+    """
+
+    def individual_of(specimen: Specimen) -> str:
+        if by is None and not specimen.individual:
+            return specimen.replicate_of or specimen.name
+        return individual_name(specimen, by)
+
+    return tuple(map(individual_of, specimens))
+
+
 def _sides_of(specimens: Sequence[Specimen], by: str | None) -> tuple[list[Named], dict[int, str]]:
     """Return the side of each specimen, and the name of the individual that it is of.
 
