@@ -261,7 +261,7 @@ def measure(
 def _comparable_specimens(
     results: Path, reading: Reading, resample: str | None, *, has_replicates: bool
 ) -> "tuple[Specimen, ...]":
-    """Read specimens, place points evenly along their curves if asked, and leave out those with other landmarks."""
+    """Read specimens, place points along their curves if asked, and leave out copies and those of other landmarks."""
     from liaam import morphometry
 
     specimens: Iterable[Specimen] = morphometry.read_specimens(results, complain, reading, has_replicates)
@@ -269,7 +269,9 @@ def _comparable_specimens(
         specimens = morphometry.with_even_curves(specimens, resample)
     alike, left_out = morphometry.alike(specimens)
     _refuse_or_complain(left_out, "have other landmarks than most", reading.strict)
-    return alike
+    kept, copies = morphometry.without_copies(alike)
+    _refuse_or_complain(copies, "are of copies of pictures", reading.strict)
+    return kept
 
 
 def _beside(output: Path, end: str) -> Path:

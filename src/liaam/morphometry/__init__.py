@@ -6,6 +6,7 @@ from liaam.morphometry.groups import groups_in, groups_of, read_groups
 from liaam.morphometry.measures import Measure, ScaleBar
 from liaam.morphometry.missing import far_estimates, with_estimated_landmarks
 from liaam.morphometry.reading import read_specimens
+from liaam.morphometry.records import without_copies
 from liaam.morphometry.replicates import exchanged_landmarks, measurement_error
 from liaam.morphometry.scale_tables import read_lengths, with_lengths
 from liaam.morphometry.sides import individuals_of, of_one_side
@@ -47,4 +48,5 @@ __all__ = [
     "with_estimated_landmarks",
     "with_even_curves",
     "with_lengths",
+    "without_copies",
 ]
