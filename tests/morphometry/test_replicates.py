@@ -159,6 +159,16 @@ def test_nothing_is_written_if_there_are_no_replicates(run, tmp_path) -> None:
     assert not (tmp_path / "t.csv").exists() and not (tmp_path / "t_replicates.csv").exists()
 
 
+def test_names_that_make_all_records_one_specimen_are_reported(run, tmp_path) -> None:
+    marks = {f"IMG_{i}.png": Landmarks(each.points) for i, each in enumerate(replicates("w{}#{}", (1, 1, 1)))}
+    write_collection(tmp_path / "a.csv", marks)
+    code, out, err = run("measure", tmp_path / "a.csv", "-o", tmp_path / "t.csv", "--replicates", "_")
+    assert code == 0 and "takes all records for replicates of one specimen" in err
+    assert "nan" not in out and "inf" not in out
+    found = pd.read_csv(tmp_path / "t_replicates.csv", index_col="measure")
+    assert np.isnan(found.loc["shape", "F"]) and found.loc["shape", "sd"] > 0
+
+
 def test_estimated_landmarks_are_no_observations() -> None:
     rng = np.random.default_rng(4)
     square = np.array([[0.0, 0], [40, 0], [40, 30], [0, 30]])

@@ -248,9 +248,9 @@ def measure(
         _write_agreement(agreement, output)
     if plot is not None:
         _draw(columns, asymmetry, specimens, plot)
-    if error is not None:
-        _write_error(error, output)
-        for line in morphometry.exchanged_landmarks(specimens, replicates or ""):
+    if error is not None and replicates is not None:
+        _write_error(error, output, replicates)
+        for line in morphometry.exchanged_landmarks(specimens, replicates):
             complain(line)
     _complain_of_estimates(columns)
     _complain_of_specimens_without_scale(columns)
@@ -418,12 +418,17 @@ def _write_asymmetry(asymmetry: "AsymmetryResult", output: Path) -> None:
     say(f"{everything}: all of it")
 
 
-def _write_error(error: Columns, output: Path) -> None:
+def _write_error(error: Columns, output: Path, by: str) -> None:
     """Write the table of measurement error beside the output, and print it."""
     path = _beside(output, ERRORS_TABLE)
     write_columns(path, error)
     _show_error(error)
     say(f"{path}: measurement error")
+    if max(error["specimens"]) == 1:
+        complain(
+            f"--replicates {by} takes all records for replicates of one specimen; if they are of several, as IMG_1 and "
+            "IMG_2 are, give what comes before the number of a replicate in their names"
+        )
 
 
 def _show_anova(anova: Columns) -> None:
@@ -503,8 +508,8 @@ def _show_error(error: Columns) -> None:
             landmarks.append(row)
             continue
         counts = [f"{row['specimens']:g}", f"{row['replicates']:g}", f"{row['df_among']:g}, {row['df_within']:g}"]
-        numbers = [f"{row[name]:.3g}" for name in ("F", "P", "repeatability", "sd", "sd_percent")]
-        table.add_row(cell(row["measure"]), *counts, *numbers)
+        numbers = [row[name] for name in ("F", "P", "repeatability", "sd", "sd_percent")]
+        table.add_row(cell(row["measure"]), *counts, *("" if math.isnan(each) else f"{each:.3g}" for each in numbers))
     show_table(table)
     with_replicates = [row for row in landmarks if not math.isnan(row["sd"])]
     worst = sorted(with_replicates, key=lambda row: -row["sd"])[:LEAST_REPEATABLE]

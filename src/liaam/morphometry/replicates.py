@@ -224,7 +224,8 @@ def anova(values: np.ndarray, groups: Sequence[str], sizes: np.ndarray, freedom:
         df_among = (n_groups - 1) * freedom
         df_within = (n_rows - n_groups) * freedom
         ss_within = np.square(values - means[codes]).sum()
-        ms_among = np.square(means[codes] - centre).sum() / df_among
+        ss_among = np.square(means[codes] - centre).sum() if n_groups > 1 else math.nan  # of one group, rounding
+        ms_among = ss_among / df_among
         ms_within = ss_within / df_within
         ratio = ms_among / ms_within
         # Number of replicates of a specimen, a mean that takes account of unequal numbers.
