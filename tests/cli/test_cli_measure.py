@@ -258,7 +258,7 @@ def test_a_stated_error_beyond_the_differences_between_sides_is_reported(run, tm
     assert code == 0 and "taken as independent on both sides" in out
     told = " ".join(err.split())
     assert told.startswith("the stated error exceeds the differences between the sides (F = 0.")
-    assert "photograph or digitise each side twice" in told
+    assert "place the landmarks of some individuals by hand, twice on both sides" in told
     assert json.loads((tmp_path / "t_asymmetry.json").read_text())["error_exceeds_differences"] is True
 
 

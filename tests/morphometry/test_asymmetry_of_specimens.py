@@ -136,6 +136,35 @@ def test_replicates_and_too_few_permutations_say_nothing_of_the_stated_error(rng
     assert analysed(fitted, "matching", permutations=39).error_exceeds_differences
 
 
+@pytest.mark.parametrize("kind", ["matching", "object"])
+def test_replicates_that_repeat_the_errors_of_fits_have_a_second_error_term(rng, kind) -> None:
+    """Both records of a structure have one error of 0.5 in common, which the covariances state, and 0.05 besides."""
+    facts = {"covariances": np.tile(0.5**2 * np.eye(2), (len(NAMES), 1, 1)), "status": "converged"}
+    once = wings(rng, 20, 0.5, **facts) if kind == "matching" else faces(rng, 20, **facts)
+    if kind == "object":
+        once = [replace(each, points=each.points + rng.normal(0, 0.5, each.points.shape)) for each in once]
+    specimens = [
+        replace(each, name=f"{each.name}_{number}", points=each.points + rng.normal(0, 0.05, each.points.shape))
+        for each in once
+        for number in (1, 2)
+    ]
+    result = analysed(specimens, kind, by="_", permutations=99)
+    other = result.error_by_covariances
+    assert result.replicates_repeat_errors and other is not None and result.analysis.error == "replicates"
+    anova = result.analysis.shape_anova
+    assert other["MS"] > 20 * anova["MS"][ERROR]
+    if kind == "matching":  # without asymmetry, what differs is the error
+        assert anova["P"][2] < 0.02 < other["P"] and other["F"] == pytest.approx(1.0, abs=0.4)
+    rows = result.anova()
+    place = rows["effect"].index("error by covariances")
+    assert (rows["trait"][place], rows["MS"][place]) == ("shape", other["MS"])
+    told = json.loads(result.to_json())
+    assert told["replicates_repeat_errors"] and told["error_by_covariances"] == other
+    bare = analysed([replace(each, covariances=None) for each in specimens], kind, by="_")
+    assert bare.error_by_covariances is None and not bare.replicates_repeat_errors
+    assert "error by covariances" not in bare.anova()["effect"]
+
+
 def test_estimated_landmarks_do_not_count_in_the_error_term(rng) -> None:
     fitted = wings(rng, 10, 0.3, covariances=np.tile(0.09 * np.eye(2), (6, 1, 1)))
     whole = analysed(fitted, "matching").analysis.shape_anova["MS"][ERROR]

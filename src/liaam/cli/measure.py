@@ -20,7 +20,7 @@ from liaam.io.files import count_of, real_path, some_names
 from liaam.io.landmarks.formats import KNOWN_FILES
 from liaam.io.landmarks.reading import Reading
 from liaam.morphometry.asymmetry import MATCHING
-from liaam.morphometry.symmetry import INTERACTION
+from liaam.morphometry.symmetry import ERROR, INTERACTION
 from liaam.morphometry.table import scales_in, sizes_in, unit_of_table
 from liaam.scale.choice import TRAINING
 from liaam.scale.lengths import UNITS, Length, unlike
@@ -59,6 +59,11 @@ ASYMMETRY_FILES = (ANOVA_TABLE, ASYMMETRY_BY_INDIVIDUAL, ASYMMETRY_BY_COMPONENT,
 
 LEAST_REPEATABLE = 5
 """Number of landmarks with the largest measurement errors to name."""
+
+_PLACE_TWICE = (
+    "place the landmarks of some individuals by hand, twice on both sides, and analyse these with --replicates; a "
+    "second photograph is no cure, as its fit has nearly the same error"
+)
 
 MOST_FAR = 5
 """Largest number of specimens with doubtful estimates to name."""
@@ -241,6 +246,7 @@ def measure(
     if asymmetry is not None:
         _write_asymmetry(asymmetry, output)
         _complain_of_error(asymmetry)
+        _complain_of_repeated_errors(asymmetry)
         _complain_of_estimated_differences(asymmetry, output)
     if variation is not None:
         _write_variation(variation, output)
@@ -429,6 +435,20 @@ def _write_error(error: Columns, output: Path, by: str) -> None:
             f"--replicates {by} takes all records for replicates of one specimen; if they are of several, as IMG_1 and "
             "IMG_2 are, give what comes before the number of a replicate in their names"
         )
+    _complain_of_repeatable_errors(error)
+
+
+def _complain_of_repeatable_errors(error: Columns) -> None:
+    """Say that the repeatability of fits is not their reliability if replicates repeat errors that fits state."""
+    from liaam.morphometry import replicates_repeat_errors
+
+    if replicates_repeat_errors(error):
+        complain(
+            f"replicates of shape differ by a standard deviation of {error['sd'][0]:.3g}, and the fits state "
+            f"{error['sd_by_covariances'][0]:.3g}: fits to several images of a specimen repeat most of their error, so "
+            "this repeatability is that of photographing, not of the landmarks. Compare fits with landmarks that "
+            "people placed: --compare, or liaam evaluate"
+        )
 
 
 def _show_anova(anova: Columns) -> None:
@@ -449,7 +469,9 @@ def _about_error(asymmetry: "AsymmetryResult") -> str:
     analysis = asymmetry.analysis
     if analysis.error == "replicates":
         what = "side" if analysis.kind == MATCHING else "individual"
-        return f"error: from {asymmetry.replicates} replicates of each {what}{without}"
+        stated = f"error: from {asymmetry.replicates} replicates of each {what}{without}"
+        other = asymmetry.error_by_covariances
+        return stated if other is None else f"{stated}; expected from the covariances: MS {other['MS']:.4g}"
     if analysis.error == "covariances":
         stated = f"error: expected from the covariances of the fitted landmarks, as there are no replicates{without}"
         return f"{stated}; taken as independent on both sides"
@@ -467,7 +489,22 @@ def _complain_of_error(asymmetry: "AsymmetryResult") -> None:
     complain(
         f"the stated error exceeds the differences between the sides (F = {ratio:.2g} of individual x side, where "
         "independent error makes about 1), so the errors of both sides are alike, or smaller than stated. Fluctuating "
-        "asymmetry is not tested by this: photograph or digitise each side twice, and give --replicates"
+        f"asymmetry is not tested by this: {_PLACE_TWICE}"
+    )
+
+
+def _complain_of_repeated_errors(asymmetry: "AsymmetryResult") -> None:
+    """Say that replicates of fits lack the error that fits repeat, and what the test is by the other error term."""
+    other = asymmetry.error_by_covariances
+    if other is None or not asymmetry.replicates_repeat_errors:
+        return
+    own = asymmetry.analysis.shape_anova["MS"][ERROR]
+    complain(
+        f"the replicates differ by less than the fits state: the mean square of the error is {own:.2g} from "
+        f"replicates, and {other['MS']:.2g} by the covariances, {other['MS'] / own:.0f} times as much. Fits to several "
+        "photographs of a specimen repeat most of their error, so that replicates do not show it, and fluctuating "
+        f"asymmetry by them may be error of the fits. By the covariances, individual x side has F = {other['F']:.3g}, "
+        f"P = {other['P']:.3g}; they take errors as independent on both sides. To know, {_PLACE_TWICE}"
     )
 
 
@@ -501,7 +538,8 @@ def _show_error(error: Columns) -> None:
 
     Rows of landmarks have no degrees of freedom, since their positions in different images do not compare.
     """
-    table = table_of("measure", "specimens", "replicates", "df", "F", "P", "repeatability", "sd", "sd %")
+    stated = ("sd by covariances",) if "sd_by_covariances" in error else ()
+    table = table_of("measure", "specimens", "replicates", "df", "F", "P", "repeatability", "sd", "sd %", *stated)
     landmarks = []
     for row in _rows(error):
         if math.isnan(row["df_within"]):
@@ -509,6 +547,7 @@ def _show_error(error: Columns) -> None:
             continue
         counts = [f"{row['specimens']:g}", f"{row['replicates']:g}", f"{row['df_among']:g}, {row['df_within']:g}"]
         numbers = [row[name] for name in ("F", "P", "repeatability", "sd", "sd_percent")]
+        numbers += [row["sd_by_covariances"]] if stated else []
         table.add_row(cell(row["measure"]), *counts, *("" if math.isnan(each) else f"{each:.3g}" for each in numbers))
     show_table(table)
     with_replicates = [row for row in landmarks if not math.isnan(row["sd"])]

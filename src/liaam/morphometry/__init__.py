@@ -7,7 +7,7 @@ from liaam.morphometry.measures import Measure, ScaleBar
 from liaam.morphometry.missing import far_estimates, with_estimated_landmarks
 from liaam.morphometry.reading import read_specimens
 from liaam.morphometry.records import without_copies
-from liaam.morphometry.replicates import exchanged_landmarks, measurement_error
+from liaam.morphometry.replicates import exchanged_landmarks, measurement_error, replicates_repeat_errors
 from liaam.morphometry.scale_tables import read_lengths, with_lengths
 from liaam.morphometry.sides import individuals_of, of_one_side
 from liaam.morphometry.space import Grid, ShapeSpace, shape_space, thin_plate_weights
@@ -42,6 +42,7 @@ __all__ = [
     "read_groups",
     "read_lengths",
     "read_specimens",
+    "replicates_repeat_errors",
     "shape_space",
     "shape_variation",
     "thin_plate_weights",
