@@ -231,7 +231,7 @@ def test_replicates_that_repeat_errors_which_covariances_state_are_known(rng, ow
     by_name = dict(zip(error["measure"], zip(error["sd"], error["sd_by_covariances"], strict=True), strict=True))
     assert by_name["distance_1_3"][1] == pytest.approx(1.5 * 2**0.5, rel=0.05)
     for sd, by_covariances in by_name.values():
-        assert sd == pytest.approx(by_covariances, rel=0.25) if own else sd < 0.3 * by_covariances
+        assert sd == pytest.approx(by_covariances, rel=0.5) if own else sd < 0.3 * by_covariances
     bare = [replace(each, covariances=None) for each in specimens]
     without = measurement_error(bare, measure(bare), "_")
     assert "sd_by_covariances" not in without and not replicates_repeat_errors(without)
