@@ -15,8 +15,8 @@ from liaam import Evaluation, FitStatus, Landmarks, Sample
 from liaam.error_measures import landmark_errors, within_ellipses
 from liaam.errors import LiaamError
 from liaam.evaluation import measure
-from liaam.io import read_landmarks, write_image, write_landmarks
-from liaam.io.files import real_path
+from liaam.io import read_image, read_landmarks, write_image, write_landmarks
+from liaam.io.files import fingerprint_of, real_path
 from liaam.studio.folder import Folder
 from liaam.studio.store import Store
 
@@ -205,6 +205,35 @@ def test_the_command_writes_tables_and_pictures(run, folder, tmp_path):
     assert [len(own) for own in rows.values()] == [4 * 5, 4, 5]
     assert {row["outcome"] for row in rows["images"]} == {"right"}
     assert all((tmp_path / "out" / name).read_bytes()[:4] == b"\x89PNG" for name in ("errors.png", "worst.png"))
+
+
+def test_images_of_training_are_known_by_their_content_and_reported(run, folder, small, tmp_path):
+    files = sorted((folder / "faces").glob("*.png"))
+    prints = tuple(sorted(fingerprint_of(file) for file in files[:2]))
+    seen = replace(small, fingerprints=prints)
+    seen.save(tmp_path / "seen.liaam")
+    assert liaam.load_model(tmp_path / "seen.liaam").fingerprints == prints
+    data = [(file, file.with_suffix(".pts")) for file in files]
+    found = liaam.evaluate(liaam.load_model(tmp_path / "seen.liaam"), data, method="grey", progress=False)
+    assert found.in_training == (True, True, *[False] * (len(files) - 2))
+    assert f"the model was trained on 2 of these {len(files)} images (f0, f1)" in found.report()
+    assert found.by_image()["in_training"][:3] == [True, True, False]
+    options = ("-m", "grey", "--init", folder / "faces", "--limit", 20, "-o", tmp_path / "out")
+    _, out, err = run("evaluate", tmp_path / "seen.liaam", folder / "faces", *options)
+    told = " ".join((out + err).split())
+    assert "the model was trained on 2 of these" in told and "for the section Methods of a paper:" not in told
+    other = liaam.evaluate(replace(seen, fingerprints=("abcdefghijklmnop",)), data[:2], method="grey", progress=False)
+    assert other.in_training == (False, False) and "trained on" not in other.report()
+    unknown = liaam.evaluate(replace(small, fingerprints=()), data[:2], method="grey", progress=False)
+    assert "does not say which images it was trained on" in unknown.report()
+
+
+def test_training_keeps_the_fingerprints_of_files(folder):
+    files = sorted((folder / "faces").glob("*.png"))
+    pairs = [(file, file.with_suffix(".pts")) for file in files]
+    quick = OPTIONS | {"lamps": None}
+    assert liaam.train(pairs, **quick).fingerprints == tuple(sorted(map(fingerprint_of, files)))
+    assert liaam.train([(read_image(file), marks) for file, marks in pairs], **quick).fingerprints == ()
 
 
 def test_the_command_trains_on_folds(run, folder, tmp_path, monkeypatch):

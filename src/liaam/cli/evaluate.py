@@ -308,7 +308,9 @@ def show_and_write(output: Path, evaluation: "Evaluation") -> None:
     write(output, evaluation)
     show_landmarks(evaluation)
     say(evaluation.report())
-    if evaluation.agreement is not None:
+    if any(evaluation.in_training):
+        complain("no sentences for a paper, since the model was trained on some of these images")
+    elif evaluation.agreement is not None:
         say(f"for the section Methods of a paper: {evaluation.agreement.methods()}")
     say(f"written to {output}")
 
