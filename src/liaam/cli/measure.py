@@ -208,6 +208,8 @@ def measure(
         _refuse_or_complain(incomplete, "keep missing landmarks", strict)
     _refuse_or_complain_of_far_estimates(morphometry.far_estimates(specimens, scale), estimate, strict)
 
+    _refuse_or_complain(morphometry.estimated_on_a_side(specimens), "lack landmarks of one side", strict)
+
     # Everything is computed before anything is written, so that an error leaves no part of the files.
     columns = morphometry.measure(specimens, measures or (), scale, slide)
     error = None

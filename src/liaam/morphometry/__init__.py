@@ -4,7 +4,7 @@ from liaam.morphometry.asymmetry import MATCHING, OBJECT, AsymmetryResult, asymm
 from liaam.morphometry.curves import with_even_curves
 from liaam.morphometry.groups import groups_in, groups_of, read_groups
 from liaam.morphometry.measures import Measure, ScaleBar
-from liaam.morphometry.missing import far_estimates, with_estimated_landmarks
+from liaam.morphometry.missing import estimated_on_a_side, far_estimates, with_estimated_landmarks
 from liaam.morphometry.reading import read_specimens
 from liaam.morphometry.records import without_copies
 from liaam.morphometry.replicates import exchanged_landmarks, measurement_error, replicates_repeat_errors
@@ -29,6 +29,7 @@ __all__ = [
     "Specimen",
     "alike",
     "asymmetry",
+    "estimated_on_a_side",
     "exchanged_landmarks",
     "far_estimates",
     "groups_in",
