@@ -215,6 +215,18 @@ def test_columns_of_a_table_tell_the_individual_and_the_side(tmp_path) -> None:
     assert [each.side for each in found] == ["left", "right", "left", "right"]
 
 
+def test_a_column_individual_beside_one_of_images_is_read(tmp_path) -> None:
+    rows = ["image,side,individual,landmark,x,y"]
+    for number, (individual, side) in enumerate([("F1", "left"), ("F1", "right"), ("F2", "left")]):
+        rows += [f"IMG_{number}.jpg,{side},{individual},{i + 1},{x},{y}" for i, (x, y) in enumerate(POINTS)]
+    rows += [f"tray.jpg,left,{name},{i + 1},{x},{y}" for name in ("F3", "F4") for i, (x, y) in enumerate(POINTS)]
+    (tmp_path / "t.csv").write_text("\n".join(rows))
+    found = read_specimens(tmp_path / "t.csv")
+    assert [each.name for each in found][:3] == ["IMG_0", "IMG_1", "IMG_2"]
+    assert [each.individual for each in found] == ["F1", "F1", "F2", "F3", "F4"]
+    assert [each.side for each in found] == ["left", "right", "left", "left", "left"]
+
+
 def test_a_row_for_each_image_may_tell_them_too(tmp_path) -> None:
     rows = ["image,individual,side,X1,Y1,X2,Y2,X3,Y3"]
     rows += [f"left/{i}.jpg,i{i},,0,0,5,1,3,4" for i in range(2)]
