@@ -139,15 +139,17 @@ def images_of(
     by_key: dict[Key, list[str]] = defaultdict(list)
     by_end: dict[Key, list[str]] = defaultdict(list)
     for image in images:
-        key = _key_of(image)
-        by_key[key].append(image)
-        for end in _ends_of(key):
-            by_end[end].append(image)
+        # With its ending, which tells images of one name apart, and without it
+        for key in dict.fromkeys((_file_key_of(image), _key_of(image))):
+            by_key[key].append(image)
+            for end in _ends_of(key):
+                by_end[end].append(image)
 
     def image_of(i: int, specimen: str, own_image: str | None) -> str | None:
         *folders, name = _key_of(own_image or f"{specimen}.png")
+        *_, file = _file_key_of(own_image or specimen)
         of_name = (name.rpartition("#")[0], name.rpartition("_")[0])
-        for own in (name,) if own_image else (name, *of_name):
+        for own in (file, name) if own_image else (name, *of_name):
             key = (*folders, own)
             named = by_end.get(key) or next((by_key[end] for end in _ends_of(key) if end in by_key), [])
             found = [image for image in named if not is_other(i, image)]
@@ -174,6 +176,11 @@ def images_of(
 def _key_of(image: str) -> Key:
     path = PureWindowsPath(image)
     return tuple(name_key(part) for part in (*path.parent.parts, stem_of(path.name)))
+
+
+def _file_key_of(image: str) -> Key:
+    """Return folders and name of an image with its ending, to be compared."""
+    return tuple(name_key(part) for part in PureWindowsPath(image).parts)
 
 
 def _ends_of(key: Key) -> list[Key]:
