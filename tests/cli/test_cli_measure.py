@@ -170,6 +170,33 @@ def test_sides_are_reflected_and_said(run, wings, tmp_path):
     assert unreflected.filter(regex=r"^[XY]\d+$").to_numpy().std(axis=0).max() > 0.2
 
 
+def test_a_table_of_ones_own_tells_individuals_sides_and_groups_of_a_folder_of_fits(run, tmp_path, rng):
+    folder = tmp_path / "fits"
+    folder.mkdir()
+    wing = np.array([[0.0, 0], [90, 20], [200, 30], [240, 80], [150, 110], [30, 50]])
+    rows = ["photo;individual;side;sex"]
+    for i in range(8):
+        own = wing + rng.normal(0, 3, wing.shape)
+        for j, side in enumerate(("left", "right")):
+            points = own * [1 - 2 * (side == "left"), 1] + [300, 50] + rng.normal(0, 0.5, wing.shape)
+            name = f"IMG_{2 * i + j}"
+            facts = {"status": "converged", "covariance": np.tile([1.0, 0, 1], (6, 1)), "image": f"{name}.JPG"}
+            write_fit(folder / f"{name}.json", Landmarks(points), facts, (200, 600))
+            rows.append(f"{name}.JPG;F{i};{side};{'mf'[i % 2]}")
+    (tmp_path / "own.csv").write_text("\n".join([*rows, "none.JPG;F9;left;m"]))
+    given = ("measure", folder, "--specimens", tmp_path / "own.csv", "-o", tmp_path / "t.csv")
+    code, out, err = run(*given, "--groups", "sex", "--symmetry", "matching", "--permutations", 9)
+    assert (code, err) == (0, "") and "variance of shape of 16 specimens of 8 individuals" in out
+    assert pd.read_csv(tmp_path / "t_asymmetry.csv")["individual"].tolist() == [f"F{i}" for i in range(8)]
+    code, _, err = run(*given, "--groups", "age")
+    assert code == 1 and "has no column 'age': it has photo, individual, side, sex" in err
+    (tmp_path / "own.csv").write_text("\n".join(rows[:5]))
+    _, _, err = run(*given[:-1], tmp_path / "u.csv", "--side", "ignore")
+    assert "12 of 16 specimens have no row in" in err
+    code, _, err = run(*given[:-1], tmp_path / "own.csv")
+    assert code == 1 and "own.csv is an input" in " ".join(err.split())
+
+
 def test_specimens_without_a_side_are_refused_by_name(run, tmp_path):
     marks = {f"{name}.png": Landmarks(FACE) for name in ("a_left", "a_right", "stray")}
     write_collection(tmp_path / "all.csv", marks)

@@ -132,7 +132,7 @@ def test_images_of_one_name_are_told_apart_by_their_endings(tmp_path: Path) -> N
     fitted = [replace(each, name=f"w{i}", image=f"study/pair/{each.name}") for i, each in enumerate(named)]
     for specimens in (named, fitted):
         assert [each.scale for each in with_lengths(specimens, table)] == [0.01, 0.02]
-    with pytest.raises(LiaamError, match="specimen IMG_9 may be of the images IMG_9.JPG, IMG_9.tif"):
+    with pytest.raises(LiaamError, match=r"specimen IMG_9 may be of the images IMG_9\.JPG, IMG_9\.tif"):
         with_lengths([Specimen("IMG_9", np.zeros((2, 2)))], table)
     other_format = [Specimen("IMG_9.png", np.zeros((2, 2)), image="IMG_9.png")]  # of the same photograph
     alone = read_lengths(save(tmp_path, HEADER + "IMG_9.JPG,0.01,mm,0,ruler\n"))

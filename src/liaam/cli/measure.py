@@ -28,7 +28,7 @@ from liaam.tables import Columns
 
 if TYPE_CHECKING:
     from liaam.evaluation import ShapeAgreement
-    from liaam.morphometry import AsymmetryResult, ShapeVariation, Specimen
+    from liaam.morphometry import AsymmetryResult, ShapeVariation, Specimen, SpecimenTable
 
 FIGURES = (".png", ".pdf", ".svg")
 
@@ -155,11 +155,20 @@ def measure(
             "variance of shape is of specimens, and how much of measuring.",
         ),
     ] = False,
-    groups: Annotated[
+    table: Annotated[
         Path | None,
         typer.Option(
-            help="Table .csv with the columns specimen (or image) and group: as --scores, and test the differences "
-            "between the groups' mean shapes, which are written with standard errors."
+            "--specimens",
+            help="Your own table .csv with a row for each image: a column image (or photo, file, specimen), and any of "
+            "individual, side and others, such as sex for --groups.",
+        ),
+    ] = None,
+    groups: Annotated[
+        str | None,
+        typer.Option(
+            help="Table .csv with the columns specimen (or image) and group, or a column of --specimens such as sex: "
+            "as --scores, and test the differences between the groups' mean shapes, which are written with standard "
+            "errors. Individuals are compared, not their records."
         ),
     ] = None,
     compare: Annotated[
@@ -193,12 +202,16 @@ def measure(
         *(VARIATION_FILES if wants_variation else ()),
     ]
     given = [results, *(compare or ())]
-    given += [Path(name) for name in (scale, groups, pairs) if name is not None and Path(name).is_file()]
+    given += [Path(name) for name in (scale, groups, pairs, table) if name is not None and Path(name).is_file()]
     _check_outputs(given, [output, *(_beside(output, end) for end in ends)], plot)
     if pairs is not None and symmetry != morphometry.OBJECT:
         raise LiaamError("--pairs are the landmarks of both sides of one structure: give --symmetry object, too")
     reading = Reading(strict, category)
     specimens = _comparable_specimens(results, reading, resample, has_replicates=replicates is not None)
+    stated = None if table is None else morphometry.read_specimen_table(table)
+    if stated is not None:
+        specimens, unlisted = stated.of(specimens)
+        _complain_of_unlisted(unlisted, len(specimens), stated.path)
     specimens, reflected = morphometry.of_one_side(specimens, side, replicates, strict)
     if scale is not None and scale.lower().endswith(".csv"):
         specimens = morphometry.with_lengths(specimens, morphometry.read_lengths(scale))
@@ -229,7 +242,7 @@ def measure(
         _refuse_or_complain(asymmetry.left_out, "are not compared", strict)
     group_of = None
     if groups is not None:
-        group_of = morphometry.groups_of([specimen.name for specimen in specimens], morphometry.read_groups(groups))
+        group_of = _groups_of(specimens, groups, stated)
     variation = None
     if wants_variation:
         variation = morphometry.shape_variation(specimens, columns, group_of, permutations, seed, replicates)
@@ -280,6 +293,21 @@ def _comparable_specimens(
     kept, copies = morphometry.without_copies(alike)
     _refuse_or_complain(copies, "are of copies of pictures", reading.strict)
     return kept
+
+
+def _complain_of_unlisted(names: Sequence[str], n: int, path: str) -> None:
+    """Name the specimens of which a table has no row."""
+    if names:
+        complain(f"{len(names)} of {count_of(n, 'specimen')} have no row in {path}: {some_names(names)}")
+
+
+def _groups_of(specimens: "Sequence[Specimen]", groups: str, stated: "SpecimenTable | None") -> tuple[str, ...]:
+    """Return the group of each specimen: from a column of the table of specimens, or from a table of groups."""
+    from liaam import morphometry
+
+    if stated is not None and (groups in stated.columns or not Path(groups).is_file()):
+        return stated.cells_of(specimens, groups)
+    return morphometry.groups_of([specimen.name for specimen in specimens], morphometry.read_groups(groups))
 
 
 def _beside(output: Path, end: str) -> Path:

@@ -11,6 +11,7 @@ from liaam.morphometry.replicates import exchanged_landmarks, measurement_error,
 from liaam.morphometry.scale_tables import read_lengths, with_lengths
 from liaam.morphometry.sides import individuals_of, of_one_side
 from liaam.morphometry.space import Grid, ShapeSpace, shape_space, thin_plate_weights
+from liaam.morphometry.specimen_tables import SpecimenTable, read_specimen_table
 from liaam.morphometry.specimens import Specimen
 from liaam.morphometry.symmetry import Asymmetry, matching_asymmetry, object_asymmetry
 from liaam.morphometry.table import alike, measure
@@ -27,6 +28,7 @@ __all__ = [
     "ShapeSpace",
     "ShapeVariation",
     "Specimen",
+    "SpecimenTable",
     "alike",
     "asymmetry",
     "estimated_on_a_side",
@@ -42,6 +44,7 @@ __all__ = [
     "of_one_side",
     "read_groups",
     "read_lengths",
+    "read_specimen_table",
     "read_specimens",
     "replicates_repeat_errors",
     "shape_space",

@@ -456,7 +456,7 @@ def _labels_of_estimates(specimens: Sequence[Specimen]) -> str:
 
 _STATE_INDIVIDUALS = (
     "if both sides of an individual are there, name their images alike but for the side (fly1_left and fly1_right, or "
-    "left/fly1 and right/fly1), or state it in a column 'individual' of the table of landmarks or of 'liaam batch'"
+    "left/fly1 and right/fly1), or state it in a column 'individual' of a table of your own (--specimens)"
 )
 
 

@@ -52,6 +52,8 @@ def of_one_side(
     Where nothing states sides, shapes that are clearly mirrored against most others are reflected, too: they cannot be
     compared otherwise. Their side is then ``mirrored``, and that of the others ``original``.
 
+    Two specimens of one image, one of each side, are of one individual where nothing else states individuals.
+
     Parameters
     ----------
     specimens : sequence of Specimen
@@ -87,7 +89,8 @@ def of_one_side(
         what = f"the specimens are of the sides {some_names(sides)}" if sides else "no specimen has a known side"
         raise LiaamError(f"--side {side}: {what}; give auto, {REFLECTED}, {IGNORED}, or one of them")
     if not sides:
-        return _reflected_by_shape(specimens)
+        found, said = _reflected_by_shape(specimens)
+        return _of_images_with_both_sides(found, by), said
     sided = tuple(
         replace(specimen, side=each.side, individual=specimen.individual or each.rest, stated_side=by_fit.get(i, ""))
         for i, (specimen, each) in enumerate(zip(specimens, named, strict=True))
@@ -117,11 +120,33 @@ def of_one_side(
         sided, against = _of_sides_by_shape(sided, kept, turned)
         done = _reflection_said([each.side for each in sided].count(turned), kept, turned)
         found = tuple(reflected(each) if each.side == turned else each for each in sided)
+    found = _of_images_with_both_sides(found, by)
     fits = {i: contradiction(stated, sided[i].side, "fit") for i, stated in by_fit.items()}
     doubts = _doubts([(sided[i].name, why) for i, why in sorted((fits | against).items())])
     if doubts and strict:
         raise LiaamError(doubts)
     return found, "; ".join(filter(None, (done, doubts)))
+
+
+def _of_images_with_both_sides(specimens: tuple[Specimen, ...], by: str | None) -> tuple[Specimen, ...]:
+    """Return specimens of which the two in one image, one of each side, are of one individual, named by the image.
+
+    So it is only if nothing states individuals, some image has both sides, and none has two of one side.
+    """
+    images = [image_and_number(each, by or "image")[0] for each in specimens]
+    in_image: dict[str, list[str]] = defaultdict(list)
+    for image, each in zip(images, specimens, strict=True):
+        in_image[image].append(each.side)
+    are_pairs = all(len(set(sides)) == len(sides) for sides in in_image.values())
+    n_most = max(map(len, in_image.values()), default=0)
+    are_named = any(each.individual not in ("", object_name(each, by)) for each in specimens)
+    if not are_pairs or n_most != 2 or are_named:
+        return specimens
+    by_number = by not in (None, "", "image", "code")
+    return tuple(
+        replace(each, individual=(by_number and image.rpartition(str(by))[0]) or image)
+        for image, each in zip(images, specimens, strict=True)
+    )
 
 
 def _reflected_by_shape(specimens: tuple[Specimen, ...]) -> tuple[tuple[Specimen, ...], str]:
