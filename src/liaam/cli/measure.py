@@ -14,6 +14,7 @@ import typer
 from liaam.cli.inputs import CategoryOption, StrictOption
 from liaam.cli.terminal import cell, complain, say, show_table, table_of
 from liaam.errors import LiaamError
+from liaam.fitting.result import USABLE
 from liaam.io import write_columns
 from liaam.io.atomic import check_output, write_text_atomically
 from liaam.io.files import count_of, real_path, some_names
@@ -88,12 +89,14 @@ def measure(
             "their names.",
         ),
     ] = None,
-    scale: Annotated[
-        str | None,
+    scales: Annotated[
+        list[str] | None,
         typer.Option(
+            "--scale",
             help="Length of a pixel, such as '0.0031 mm'; the landmarks at the ends of a scale bar and its length, "
-            "such as '11-12=5 mm'; a table of 'liaam scale'; or mm alone, the unit of the SCALE in .tps files. By "
-            "default the scale that files and the tags of TIFF images state, or else results are in pixels."
+            "such as '11-12=5 mm'; a table of 'liaam scale', "
+            "or several, each after a --scale; or mm alone, the unit of the SCALE in .tps files. By "
+            "default the scale that files and the tags of TIFF images state, or else results are in pixels.",
         ),
     ] = None,
     replicates: Annotated[
@@ -202,7 +205,11 @@ def measure(
         *(VARIATION_FILES if wants_variation else ()),
     ]
     given = [results, *(compare or ())]
-    given += [Path(name) for name in (scale, groups, pairs, table) if name is not None and Path(name).is_file()]
+    scale = scales[0] if scales and len(scales) == 1 else None
+    tables = [text for text in scales or () if text.lower().endswith(".csv")]
+    if scales and len(scales) > 1 and len(tables) < len(scales):
+        raise LiaamError(f"--scale {' --scale '.join(scales)}: give one length, or tables of 'liaam scale' only")
+    given += [Path(name) for name in (*tables, groups, pairs, table) if name is not None and Path(name).is_file()]
     _check_outputs(given, [output, *(_beside(output, end) for end in ends)], plot)
     if pairs is not None and symmetry != morphometry.OBJECT:
         raise LiaamError("--pairs are the landmarks of both sides of one structure: give --symmetry object, too")
@@ -213,8 +220,8 @@ def measure(
         specimens, unlisted = stated.of(specimens)
         _complain_of_unlisted(unlisted, len(specimens), stated.path)
     specimens, reflected = morphometry.of_one_side(specimens, side, replicates, strict)
-    if scale is not None and scale.lower().endswith(".csv"):
-        specimens = morphometry.with_lengths(specimens, morphometry.read_lengths(scale))
+    if tables:
+        specimens = morphometry.with_lengths(specimens, morphometry.read_lengths(*tables))
         scale = None  # each specimen now has its own
     if estimate is not None:
         specimens, incomplete = morphometry.with_estimated_landmarks(specimens, estimate, scale)
@@ -625,15 +632,16 @@ def _say_sources(specimens: "Sequence[Specimen]") -> None:
 
 
 def _complain_of_specimens_without_scale(columns: Columns) -> None:
-    """Name the specimens that have a shape and no scale, where others have one."""
+    """Name the specimens that may be used and have no scale, where others have one."""
     scales = scales_in(columns)
     if scales is None:
         return
     names = columns["specimen"]
+    statuses = columns.get("status", [""] * len(names))
     named = [
         name
-        for name, scale, has_shape in zip(names, scales, _have_shapes(columns), strict=True)
-        if has_shape and math.isnan(scale)
+        for name, scale, status in zip(names, scales, statuses, strict=True)
+        if math.isnan(scale) and (not status or status in USABLE)
     ]
     if named:
         what = "no sizes" if unit_of_table(columns) else "sizes in pixels"
