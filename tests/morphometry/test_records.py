@@ -195,3 +195,18 @@ def test_fits_to_copies_of_a_picture_are_left_out_by_name():
     kept, left_out = without_copies([*given, by_hand, again, fit("lost", "p", status="diverged")])
     assert [each.name for each in kept] == ["a", "b", "other", "bare", "d", "a#2", "lost"]
     assert left_out == ("copy: its file is a copy of that of a, under another name; it is left out",)
+
+
+def test_images_that_were_fitted_again_are_taken_from_the_table_that_may_be_used(tmp_path):
+    header = "path,status,quality,x1,y1,x2,y2,x3,y3\n"
+    first = "a.png,converged,1,0,0,9,2,20,3\nb.png,doubtful,1,5,5,9,2,20,3\nc.png,doubtful,1,0,0,9,2,20,3\n"
+    (tmp_path / "fits.csv").write_text(header + first)
+    (tmp_path / "turned.csv").write_text(f"{header}b.png,converged,1,7,7,9,2,20,3\nc.png,doubtful,1,1,1,9,2,20,3\n")
+    told: list[str] = []
+    found = read_specimens(tmp_path, told.append)
+    assert [(each.name, each.status, each.points[0, 0]) for each in found] == [
+        ("a", "converged", 0.0),
+        ("b", "converged", 7.0),
+        ("c", "doubtful", 0.0),
+    ]
+    assert told == []

@@ -341,8 +341,11 @@ def test_a_batch_of_landmarks_alone_says_that_sides_are_lost_and_measuring_finds
     folder = folder_of(tmp_path / "new", both[N_TRAINED:], [f"w{i}" for i in range(6)])
     model.save(tmp_path / "m.liaam")
     for _ in range(2):  # also if there is nothing to do
-        code, _, err = run("batch", tmp_path / "m.liaam", folder, "-o", tmp_path / "out.tps")
+        code, out, err = run("batch", tmp_path / "m.liaam", folder, "-o", tmp_path / "out.tps")
         assert code == 0 and "2 mirrored and 4 original ones are as they lie in the images" in " ".join(err.split())
+        told = " ".join((out + err).split())
+        assert "6 fits: 6 converged" in told and "landmarks of the 6 fits that may be used" in told
+        assert "column 'm" not in told and "row" not in told
     _, _, err = run("batch", tmp_path / "m.liaam", folder, "-o", tmp_path / "out.csv")
     assert "as they lie" not in " ".join(err.split())
     code, out, _ = run("measure", tmp_path / "out.tps", "-o", tmp_path / "t.csv")

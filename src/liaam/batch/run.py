@@ -51,6 +51,8 @@ class Summary:
         Why images could not be fitted, with their names: of the first three.
     sides : dict of str to int
         Number of fits that may be used by side, if the model knows two sides.
+    rows : dict of str to int
+        Number of rows by status; more than images if several objects of an image were fitted.
     """
 
     output: Path
@@ -60,6 +62,7 @@ class Summary:
     absent: int = 0
     faults: tuple[str, ...] = ()
     sides: dict[str, int] = field(default_factory=dict)
+    rows: dict[str, int] = field(default_factory=dict)
 
     @property
     def total(self) -> int:
@@ -176,6 +179,7 @@ class _Batch:
             if earlier is not None and (earlier["settings"], earlier["pictures"]) == (self.facts, journal.digest()):
                 faults = tuple(earlier.get("faults", ()))
                 counts = {"absent": earlier.get("absent", 0), "sides": earlier.get("sides", {})}
+                counts["rows"] = earlier.get("rows", earlier["statuses"])
                 summary = Summary(self.output, earlier["statuses"], faults=faults, **counts)
             else:
                 summary = self._finish(journal)
@@ -225,13 +229,15 @@ class _Batch:
         )
         write_table(self.output, table)
         sides = dict(sorted(tally.sides.items()))
-        summary = replace(summary, absent=tally.absent, faults=tuple(tally.faults), sides=sides)
+        rows = dict(sorted(tally.statuses.items()))
+        summary = replace(summary, absent=tally.absent, faults=tuple(tally.faults), sides=sides, rows=rows)
         facts = {
             "settings": self.facts,
             "statuses": summary.statuses,
             "absent": summary.absent,
             "faults": list(summary.faults),
             "sides": summary.sides,
+            "rows": summary.rows,
             "pictures": journal.digest(),
             "bytes": self.output.stat().st_size,
         }
@@ -317,10 +323,12 @@ class _Tally:
     absent: int = 0  # number of fits that may be used, with absent landmarks
     faults: list[str] = field(default_factory=list)  # why images could not be fitted, of the first
     sides: Counter[str] = field(default_factory=Counter)  # number of fits that may be used, by side
+    statuses: Counter[str] = field(default_factory=Counter)  # number of rows by status
 
     def add(self, row: FitRow) -> None:
         """Add a row."""
         self.absent += has_absent(row)
+        self.statuses[row["status"]] += 1
         if row["side"] and row["status"] in USABLE:
             self.sides[row["side"]] += 1
         if row["status"] == ERROR and len(self.faults) < REASONS:
@@ -350,8 +358,10 @@ def earlier_summary(output: Path) -> dict[str, Any] | None:
         sound = isinstance(settings, dict) and isinstance(pictures, str) and isinstance(statuses, dict)
         sound = sound and isinstance(faults, list) and all(isinstance(fault, str) for fault in faults)
         sides = summary.get("sides", {})
-        sound = sound and isinstance(sides, dict)
-        counted = sound and all(map(_is_count, (*statuses.values(), *sides.values(), summary.get("absent", 0))))
+        rows = summary.get("rows", statuses)
+        sound = sound and isinstance(sides, dict) and isinstance(rows, dict)
+        numbers = (*statuses.values(), *sides.values(), *rows.values(), summary.get("absent", 0)) if sound else ()
+        counted = sound and all(map(_is_count, numbers))
     except (OSError, ValueError, KeyError, TypeError, RecursionError):
         return None
     return summary if unchanged and counted else None
