@@ -399,7 +399,7 @@ def test_a_flipped_photograph_is_reported_and_not_compared(run, wings, tmp_path)
     assert code == 0
     assert "2 specimens of another side than stated: fly3_left_1 (stated left, right by the shape), fly3_left_2" in out
     assert "if the photograph is flipped, flip it back" in out
-    assert err == "fly3: fly3_left_1 is stated left, and is right by its shape; it is left out\n"
+    assert err == "fly3: fly3_left_1 is stated left, and is right by its landmarks; it is left out\n"
     assert len(pd.read_csv(tmp_path / "t_asymmetry.csv")) == 5
     assert (
         pd.read_csv(tmp_path / "t_replicates.csv")["specimens"].iloc[0] == 12

@@ -12,6 +12,7 @@ import pytest
 
 import liaam
 from liaam import Evaluation, FitStatus, Landmarks, Sample
+from liaam.cli.evaluate import show_landmarks
 from liaam.error_measures import landmark_errors, within_ellipses
 from liaam.errors import LiaamError
 from liaam.evaluation import measure
@@ -53,6 +54,15 @@ def test_fits_are_right_refused_silent_or_lost(mixed):
     assert mixed.coverage == 1.0  # of im0 and im2
     assert evaluation([2.4, 2.5], (OK, OK)).coverage == 0.5  # the radius is 2.45 standard deviations
     assert np.isnan(evaluation([1.0], (DOUBTFUL,)).coverage)
+
+
+def test_the_printed_table_says_how_many_landmarks_it_leaves_out(mixed, capsys):
+    arrays = {name: np.tile(getattr(mixed, name), (1, 3, 1)) for name in ("truths", "landmarks")}
+    covariances = np.tile(mixed.covariances, (1, 3, 1, 1))
+    show_landmarks(replace(mixed, **arrays, covariances=covariances, landmark_names=()))
+    assert "these are the 10 landmarks of 12 with the largest errors" in " ".join(capsys.readouterr().out.split())
+    show_landmarks(mixed)
+    assert "largest errors" not in capsys.readouterr().out
 
 
 def test_tables_count_landmarks_from_1_and_name_them(mixed):

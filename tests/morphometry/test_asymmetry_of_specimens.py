@@ -313,7 +313,7 @@ def test_individuals_whose_side_the_shape_contradicts_are_left_out_by_name(rng) 
     given = wings(rng, 6, 1.0)
     flipped = replace(given[4], points=given[4].points * [-1, 1])
     found = analysed([*given[:4], flipped, *given[5:]], "matching", permutations=99)
-    assert found.left_out == ("fly2: fly2_left is stated left, and is right by its shape; it is left out",)
+    assert found.left_out == ("fly2: fly2_left is stated left, and is right by its landmarks; it is left out",)
     others = analysed([*given[:4], *given[6:]], "matching", permutations=99)
     assert found.individuals == others.individuals
     np.testing.assert_allclose(found.analysis.distances, others.analysis.distances, rtol=0.05)
@@ -328,7 +328,7 @@ def test_the_side_of_a_fit_is_taken_and_explains_why_an_individual_is_left_out(r
     found = analysed([*given[:4], flipped, *given[5:]], "matching", permutations=0)
     assert found.left_out == (
         "fly2: it has 0 left and 2 right records with a shape, where most have 1 of each side (fly2_left is stated "
-        "left, and is right by its fit); it is left out",
+        "left, and is right by its landmarks); it is left out",
     )
     exchanged = [replace(given[4], name="fly2_right"), replace(given[5], name="fly2_left")]
     found = analysed([*given[:4], *exchanged, *given[6:]], "matching", permutations=0)

@@ -235,3 +235,16 @@ def test_replicates_that_repeat_errors_which_covariances_state_are_known(rng, ow
     bare = [replace(each, covariances=None) for each in specimens]
     without = measurement_error(bare, measure(bare), "_")
     assert "sd_by_covariances" not in without and not replicates_repeat_errors(without)
+
+
+def test_records_of_one_individual_and_side_may_be_the_replicates(rng):
+    wing = np.array([[0.0, 0], [9, 2], [20, 3], [24, 8], [15, 11], [3, 5]])
+    specimens = [
+        Specimen(f"IMG_{4 * i + j}", wing * 10 + rng.normal(0, 1, wing.shape), individual=f"F{i}", side=side)
+        for i in range(5)
+        for j, side in enumerate(("left", "left", "right", "right"))
+    ]
+    sided, _ = of_one_side(specimens, "reflected", by="individual")
+    assert [each.individual for each in sided[:5]] == ["F0"] * 4 + ["F1"]
+    error = measurement_error(sided, measure(sided), "individual")
+    assert (error["specimens"][0], error["replicates"][0]) == (10, 20)

@@ -349,3 +349,5 @@ def show_landmarks(evaluation: "Evaluation") -> None:
             "–" if np.isnan(inside) else f"{inside:.0f} %",
         )
     show_table(table)
+    if len(worst_first) > SHOWN:
+        say(f"these are the {SHOWN} landmarks of {len(worst_first)} with the largest errors; a folder -o has all")

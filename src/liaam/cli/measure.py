@@ -103,7 +103,8 @@ def measure(
         str | None,
         typer.Option(
             help="Print and write the measurement error of replicates: 'image' if they are records of one image, also "
-            "in several files; 'code' if they are of specimens of one code; or the text before their numbers in names, "
+            "in several files; 'code' if they are of specimens of one code; 'individual' if a table states the "
+            "individual; or the text before their numbers in names, "
             "such as _ for wing1_1 and wing1_2."
         ),
     ] = None,

@@ -411,7 +411,7 @@ def _doubts_about_sides(specimens: Sequence[Specimen], by: str | None) -> dict[s
     for specimen in sorted(specimens, key=lambda each: bool(each.status)):
         if specimen.stated_side:
             is_of_fit = bool(specimen.status)
-            found = f"{specimen.side} by its {'fit' if is_of_fit else 'shape'}"
+            found = f"{specimen.side} by its landmarks"
             if specimen.side == specimen.stated_side:
                 found = "mirrored, unlike most others"
             why = f"{specimen.name} is stated {specimen.stated_side}, and is {found}"

@@ -45,7 +45,8 @@ def measurement_error(specimens: Sequence[Specimen], columns: Columns, by: str, 
     by : str
         ``"image"``: records of one object of an image are replicates, as :func:`liaam.read_specimens` found
         (`Specimen.replicate_of`); where that is unknown, those of one name before a ``#`` (``wing1``, ``wing1#2``).
-        ``"code"``: specimens of one code are. Otherwise the text before the number of a replicate in names, such as
+        ``"code"``: specimens of one code are. ``"individual"``: those of one individual and side are.
+        Otherwise the text before the number of a replicate in names, such as
         ``"_"`` in ``wing1_1`` and ``wing1_2``; of objects ``tray_1#3`` and ``tray_2#3`` of images, those of one number.
         Then, where specimens state their individual, those of one individual and side are replicates, unless their
         names state two sides, as of an image that was flipped.

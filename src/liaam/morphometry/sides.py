@@ -142,7 +142,7 @@ def _of_images_with_both_sides(specimens: tuple[Specimen, ...], by: str | None) 
     are_named = any(each.individual not in ("", object_name(each, by)) for each in specimens)
     if not are_pairs or n_most != 2 or are_named:
         return specimens
-    by_number = by not in (None, "", "image", "code")
+    by_number = by not in (None, "", "image", "code", "individual")
     return tuple(
         replace(each, individual=(by_number and image.rpartition(str(by))[0]) or image)
         for image, each in zip(images, specimens, strict=True)
@@ -295,6 +295,8 @@ def object_name(specimen: Specimen, by: str | None) -> str:
         return specimen.replicate_of or specimen.name.rpartition("#")[0] or specimen.name
     if by == "code":
         return specimen.code or specimen.name
+    if by == "individual":
+        return specimen.individual or specimen.name
     image, number = image_and_number(specimen, by)
     return ((by and image.rpartition(by)[0]) or image) + number
 
@@ -319,7 +321,7 @@ def refuse_uneven(specimens: Iterable[Specimen], by: str | None) -> None:
     by : str, optional
         As for :func:`liaam.morphometry.measurement_error`.
     """
-    if by in (None, "", "image", "code"):
+    if by in (None, "", "image", "code", "individual"):
         return
     numbers: dict[str, dict[str, set[str]]] = defaultdict(lambda: defaultdict(set))
     for specimen in specimens:
