@@ -31,6 +31,7 @@ _ADJECTIVES = (LEFT, RIGHT, ORIGINAL, MIRRORED)
 SIDES = (AUTO, "left", "right", REFLECTED, IGNORED)
 """Choices of :func:`of_one_side` for sides that are left and right."""
 
+SHOWN = 6  # specimens that a message names
 _CLEARLY = 1.5  # least factor by which mean shapes must be nearer to each other as they are than reflected
 
 
@@ -172,9 +173,10 @@ def _reflected_by_shape(specimens: tuple[Specimen, ...]) -> tuple[tuple[Specimen
     )
     if is_upside_down:
         cause = "y of these seems to count from the other border: correct it"
+    everyone = " (all have the side 'mirrored' in the table)" if len(names) > SHOWN and not is_upside_down else ""
     return tuple(found), (
         f"{len(names)} of {count_of(len(specimens), 'specimen')} {were} reflected, to be compared with the others: "
-        f"{some_names(names)}; {cause}, or give --side {IGNORED} to compare all as they are"
+        f"{some_names(names)}{everyone}; {cause}, or give --side {IGNORED} to compare all as they are"
     )
 
 
