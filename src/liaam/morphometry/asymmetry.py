@@ -328,7 +328,7 @@ def asymmetry(
     # Errors that replicates have in common remain in their means.
     means = shapes[order].mean(axis=2, keepdims=True)
     of_means = None if covariances is None or order.shape[2] == 1 else covariances.mean(axis=2, keepdims=True)
-    are_estimated = estimated.any(axis=2, keepdims=True)
+    are_estimated = np.logical_or.reduce(estimated, axis=2)[..., None]
     if kind == OBJECT:
         twins = _twins(specimens, numbers, pairs, shapes)
         of_object = None if covariances is None else covariances[:, 0]

@@ -173,10 +173,10 @@ def _reflected_by_shape(specimens: tuple[Specimen, ...]) -> tuple[tuple[Specimen
     )
     if is_upside_down:
         cause = "y of these seems to count from the other border: correct it"
-    everyone = " (all have the side 'mirrored' in the table)" if len(names) > SHOWN and not is_upside_down else ""
+    everyone = " (all have the side 'mirrored' in the table)" if len(names) > SHOWN + 1 and not is_upside_down else ""
     return tuple(found), (
         f"{len(names)} of {count_of(len(specimens), 'specimen')} {were} reflected, to be compared with the others: "
-        f"{some_names(names)}{everyone}; {cause}, or give --side {IGNORED} to compare all as they are"
+        f"{some_names(names, SHOWN)}{everyone}; {cause}, or give --side {IGNORED} to compare all as they are"
     )
 
 
