@@ -79,6 +79,18 @@ def test_a_fit_of_which_most_is_absent_is_doubtful_and_looks_elsewhere(calibrate
     assert found.status is FitStatus.CONVERGED
 
 
+def test_a_lost_fit_is_repeated_from_its_start(calibrated, same_light_scene, covered):
+    fitter = Fitter(calibrated)
+    image, below = covered
+    target, _ = fitter.target(image, same_light_scene.landmarks)
+    right = fitter.fit_target(target)
+    pulled_away = replace(right, status=FitStatus.DIVERGED, landmarks=100.0 * right.landmarks, present=None)
+    found = without_absent(fitter, target, pulled_away, list)
+    assert found.absent[below].any() and not found.status.lost
+    errors = np.linalg.norm(found.landmarks - same_light_scene.landmarks, axis=1)
+    assert errors[~below].mean() < 2.0
+
+
 def test_other_places_are_looked_for_only_if_most_is_absent(calibrated, same_light_scene, covered):
     fitter = Fitter(calibrated)
     image, _ = covered

@@ -61,14 +61,17 @@ def without_absent(
 
 
 def _fitted_without_absent(fitter: OneShapeFitter, target: Target, result: FitResult) -> FitResult:
-    """Repeat a fit without the pixels of absent parts, until these no longer change."""
+    """Repeat a fit without the pixels of absent parts, until these no longer change.
+
+    One that was lost, as absent parts pulled it away, is repeated from where it started.
+    """
     best = result
     least = _n_present(result) - max(1, int(PULLED * len(result.landmarks)))
-    if is_sane(result.landmarks, target.start):
-        for fit in _rounds(fitter, target._replace(start=result.registered, mapped=None, pull=None)):
-            if _n_present(fit) >= least:
-                best = fit
-                least = _n_present(fit)
+    start = result.registered if is_sane(result.landmarks, target.start) else target.start
+    for fit in _rounds(fitter, target._replace(start=start, mapped=None, pull=None)):
+        if _n_present(fit) >= least:
+            best = fit
+            least = _n_present(fit)
     if best is result or best.absent.any():
         return best
     whole = target._replace(start=best.registered)  # nothing is absent: the first fit was only in the wrong place
