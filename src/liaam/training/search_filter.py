@@ -12,7 +12,7 @@ does not respond to a length that is the same everywhere: pictures differ in how
 """
 
 from functools import lru_cache
-from typing import cast
+from typing import Any, cast
 
 import numpy as np
 
@@ -154,19 +154,19 @@ class FilterLearner:
 
         by_distance = _covariances(self.blur, max(self.inside.shape))
         variances = np.einsum("ccyx->cyx", by_distance)[:, 0, 0]
-        height, width = self.inside.shape
-        size = (fft.next_fast_len(2 * height - 1, real=True), fft.next_fast_len(2 * width - 1, real=True))
-        spectrum = fft.rfft2(_cut_cyclic(by_distance, height, width, size))
+        _, height, width = mean.shape
+        size = cast("int", fft.next_fast_len(2 * height - 1)), cast("int", fft.next_fast_len(2 * width - 1))
+        spectrum = np.asarray(fft.rfft2(_cut_cyclic(by_distance, height, width, size)))
 
         def product(flat: np.ndarray) -> np.ndarray:
             weights = self._without_mean_length(flat.reshape(mean.shape))
-            of_weights = fft.rfft2(weights, size)
-            values = fft.irfft2(np.einsum("cdyx,dyx->cyx", spectrum, of_weights), size)[:, :height, :width]
-            values = values * self.inside + RIDGE * variances[:, None, None] * weights
-            return self._without_mean_length(values).ravel()
+            convolved = np.einsum("cdyx,dyx->cyx", spectrum, np.asarray(fft.rfft2(weights, size)))
+            values = np.asarray(fft.irfft2(convolved, size))[:, :height, :width] * self.inside
+            return self._without_mean_length(values + RIDGE * variances[:, None, None] * weights).ravel()
 
-        operator = LinearOperator((mean.size, mean.size), matvec=product, dtype=np.float64)
-        weights, _ = cg(operator, mean.ravel(), rtol=PRECISION)
+        make: Any = LinearOperator  # its stub does not know how it is made
+        covariance = make((mean.size, mean.size), matvec=product, dtype=np.float64)
+        weights, _ = cg(covariance, mean.ravel(), rtol=PRECISION)
         return weights.reshape(mean.shape)
 
 

@@ -133,7 +133,7 @@ def channels_of(directions: np.ndarray, count: int) -> np.ndarray:
     """
     lengths = np.abs(directions)
     doubled = np.square(directions) / np.maximum(lengths, 1e-6)
-    channels = [directions.real, directions.imag, doubled.real, doubled.imag, lengths]
+    channels = [np.real(directions), np.imag(directions), np.real(doubled), np.imag(doubled), lengths]
     return np.stack(channels[:count]).astype(np.float32)
 
 
