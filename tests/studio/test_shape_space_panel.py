@@ -92,7 +92,7 @@ def test_groups_come_from_a_table_that_is_kept(sample):
     name, data = table(sample, ShapesQuery(by="table", measures="area:1-2-3-4"))
     rows = list(csv.DictReader(data.decode().splitlines()))
     assert name.endswith("-measurements.csv")
-    assert rows[4]["group"] == "y" and float(rows[4]["area_1_2_3_4"]) > 0
+    assert rows[4]["group"] == "y" and float(rows[4]["area_a_b_c_d"]) > 0
     assert rows[5]["PC1"] == "" or rows[5]["PC1"] == "nan"
 
 

@@ -362,6 +362,39 @@ class Limits(TypedDict):
     pixels: int
 
 
+class Measuring(TypedDict):
+    """What is measured of the pictures, as it is kept with the folder."""
+
+    measures: Annotated[list[str], "Such as distance:1-5, with numbers of points."]
+    scale: Annotated[str, "Of pictures that have none, such as 11-12=5 mm; empty if none is given."]
+    by: Annotated[str, "What groups pictures: folder, name or table; empty if nothing."]
+    gone: Annotated[list[str], "What a change of the template has removed with its points, in words."]
+
+
+@dataclass(frozen=True, kw_only=True)
+class SaveMeasuring(Request):
+    """A request to change what is measured."""
+
+    add: Annotated[list[str] | Omitted, "Measures, with numbers or names of points."] = OMITTED
+    remove: Annotated[list[str] | Omitted, "Measures as they are kept."] = OMITTED
+    scale: str | Omitted = OMITTED
+    by: str | Omitted = OMITTED
+    seen: Annotated[bool, "Whether what is gone was seen, and need not be said again."] = False
+
+
+@dataclass(frozen=True, kw_only=True)
+class SaveWho(Request):
+    """A request to keep the name of the person who works in the page."""
+
+    who: str
+
+
+class Who(TypedDict):
+    """The name of the person who works in the page."""
+
+    who: str
+
+
 class Project(TypedDict):
     """The folder, as the page shows it."""
 
@@ -387,6 +420,8 @@ class Project(TypedDict):
     formats: Formats
     limits: Limits
     problems: list[str]
+    measuring: Measuring
+    who: Annotated[str, "The name that a person last gave in this set of landmarks; empty if none did."]
 
 
 class Unchanged(TypedDict):
@@ -829,6 +864,8 @@ ROUTES = {
     "GET measurements": Endpoint(bytes, ShapesQuery),
     "GET shapes": Endpoint(Shapes, ShapesQuery),
     "PUT groups": Endpoint(Grouped, body=SaveGroups),
+    "PUT measuring": Endpoint(Measuring, body=SaveMeasuring),
+    "PUT who": Endpoint(Who, body=SaveWho),
     "POST training": Endpoint(Training, body=StartTraining),
     "DELETE training": Endpoint(Training, body=StopTraining),
     "GET model/file": Endpoint(bytes),

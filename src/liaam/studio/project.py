@@ -29,6 +29,7 @@ from liaam.studio import contract
 from liaam.studio.contract import OMITTED
 from liaam.studio.folder import OWN_SUFFIXES, File, Folder, Listing, checked_folder, plain_name, revision_of, sets_in
 from liaam.studio.landmark_files import LandmarkFiles, parse_bar
+from liaam.studio.measuring import MEASURING, changed, kept_in
 from liaam.studio.origins import Origin, Origins, origins_after, own_points, parse_origins
 from liaam.studio.pictures import PictureSource, source_of
 from liaam.studio.refusal import Refusal
@@ -660,6 +661,24 @@ class Project:
             before = {name: table.get(name, "") for name in names}
             table.save({name: sides[name] or None for name in names})
             return {"before": before}
+
+    def save_measuring(self, data: Any) -> contract.Measuring:
+        """Change what is measured of the pictures (:class:`liaam.studio.contract.SaveMeasuring`); return it."""
+        asked = self.checked(contract.SaveMeasuring, data, "add, remove, scale or by")
+        with self._lock:
+            self.templates.finish()
+            template = self.templates.current
+            measuring = changed(kept_in(self.store), asked, () if template is None else template.names)
+            if template is not None and measuring["measures"] and not self.templates.is_offered:
+                self.templates.keep()  # measures belong to its points
+            self.store.put(MEASURING, {"": measuring})
+            return measuring
+
+    def save_who(self, data: Any) -> contract.Who:
+        """Keep the name of the person who works here, in this set of landmarks."""
+        who = parse_who(self.checked(contract.SaveWho, data, "who, your name").who)
+        self.store.put("who", {"": who})
+        return {"who": who}
 
     def history(self, name: str) -> list[contract.HistoryEntry]:
         """Return the newest entries of a picture in the log."""

@@ -17,6 +17,7 @@ from liaam.morphometry import Specimen, measure, measurement_error
 from liaam.studio import contract
 from liaam.studio.agreement import shape_agreement
 from liaam.studio.folder import ADDED, SET_NAME, disk_errors, plain_name
+from liaam.studio.measuring import MEASURING, kept_in
 from liaam.studio.project import Project
 from liaam.studio.refusal import Refusal
 from liaam.studio.store import DATABASE, Store
@@ -47,6 +48,7 @@ def make_set(project: Project, data: Any) -> contract.MadeSet:
     made.store.put("declined", {"": True})  # the points of the face model are the first set's, or of no use here
     if template is not None and made.templates.current is None:
         made.save_template({**template.as_json(), "points": None})  # they may be where the other placed them
+        made.store.put(MEASURING, {"": {**kept_in(project.store), "gone": []}})  # they measure the same
     return {"name": name}
 
 

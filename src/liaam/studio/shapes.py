@@ -30,6 +30,7 @@ from liaam.scale.lengths import unit_of
 from liaam.studio import contract
 from liaam.studio.contract import ShapesQuery
 from liaam.studio.folder import plain_name
+from liaam.studio.measuring import GROUPED_BY, columns_of
 from liaam.studio.project import Placed, Project
 from liaam.studio.refusal import Refusal
 from liaam.studio.sides import for_measuring
@@ -37,9 +38,6 @@ from liaam.tables import Columns
 
 GROUPS = "groups"
 """Kind of the table of groups in the store."""
-
-GROUPED_BY = ("", "folder", "name", "table")
-"""What pictures are grouped by: nothing, their subfolder, the letters that names begin with, or a table."""
 
 SHOWN = 500
 """Shapes that are sent at most, to be drawn over each other."""
@@ -117,12 +115,15 @@ def shapes(project: Project, asked: ShapesQuery) -> contract.Shapes:
 
 
 def table(project: Project, asked: ShapesQuery) -> tuple[str, bytes]:
-    """Return the name and the content of a table of measurements, with groups and scores of shapes."""
+    """Return the name and the content of a table of measurements, with groups and scores of shapes.
+
+    Columns of measures have the names of their landmarks.
+    """
     sample = sample_of(project, asked)
     columns: Columns = {"specimen": sample.columns["specimen"]}
     if any(sample.groups):
         columns["group"] = [*sample.groups]
-    columns |= sample.columns
+    columns |= _named_columns(sample)
     try:
         space = _space(sample)
     except LiaamError:
@@ -132,6 +133,18 @@ def table(project: Project, asked: ShapesQuery) -> tuple[str, bytes]:
         for number, scores in enumerate(space.scores.T, 1):
             columns[f"PC{number}"] = _spread(space, scores, len(sample.pictures))
     return f"{plain_name(project.title)}-measurements.csv", columns_text(columns).encode()
+
+
+def _named_columns(sample: Sample) -> Columns:
+    """Return the columns of a sample, with the names of landmarks in those of measures and their errors."""
+    named = columns_of(sample.measures, sample.specimens[0].names)
+
+    def name_of(column: str) -> str:
+        measures = [measure for measure in named if column == measure or column.startswith(f"{measure}_")]
+        longest = max(measures, key=len, default="")
+        return named.get(longest, "") + column.removeprefix(longest)
+
+    return {name_of(column): values for column, values in sample.columns.items()}
 
 
 def save_groups(project: Project, data: Any) -> contract.Grouped:

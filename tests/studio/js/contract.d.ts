@@ -333,6 +333,44 @@ interface Limits {
   pixels: number;
 }
 
+/** What is measured of the pictures, as it is kept with the folder. */
+interface Measuring {
+  /** Such as distance:1-5, with numbers of points. */
+  measures: string[];
+  /** Of pictures that have none, such as 11-12=5 mm; empty if none is given. */
+  scale: string;
+  /** What groups pictures: folder, name or table; empty if nothing. */
+  by: string;
+  /** What a change of the template has removed with its points, in words. */
+  gone: string[];
+}
+
+/** A request to change what is measured. */
+interface SaveMeasuring {
+  /** Id of the folder that the page shows. */
+  folder?: string;
+  /** Measures, with numbers or names of points. */
+  add?: string[];
+  /** Measures as they are kept. */
+  remove?: string[];
+  scale?: string;
+  by?: string;
+  /** Whether what is gone was seen, and need not be said again. */
+  seen?: boolean;
+}
+
+/** A request to keep the name of the person who works in the page. */
+interface SaveWho {
+  /** Id of the folder that the page shows. */
+  folder?: string;
+  who: string;
+}
+
+/** The name of the person who works in the page. */
+interface Who {
+  who: string;
+}
+
 /** The folder, as the page shows it. */
 interface Project {
   id: string;
@@ -365,6 +403,9 @@ interface Project {
   formats: Formats;
   limits: Limits;
   problems: string[];
+  measuring: Measuring;
+  /** The name that a person last gave in this set of landmarks; empty if none did. */
+  who: string;
 }
 
 /** The answer if nothing has changed since a stamp. */
@@ -919,6 +960,14 @@ interface Routes {
   "groups": {
     fields: {};
     PUT: { body: SaveGroups; answer: Grouped };
+  };
+  "measuring": {
+    fields: {};
+    PUT: { body: SaveMeasuring; answer: Measuring };
+  };
+  "who": {
+    fields: {};
+    PUT: { body: SaveWho; answer: Who };
   };
   "training": {
     fields: {};

@@ -7,7 +7,7 @@ import { namesFor, summary } from "./modules/adding.js";
 import { outcome, whoAmI } from "./modules/bulk.js";
 import { percent } from "./modules/annotate-words.js";
 import { faultIn, meant } from "./modules/hotkeys.js";
-import { bins, joined, kindFor, measureOf, measureText, numberText, parsed, summary as summaryOf, valueOf } from "./modules/measures.js";
+import { bins, kindFor, measureOf, measureText, numberText, parsed, summary as summaryOf, valueOf } from "./modules/measures.js";
 import { accuracyText, sentence } from "./modules/review.js";
 import { between, describe, FILTERS, foldersOf, matching, openIn } from "./modules/strip-filters.js";
 import { isChoosing } from "./modules/ui.js";
@@ -103,7 +103,6 @@ test("the wall accepts sure proposals, and opens slips and what is not done", ()
 
 test("measures are told with the names of their points", () => {
   assert.equal(measureOf(kindFor(3), [2, 3, 4]), "angle:3-4-5");
-  assert.equal(joined(["area:1-2-3-4", "distance:1-2", "distance:1-2"]), "area:1-2-3-4 distance:1-2");
   const names = ["fork of L2", "tip", "base"];
   assert.equal(measureText("angle:1-2-3", names), "angle: fork of L2 – tip – base");
   for (const other of ["distance:tip-base", "distance:1-9", "nonsense"]) assert.equal(measureText(other, names), other);
@@ -150,6 +149,9 @@ test("an observer's set logs under its name, other sets under that of the browse
   assert.equal(whoAmI({ set: "anna", observers: ["", "anna"] }), "anna");
   assert.equal(whoAmI({ set: "carl", observers: ["", "carl"] }), "Carla");
   assert.equal(whoAmI({ set: "hand", observers: ["hand"] }), "Ben"); // other points, not another observer
+  delete stored["liaam-studio:who"]; // another browser, or another port of the server
+  assert.equal(whoAmI({ set: "", observers: [""], who: "Ben" }), "Ben");
+  assert.equal(whoAmI({ set: "", observers: [""], who: "" }), "");
 });
 
 test("done pictures say what they lack, and the filter finds those with points that nobody looked at", () => {

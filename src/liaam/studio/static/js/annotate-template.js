@@ -99,7 +99,7 @@ export function createTemplates(tab) {
     /** @type {SaveTemplate} */
     const template = drafts.templateOf(draft);
     template.revision = saved?.revision ?? null;
-    const lost = mapping && drafts.consequences(draft, saved.names.length, state.project);
+    const lost = saved && drafts.consequences(draft, saved.names, state.project);
     const text = `${lost} This cannot be undone.`;
     if (lost && !(await confirm("Change the template?", text, "Change the template"))) return;
     panel.setBusy(true);

@@ -2,6 +2,9 @@
 
 export const several = (number, what) => `${number} ${what}${number === 1 ? "" : "s"}`;
 
+/** What a set of landmarks is called; the first one has no name. */
+export const calledSet = (name) => name || "Main set";
+
 export const percent = (fraction) => `${(100 * fraction).toFixed(fraction < 0.01 ? 2 : 1)}\u00a0%`;
 
 /** What to do next with the open picture; "" if nothing. */

@@ -3,12 +3,11 @@
 
 import { several } from "./annotate-words.js";
 import { MeasureBuilder } from "./measure-builder.js";
-import { bins, measured, measureText, numberText, summary, wantedIn } from "./measures.js";
+import { bins, measureText, numberText, summary } from "./measures.js";
 import { plotFiles } from "./plot-files.js";
 import { createShapeSpace } from "./shape-space.js";
 import { groupMark, histogram } from "./shape-plots.js";
 import { button, fileField, h, icon, menu, runKey, isPlain, saveFile, segmented } from "./ui.js";
-import { attempt } from "./unsaved.js";
 
 const MOST_ROWS = 400; // of the table that is shown
 const MOST_GROUPS = 8; // in the legend
@@ -29,14 +28,12 @@ export class Tab {
   #visible = false;
   /** @type {Shapes | null} */
   #data = null;
-  #by; // a key of GROUPED_BY
   #space;
   #shownColumn = null; // name of the column that the histogram shows
   #order = { name: "", down: false }; // of the table: the name of a column, "group", or "" for the pictures'
   #isStale = true; // whether something has changed since the data were fetched
   #newest = 0; // number of the newest request; answers to earlier ones are ignored
   #timer = null;
-  #key; // of what the browser keeps
   // Elements.
   #builder; #chart; #chosen; #content; #empty; #estimate; #fault; #groupList; #legend; #measures; #table; #tableFile; #views;
 
@@ -44,14 +41,11 @@ export class Tab {
   constructor(root, app) {
     this.app = app;
     this.state = app.state;
-    const { id } = this.state.project;
-    this.#key = `liaam-studio:measure-view:${id}`;
-    this.#by = attempt(() => JSON.parse(localStorage.getItem(this.#key)).by) ?? "";
     this.#space = createShapeSpace(this);
     this.#build(root);
     this.state.addEventListener("select", () => this.#draw());
     for (const event of ["project", "landmarks"]) this.state.addEventListener(event, () => this.#fetchSoon());
-    measured.addEventListener("change", () => this.#fetchSoon(0));
+    this.state.addEventListener("measuring", () => this.#fetchSoon(0));
     window.liaamStudio.measure = { data: () => this.#data };
   }
 
@@ -59,8 +53,8 @@ export class Tab {
   get data() { return this.#data; }
   get names() { return this.state.project.template?.names ?? []; }
   get contours() { return this.state.project.template?.contours ?? []; }
-  /** The measures and the scale that are wanted, as text. */
-  get wanted() { return wantedIn(this.state.project.id); }
+  /** What is measured. */
+  get measuring() { return this.state.project.measuring; }
   /** Index of the selected picture in the data; -1 if it has no landmarks. */
   get chosen() { return this.#data?.pictures.indexOf(this.state.current) ?? -1; }
   /** The groups' names in the order of their colours, and the group of each picture as an index; -1 for none. */
@@ -102,9 +96,9 @@ export class Tab {
 
   /** Parameters of the requests for measures and shapes. @returns {ShapesQuery} */
   get #query() {
-    const { measures, scale } = this.wanted;
+    const { measures, scale, by } = this.measuring;
     const estimate = this.#estimate.checked ? "1" : null;
-    return { measures: measures || null, scale: scale || null, by: this.#by || null, estimate };
+    return { measures: measures.join(" ") || null, scale: scale || null, by: by || null, estimate };
   }
 
   async #fetch() {
@@ -159,7 +153,7 @@ export class Tab {
     this.#groupList = h("select.text.measure-by", {
       "aria-label": "Groups", title: ABOUT_GROUPS, testid: "measure-by", onchange: () => this.#chooseGroups(this.#groupList.value),
     }, groupings);
-    this.#groupList.value = this.#by;
+    this.#groupList.value = this.measuring.by;
     this.#tableFile = fileField((file) => this.#takeTable(file), {
       accept: ".csv,text/csv", "aria-label": "Table of groups", testid: "measure-table-file",
     });
@@ -173,19 +167,20 @@ export class Tab {
 
   /** Group the pictures in another way. "By a table" asks for a file if there is none, or if it is chosen once more. */
   async #chooseGroups(by) {
-    const needsFile = by === "table" && (!this.#data?.has_table || this.#by === "table");
-    if (needsFile) {
-      this.#groupList.value = this.#by; // until a file is chosen
-      this.#tableFile.click();
-      return undefined;
-    }
-    return this.#group(by);
+    const now = this.measuring.by;
+    const needsFile = by === "table" && (!this.#data?.has_table || now === "table");
+    if (!needsFile) return this.#group(by);
+    this.#groupList.value = now; // until a file is chosen
+    this.#tableFile.click();
+    return undefined;
   }
 
   async #group(by) {
-    this.#by = by;
-    this.#groupList.value = by;
-    attempt(() => localStorage.setItem(this.#key, JSON.stringify({ by })));
+    try {
+      await this.state.changeMeasuring({ by });
+    } finally {
+      this.#groupList.value = this.measuring.by;
+    }
     return this.#fetch();
   }
 
@@ -214,6 +209,7 @@ export class Tab {
   #draw() {
     if (!this.#visible) return;
     const data = this.#data;
+    this.#groupList.value = this.measuring.by; // another page may have changed it
     this.#content.hidden = !data;
     this.#empty.hidden = Boolean(data);
     this.#chosen.hidden = !data;

@@ -1,7 +1,7 @@
 // The measures of the Measure tab, drawn over the picture that is annotated, with their values.
 
 import { COLOURS, drawText } from "./drawing.js";
-import { joined, keepWanted, kindFor, measured, measureOf, measuresIn, measureText, numberText, parsed, valueOf, wantedIn } from "./measures.js";
+import { kindFor, measureOf, measureText, numberText, parsed, valueOf } from "./measures.js";
 import { inked, lines } from "./overlays.js";
 import { distance, mean } from "./points.js";
 
@@ -10,11 +10,11 @@ export function createMeasured(tab) {
   const { state, marking, viewer, ruler } = tab;
   let measures = [];
   const read = () => {
-    const { names } = state.project.template ?? { names: [] };
-    measures = measuresIn(wantedIn(state.project.id).measures).map((each) => parsed(each, names)).filter(Boolean);
+    const { measuring, template } = state.project;
+    measures = measuring.measures.map((each) => parsed(each, template?.names ?? [])).filter(Boolean);
     viewer.redraw();
   };
-  for (const [target, event] of /** @type {[EventTarget, string][]} */ ([[measured, "change"], [state, "project"]])) target.addEventListener(event, read);
+  for (const event of ["measuring", "project"]) state.addEventListener(event, read);
   read();
 
   const pixel = () => ruler.bar && { length: ruler.bar.length / distance(...ruler.bar.ends), unit: ruler.bar.unit };
@@ -35,13 +35,11 @@ export function createMeasured(tab) {
     },
 
     /** Measure points in all pictures, as many as there are: a distance, an angle or an area; return it in words. */
-    add(indices) {
-      const { id, template } = state.project;
+    async add(indices) {
       const measure = measureOf(kindFor(indices.length), indices);
-      const wanted = wantedIn(id);
+      await state.changeMeasuring({ add: [measure] });
       tab.shown.draw("measures");
-      keepWanted(id, { ...wanted, measures: joined([...measuresIn(wanted.measures), measure]) });
-      return measureText(measure, template.names);
+      return measureText(measure, state.project.template.names);
     },
   };
 }

@@ -41,7 +41,7 @@ export function createReview(tab) {
   const chart = h("div");
   const accuracy = part("versions", "", chart);
   const name = button("", {
-    small: true, kind: "ghost", title: "Your name in the history", onclick: () => askName(state.project).then(show),
+    small: true, kind: "ghost", title: "Your name in the history", onclick: () => askName(app).then(show),
   });
   const save = async (format) =>
     (format === "measure" ? app.openTab("measure") : saveFile(...(await api.file(api.url("export/{kind}", { kind: format })))));

@@ -1,6 +1,6 @@
 // Several sets of landmarks in a folder: which one the page shows, new ones, and the agreement between observers.
 
-import { percent, several } from "./annotate-words.js";
+import { calledSet, percent, several } from "./annotate-words.js";
 import { COLOURS } from "./drawing.js";
 import { discs, stroked } from "./overlays.js";
 import { shapeFacts, shapeNote } from "./shape-agreement.js";
@@ -8,9 +8,6 @@ import { button, dialog, h, press, relist, saveFile, toast } from "./ui.js";
 
 const NEW = "+"; // no name of a set
 const SHOWN = 12; // rows of a table
-
-/** What a set is called; the first one has no name. */
-export const calledSet = (name) => name || "Main set";
 
 /** Open the page of a set, with the same tab and picture. @param {App} app */
 async function go(app, name) {
