@@ -83,6 +83,7 @@ class Picture(TypedDict):
     left_out: Annotated[NotRequired[str | None], "Who left it out of training."]
     absent: Annotated[NotRequired[int], "Number of points that the object lacks."]
     unconfirmed: Annotated[NotRequired[int], "Number of points that no person placed, moved or confirmed one by one."]
+    proposed: Annotated[NotRequired[int], "Number of these that no person accepted either, so that it is not done."]
     revision: Annotated[NotRequired[str | None], "Of the landmark file; null if there is none."]
     side: Annotated[NotRequired[str], "left or right, as a person or the landmark file says; empty if none does."]
 

@@ -73,8 +73,10 @@ class Sample:
 
 
 def sample_of(project: Project, asked: ShapesQuery) -> Sample:
-    """Measure all pictures of a project, as a request asks."""
-    placed = project.placed("measure")
+    """Measure all pictures of a project, as a request asks. Points that are only proposed count as missing."""
+    placed = [picture for picture in project.placed("measure") if _accepted(picture).any()]
+    if not placed:
+        raise Refusal(422, "all points are as they were proposed: accept those of a picture, then measure")
     specimens, sides = _of_one_side(_with_sides([_specimen(picture) for picture in placed]))
     scale = asked.scale or _unit_of_files(specimens)
     if asked.estimate:
@@ -158,11 +160,16 @@ def save_groups(project: Project, data: Any) -> contract.Grouped:
     return {"specimens": len(groups)}
 
 
+def _accepted(picture: Placed) -> np.ndarray:
+    """Return which points have a position that a person has at least accepted, (n,) bool."""
+    return np.array([origin not in (None, "proposed") for origin in picture.origins], bool)
+
+
 def _specimen(picture: Placed) -> Specimen:
     landmarks = picture.landmarks
     return Specimen(
         picture.file.stem,
-        landmarks.points,
+        np.where(_accepted(picture)[:, None], landmarks.points, np.nan),
         names=landmarks.names,
         scale=landmarks.scale,
         unit=unit_of(landmarks.unit),

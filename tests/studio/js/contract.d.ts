@@ -36,6 +36,8 @@ interface Picture {
   absent?: number;
   /** Number of points that no person placed, moved or confirmed one by one. */
   unconfirmed?: number;
+  /** Number of these that no person accepted either, so that it is not done. */
+  proposed?: number;
   /** Of the landmark file; null if there is none. */
   revision?: string | null;
   /** left or right, as a person or the landmark file says; empty if none does. */

@@ -78,7 +78,9 @@ export function reason(picture, pictures, model) {
   if (!picture) return "";
   if (!model) return "Next in the folder. Once there is a model, the picture that helps it most comes first.";
   if (picture.slip) return `Possible slip: ${picture.slip}.`;
-  if (picture.state === "partial") return "Some of its points are missing.";
+  if (picture.state === "partial") return picture.proposed
+    ? `${several(picture.proposed, "point")} of it ${picture.proposed === 1 ? "is" : "are"} still as proposed: correct ` +
+      "what is wrong, then press Enter." : "Some of its points are missing.";
   if (picture.state === "unchecked") return "Its points are still the mean shape, so no model is trained on it.";
   if (picture.uncertainty == null) return "The model has not been fitted to it yet.";
   const text = `uncertainty of its points: ${uncertain(picture.uncertainty)} of the object's size`;

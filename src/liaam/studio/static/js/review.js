@@ -86,9 +86,9 @@ export function createReview(tab) {
   function show() {
     const { checked, state: progress, unconfirmed } = /** @type {Partial<Picture>} */ (state.picture() ?? {});
     element.hidden = !state.project.template;
-    const seen = unconfirmed ? `${several(unconfirmed, "point")} not confirmed` : "Not checked yet";
+    const seen = unconfirmed ? `${several(unconfirmed, "point")} accepted together` : "Not checked yet";
     now.textContent = checked ? `Checked by ${checked}` : progress === "done" ? seen : "";
-    now.title = unconfirmed ? "Accepted as proposed. Y confirms the selected point, for accuracy and agreement" : "";
+    now.title = unconfirmed ? "Accepted as proposed, not one by one. Y confirms the selected point, for accuracy and agreement" : "";
     check.style.visibility = progress === "done" ? "" : "hidden"; // its place stays
     check.lastChild.textContent = checked ? "Withdraw" : "Mark as checked";
     name.textContent = whoAmI(state.project) || "Your name…";

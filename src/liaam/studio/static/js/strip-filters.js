@@ -34,10 +34,10 @@ export function whyLeftOut({ name, state, left_out: who }, left) {
 
 /** The state of a picture in words. @param {Picture} picture; @param {Record<string, string>} left */
 export function describe(picture, left) {
-  const { state, placed, doubtful, checked, error, slip, absent } = picture;
+  const { state, placed, proposed, doubtful, checked, error, slip, absent } = picture;
   if (slip) return "possible slip";
   if (state !== "broken" && whyLeftOut(picture, left)) return "left out";
-  if (state === "partial") return error ? "points do not fit" : `${placed} placed`;
+  if (state === "partial") return error ? "points do not fit" : proposed ? `${proposed} only proposed` : `${placed} placed`;
   if (state === "proposed" && doubtful) return "doubtful";
   const is = checked ? "checked" : (STATES[state] ?? state);
   return state === "done" && absent ? `${is}, ${absent} absent` : is;

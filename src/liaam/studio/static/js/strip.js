@@ -185,9 +185,9 @@ export function mountStrip(root, app) {
 
   /** The item of a picture, made again if the picture has changed. @param {Picture} picture */
   function itemOf(picture) {
-    const { name, state: progress, placed, doubtful, rank, error, tag, checked, slip, quality, absent, side } = picture;
+    const { name, state: progress, placed, proposed, doubtful, rank, error, tag, checked, slip, quality, absent, side } = picture;
     const why = filters.whyLeftOut(picture, leftOut());
-    const key = [progress, placed, doubtful, rank === 1, error, tag, checked, why, slip, quality, absent, side].join("|");
+    const key = [progress, placed, proposed, doubtful, rank === 1, error, tag, checked, why, slip, quality, absent, side].join("|");
     const known = items.get(name);
     if (known?.key === key) return known.element;
     known?.element.remove();
