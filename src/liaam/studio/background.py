@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 
 from liaam.datasets.label_faults import LEAST_PICTURES, find_label_faults
-from liaam.datasets.sides import reflected_shapes, sides_for_check
+from liaam.datasets.sides import reflected_shapes, sides_of_shapes
 from liaam.errors import LiaamError
 from liaam.fitting import FitResult, Fitter
 from liaam.io import Contour, Landmarks
@@ -217,7 +217,7 @@ class Background:
 def slips_in(whole: Sequence[Annotated]) -> dict[str, tuple[str, str, list[int]]]:
     """Return the revision, the slip and its points of pictures that have all points, by name of those with a slip.
 
-    Objects of the other side are compared reflected.
+    Objects of the other side are compared reflected: what training reflects is no slip.
     """
     if len(whole) < LEAST_PICTURES:
         return {}
@@ -225,7 +225,7 @@ def slips_in(whole: Sequence[Annotated]) -> dict[str, tuple[str, str, list[int]]
     names = [str(PurePosixPath(item.name).with_suffix("")) for item in whole]
     sides = completed([item.side for item in whole], names, shapes)
     with suppress(LiaamError):  # many shapes contradict their sides; training will say so
-        shapes = reflected_shapes(shapes, sides_for_check(shapes, sides, names).is_other)
+        shapes = reflected_shapes(shapes, sides_of_shapes(shapes, sides, names).is_other)
     slips: dict[str, tuple[str, str, list[int]]] = {}
     for fault in find_label_faults([*shapes]):
         item = whole[fault.picture]
