@@ -336,8 +336,9 @@ class Version(TypedDict):
 
     time: str | None
     pictures: int
-    error: float
+    error: Annotated[float, "Median of the fits that have not failed; if all have, of these."]
     held_out: int
+    failed: Annotated[int, "Number of held-out pictures whose fits failed, and said so."]
     same: Annotated[bool, "Whether it was measured on the pictures of the newest."]
 
 

@@ -310,8 +310,11 @@ interface Method {
 interface Version {
   time: string | null;
   pictures: number;
+  /** Median of the fits that have not failed; if all have, of these. */
   error: number;
   held_out: number;
+  /** Number of held-out pictures whose fits failed, and said so. */
+  failed: number;
   /** Whether it was measured on the pictures of the newest. */
   same: boolean;
 }

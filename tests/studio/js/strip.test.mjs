@@ -8,7 +8,7 @@ import { outcome, whoAmI } from "./modules/bulk.js";
 import { percent } from "./modules/annotate-words.js";
 import { faultIn, meant } from "./modules/hotkeys.js";
 import { bins, kindFor, measureOf, measureText, numberText, parsed, summary as summaryOf, valueOf } from "./modules/measures.js";
-import { accuracyText, sentence } from "./modules/review.js";
+import { accuracyText, errorText, sentence } from "./modules/review.js";
 import { between, describe, FILTERS, foldersOf, matching, openIn } from "./modules/strip-filters.js";
 import { isChoosing } from "./modules/ui.js";
 import { acceptable } from "./modules/wall.js";
@@ -85,8 +85,12 @@ test("history and accuracy are said", () => {
   assert.equal(sentence({ who: "", did: "placed" }), "Someone placed points");
   assert.equal(percent(0.0312), "3.1\u00a0%");
   assert.equal(percent(0.0012), "0.12\u00a0%");
-  const versions = [{ error: 0.04, held_out: 1, same: false }, { error: 0.02, held_out: 2, same: true }];
-  assert.match(accuracyText(versions), /median of 2 pictures held out.*Pale/);
+  const versions = [{ error: 0.04, held_out: 1, failed: 0, same: false }, { error: 0.02, held_out: 4, failed: 2, same: true }]
+    .map((version) => ({ ...version, time: null, pictures: 9 }));
+  assert.match(accuracyText(versions), /Measured on 4 pictures held out.*2 of 4.*4 pictures say little.*Pale/);
+  assert.equal(errorText(versions[0]), "4.0\u00a0%, 1 picture");
+  assert.equal(errorText(versions[1]), "2.0\u00a0%, median of 2 pictures; 2 more fits failed");
+  assert.equal(errorText({ ...versions[0], failed: 1 }), "4.0\u00a0%, 1 picture, whose fit failed");
   assert.doesNotMatch(accuracyText(versions.slice(1)), /Pale/);
 });
 
