@@ -17,6 +17,9 @@ from liaam.studio.store import Store
 MEASURING = "measuring"
 """Kind of it in the store."""
 
+GROUPS = "groups"
+"""Kind of the table of groups in the store: the group of each specimen, by its name there."""
+
 GROUPED_BY = ("", "folder", "name", "table")
 """What pictures are grouped by: nothing, their subfolder, the letters that names begin with, or a table."""
 

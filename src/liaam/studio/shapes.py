@@ -30,14 +30,11 @@ from liaam.scale.lengths import unit_of
 from liaam.studio import contract
 from liaam.studio.contract import ShapesQuery
 from liaam.studio.folder import plain_name
-from liaam.studio.measuring import GROUPED_BY, columns_of
+from liaam.studio.measuring import GROUPED_BY, GROUPS, columns_of
 from liaam.studio.project import Placed, Project
 from liaam.studio.refusal import Refusal
 from liaam.studio.sides import for_measuring
 from liaam.tables import Columns
-
-GROUPS = "groups"
-"""Kind of the table of groups in the store."""
 
 SHOWN = 500
 """Shapes that are sent at most, to be drawn over each other."""

@@ -207,6 +207,16 @@ test("a flip exchanges origins as it does points, and by keys a point is placed 
   assert.equal(made.origins[2], "proposed");
 });
 
+test("a click after the last missing point was marked as absent does not place it", () => {
+  const { made } = marking({ points: TRIANGLE });
+  made.select([1]);
+  assert.equal(made.toggleAbsent(), true);
+  assert.equal(made.adding([7, 7]), null);
+  assert.deepEqual([made.placing, made.chosen], [false, [1]]);
+  assert.equal(made.toggleAbsent(), false); // it is still selected, to be taken back
+  assert.equal(made.placing, true);
+});
+
 test("an absent point is not waited for, until it is placed after all", () => {
   const { made } = marking({ points: [TRIANGLE[0], null, null] });
   made.select([1]);
@@ -492,6 +502,10 @@ test("where a point is, what comes next, and what is missing", () => {
   assert.equal(words.placeOf(made, 2, 1), "tip, 20.0, 30.0, invisible. Next: right");
   assert.equal(words.placeOf(made, 1), "right, missing");
   assert.equal(words.tallyOf(made), "2 of 3, 1 invisible");
+  assert.equal(words.tallyOf(marking({ points: TRIANGLE, source: "layout" }).made), "mean shape");
+  const proposal = marking({ points: [...TRIANGLE.slice(0, 2), null], source: "proposal", absent: [2] }).made;
+  assert.equal(words.tallyOf(proposal), "2 of 3 proposed, 1 absent");
+  assert.match(words.promptOf(proposal), /^Placed by the model \(tip absent: U if not\)/);
   assert.match(words.promptOf(made), /^1 point is missing/);
   made.select([1]);
   assert.equal(words.promptOf(made), "Click right");

@@ -76,9 +76,11 @@ test("a range goes both ways and needs its beginning", () => {
 test("the outcome of an action is said with what was refused", () => {
   const refused = { "b.png": "checked already", "c.png": "checked already" };
   assert.equal(outcome("checked", { changed: ["a.png"], refused }),
-    "1 picture marked as checked. 2 pictures not changed: checked already.");
+    "1 picture marked as checked. 2 pictures not changed: checked already (b.png, c.png).");
   assert.equal(outcome("deleted", { changed: ["a.png", "b.png"], refused: { "c.png": "no landmarks" } }),
-    "Landmarks of 2 pictures deleted. 1 picture not changed: no landmarks.");
+    "Landmarks of 2 pictures deleted. c.png not changed: no landmarks.");
+  assert.equal(outcome("scaled", { changed: [], refused: { "a.png": "has a scale", "b.png": "is small", "c.png": "is small" } }),
+    "3 pictures not changed: has a scale (a.png); is small (b.png, c.png).");
 });
 
 test("history and accuracy are said", () => {

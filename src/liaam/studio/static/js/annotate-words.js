@@ -10,7 +10,7 @@ export const percent = (fraction) => `${(100 * fraction).toFixed(fraction < 0.01
 /** What to do next with the open picture; "" if nothing. */
 export function promptOf({ state, book, placing, names, active, missing, absent = [], proposed = 0 }) {
   if (state.source === "proposal") {
-    const lacks = absent.length ? ` (${several(absent.length, "point")} absent: U if not)` : "";
+    const lacks = absent.length ? ` (${listed(names, absent)} absent: U if not)` : "";
     return book.doubtful
       ? `Placed by the model with low confidence${lacks}: check every point, drag wrong ones, then press Enter`
       : `Placed by the model${lacks}: drag wrong points, then press Enter`;
@@ -22,10 +22,12 @@ export function promptOf({ state, book, placing, names, active, missing, absent 
   return proposed ? `${several(proposed, "point")} as proposed: drag wrong ones, then press Enter` : "";
 }
 
-export function tallyOf({ points, missing, invisible, absent = [] }) {
+export function tallyOf({ points, missing, invisible, state, absent = [] }) {
+  if (state.source === "layout") return "mean shape"; // no point has a place of its own
   const more = { invisible: invisible.size, absent: absent.length };
   const words = Object.entries(more).map(([what, count]) => count && `, ${count} ${what}`);
-  return [`${points.length - missing.length - absent.length} of ${points.length}`, ...words].filter(Boolean).join("");
+  const placed = `${points.length - missing.length - absent.length} of ${points.length}`;
+  return [placed, state.source === "proposal" && " proposed", ...words].filter(Boolean).join("");
 }
 
 const SOURCES = {
@@ -45,6 +47,11 @@ export function placeOf({ names, points, invisible, absent = [] }, index, next =
   const here = `${names[index]}, ${at}${points[index] && invisible.has(index) ? ", invisible" : ""}`;
   return next < 0 ? here : `${here}. Next: ${names[next]}`;
 }
+
+const MOST_LISTED = 3;
+
+/** Points by their names; of many, how many there are. */
+const listed = (names, indices) => (indices.length > MOST_LISTED ? several(indices.length, "point") : indices.map((i) => names[i]).join(", "));
 
 export const called = (names, indices) => (indices.length === 1 ? names[indices[0]] : `${indices.length} points`);
 

@@ -9,7 +9,7 @@ const FEWEST_PLACED = 3; // points that a picture needs for training, if others 
 const AUTO_FIRST = 4; // done pictures after which the first model is trained automatically
 const AUTO_AGAIN = 3; // pictures completed or changed after which it is trained again
 const SHOWN = 5; // slips that are listed before training
-const SLIP = "Move what is wrong, or press Enter if the points are right: they are then marked as checked.";
+const SLIP = "Move what is wrong, or press Enter if all is right, which marks it as checked.";
 const AUTO_KEY = "liaam-studio:auto-train";
 const countOf = (/** @type {Picture[]} */ pictures, ...states) => pictures.filter(({ state }) => states.includes(state)).length;
 
@@ -92,7 +92,7 @@ export function reason(picture, pictures, model) {
     .sort((a, b) => a - b);
   if (known.length < 2 || picture.uncertainty < known.at(-1)) return `${text[0].toUpperCase()}${text.slice(1)}.`;
   const median = known[Math.floor((known.length - 1) / 2)];
-  return `The least certain of the remaining pictures (${text}, median ${uncertain(median)}).`;
+  return `The least certain of the remaining pictures that are not doubtful (${text}, median ${uncertain(median)}).`;
 }
 
 /** Notices about the folder and the model: [{title, lines}], without empty ones. A line is a text, or {name, why} about a
@@ -237,6 +237,7 @@ export function createAssist(app, commands, onexport) {
     const usable = pictures.length - countOf(pictures, "broken");
     const left = Object.keys(model?.left_out ?? {}).length;
     count.textContent = `${countOf(pictures, "done") - left} of ${usable} done${left ? `, ${left} left out` : ""}`;
+    count.title = left ? `${count.textContent} of training` : "";
     const done = forTraining(pictures).length;
     element.hidden = !project.template;
     offered.hidden = !project.offered || model?.source !== "face";
@@ -263,8 +264,9 @@ export function createAssist(app, commands, onexport) {
     const then = nextOf(state, state.pictures);
     const left = unfinished({ pictures: state.pictures, model });
     const without = model?.left_out?.[here?.name];
-    const slip = here?.slip && `Possible slip: ${here.slip}. ${SLIP}`;
-    const fault = without ? `The model leaves this picture out, because ${without}.` : (here?.error ?? slip);
+    // What to do comes first: the place is small.
+    const slip = here?.slip && `${SLIP} Possible slip${without ? ", left out of training" : ""}: ${here.slip}.`;
+    const fault = slip || (without ? `The model leaves this picture out, because ${without}.` : here?.error);
     pass.disabled = !then;
     why.classList.toggle("warn-text", Boolean(fault));
     const more = several(AUTO_FIRST - done, "more picture");
@@ -274,6 +276,7 @@ export function createAssist(app, commands, onexport) {
     const ended = left || (done ? allDone(state.folder) : "");
     const next = !then ? ended : model ? `Next: ${then.name}. ${reason(then, pictures, model)}` : wait;
     why.textContent = fault || (isOpen ? reason(here, pictures, model) : next);
+    why.title = why.textContent;
   }
 
   /** Train between two pictures, when no point is being moved. */

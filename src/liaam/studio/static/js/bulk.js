@@ -49,12 +49,15 @@ const ACTIONS = {
 };
 
 const pictures = ({ length }) => several(length, "picture");
+const some = (names) => `${names.slice(0, 3).join(", ")}${names.length > 3 ? ` and ${names.length - 3} more` : ""}`;
 
 /** What an action has done, as a sentence. @param {string} did; @param {Reviewed} answer */
 export function outcome(did, { changed, refused }) {
-  const reasons = Object.values(refused);
+  const names = Object.keys(refused);
+  const reasons = [...new Set(Object.values(refused))].slice(0, 3);
+  const because = reasons.map((why) => `${why}${names.length > 1 ? ` (${some(names.filter((name) => refused[name] === why))})` : ""}`);
   const done = changed.length && `${ACTIONS[did].done(pictures(changed))}.`;
-  const not = reasons.length && `${pictures(reasons)} not changed: ${[...new Set(reasons)].slice(0, 3).join("; ")}.`;
+  const not = names.length && `${names.length === 1 ? names[0] : pictures(names)} not changed: ${because.join("; ")}.`;
   return [done, not].filter(Boolean).join(" ");
 }
 
@@ -68,7 +71,7 @@ export async function act(app, did, names, { more = {}, undo = null } = {}) {
   /** @type {Review} */
   const asked = { pictures: names, did, who };
   const answer = await state.send((folder) => api.post(api.url("review"), { ...asked, ...more, folder }));
-  toast(outcome(did, answer), answer.changed.length ? "good" : "info", answer.changed.length && undo && { label: "Undo", onclick: () => undo(answer.changed) });
+  toast(outcome(did, answer), answer.changed.length ? "good" : "info", answer.changed.length > 0 && undo && { label: "Undo", onclick: () => undo(answer.changed) });
   await state.refresh();
   return answer.changed;
 }

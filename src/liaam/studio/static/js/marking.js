@@ -181,7 +181,8 @@ export class Marking extends Editable {
     const isAbsent = absent.includes(chosen[0]);
     this.change({ points: isAbsent ? remove(this.points, chosen) : this.points, absent }, isAbsent ? "absent" : "not absent");
     const next = isAbsent ? this.nextMissing(chosen.at(-1)) : chosen[0];
-    this.select(next < 0 ? chosen : [next]);
+    if (next < 0) this.select(chosen, -1); // so that a click beside it does not place it
+    else this.select([next]);
     return isAbsent;
   }
 

@@ -47,7 +47,10 @@ export class ScaleBar extends Editable {
   get history() { return this.#marking.history; }
   get editable() { return this.#marking.editable; }
   get placing() { return this.editable; }
-  get prompt() { return `Click ${this.ends[0] ? "the other end" : "one end of a ruler, or of a known length"}`; }
+  get prompt() {
+    if (this.ends[1]) return ""; // it is being asked for its length
+    return `Click ${this.ends[0] ? "the other end" : "one end of a ruler, or of a known length"}`;
+  }
 
   /** Undo takes back the first end of a bar that is being drawn; without one, it and redo stop drawing, too. */
   travel(way) {
@@ -149,13 +152,14 @@ export class ScaleBar extends Editable {
   /** The box to replace the scales of other pictures, and its label; null in place of it if there are none. */
   forOthers() {
     const anyway = h("input", { type: "checkbox", testid: "scale-anyway" });
-    const label = h("label.check", anyway, "Same scale for all: replace other scales too, and include pictures of another size");
+    const label = h("label.check", anyway, "Set it in all pictures, also in those of another size or with another scale");
     return [anyway, this.alone() ? null : label];
   }
 
+  /** With the box, both buttons set the scale in all pictures. */
   settle(answer, { anyway, ...bar }, what) {
     this.#marking.change({ bar }, what);
-    if (answer === "share") this.onshare(bar, anyway);
+    if (answer === "share" || anyway) this.onshare(bar, anyway);
   }
 
   async ask(bar, more = []) {

@@ -54,11 +54,13 @@ export async function makeSet(app) {
     h("label.field", "Name, also of the subfolder with its landmark files", name),
     choice("own", "Other points", "A template of its own, such as hand beside face. Not every picture needs both.", { checked: true }),
     choice("same", "The same points, another observer", same, { disabled: !template }));
-  const make = { label: "Make the set", kind: "primary", value: "make", checks: true, testid: "set-make" };
-  if ((await dialog("New set of landmarks", body, [{ label: "Cancel", value: null }, make])) !== "make") return;
-  /** @type {MakeSet} */
-  const asked = { name: name.value, same: body.querySelector("input:checked").value === "same" };
-  go(app, (await state.send((folder) => api.post(api.url("sets"), { ...asked, folder }))).name);
+  const work = async () => {
+    /** @type {MakeSet} */
+    const asked = { name: name.value, same: body.querySelector("input:checked").value === "same" };
+    await state.send((folder) => api.post(api.url("sets"), { ...asked, folder }));
+  };
+  const make = { label: "Make the set", kind: "primary", value: "make", checks: true, work, testid: "set-make" };
+  if ((await dialog("New set of landmarks", body, [{ label: "Cancel", value: null }, make])) === "make") go(app, name.value);
 }
 
 /** The buttons that compare observers, for the review. @param {import("./annotate.js").Tab} tab */
