@@ -202,7 +202,9 @@ class Background:
         revisions = {item.name: item.revision for item in done}
         if revisions == self._checked:
             return True
-        self.project.set_slips(slips_in([item for item in done if item.placed.all()]))
+        template = self.project.templates.current
+        names = () if template is None else template.names
+        self.project.set_slips(slips_in([item for item in done if item.placed.all()], names))
         self._checked = revisions
         self.checks += 1
         self._next_check = time.monotonic() + 9 * (time.monotonic() - began)
@@ -214,7 +216,7 @@ class Background:
         return self._thread.ident is None or self._checked == done
 
 
-def slips_in(whole: Sequence[Annotated]) -> dict[str, tuple[str, str, list[int]]]:
+def slips_in(whole: Sequence[Annotated], names_of_points: Sequence[str] = ()) -> dict[str, tuple[str, str, list[int]]]:
     """Return the revision, the slip and its points of pictures that have all points, by name of those with a slip.
 
     Objects of the other side are compared reflected: what training reflects is no slip.
@@ -229,7 +231,8 @@ def slips_in(whole: Sequence[Annotated]) -> dict[str, tuple[str, str, list[int]]
     slips: dict[str, tuple[str, str, list[int]]] = {}
     for fault in find_label_faults([*shapes]):
         item = whole[fault.picture]
-        slips.setdefault(item.name, (item.revision, fault.message, [int(index) for index in fault.points]))
+        described = fault.describe(names_of_points)
+        slips.setdefault(item.name, (item.revision, described, [int(index) for index in fault.points]))
     return slips
 
 

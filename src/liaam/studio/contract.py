@@ -496,6 +496,7 @@ class Shapes(TypedDict):
     pictures: list[str]
     groups: Annotated[list[str], "Group of each; empty if it has none."]
     estimated: Annotated[list[int], "Number of points of each that were estimated."]
+    unscaled: Annotated[list[int], "Indices of pictures without a scale, where others have one."]
     columns: list[Column]
     space: Space | None
     why_not: Annotated[str, "Why there is no space."]

@@ -1,6 +1,7 @@
 """Measures of all pictures, and the space of their shapes, for the page and as a table."""
 
 import re
+from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import PurePosixPath
@@ -25,7 +26,7 @@ from liaam.morphometry import (
     with_estimated_landmarks,
 )
 from liaam.morphometry.sides import IGNORED
-from liaam.morphometry.table import comparable, in_unit, size_column, unit_of_table
+from liaam.morphometry.table import comparable, in_unit, scales_in, size_column, unit_of_table
 from liaam.scale.lengths import unit_of
 from liaam.studio import contract
 from liaam.studio.contract import ShapesQuery
@@ -104,6 +105,7 @@ def shapes(project: Project, asked: ShapesQuery) -> contract.Shapes:
         "pictures": [*sample.pictures],
         "groups": [*sample.groups],
         "estimated": [*sample.estimated],
+        "unscaled": _unscaled(sample.columns),
         "columns": _columns_json(sample),
         "space": space,
         "why_not": why_not,
@@ -204,9 +206,28 @@ def _groups(project: Project, pictures: Sequence[str], by: str) -> tuple[str, ..
     if by == "folder":
         return tuple(str(PurePosixPath(picture).parent) for picture in pictures)
     if by == "name":
-        return tuple(re.match(r"[^\W\d_]*", PurePosixPath(picture).name)[0] for picture in pictures)  # type: ignore[index]
+        return _groups_by_name([PurePosixPath(picture).name for picture in pictures])
     kept = project.store.get(GROUPS) if by == "table" else None
     return ("",) * len(pictures) if kept is None else groups_of(pictures, kept)
+
+
+def _groups_by_name(names: Sequence[str]) -> tuple[str, ...]:
+    """Return the letters that tell groups in names, such as ``male`` in ``male_07`` and ``B`` in ``wing16_B``.
+
+    They are the first letters that are not the same in all names, and are shared by at least two names of two groups.
+    """
+    letters = [re.findall(r"[^\W\d_]+", name) for name in names]
+    for place in range(max(map(len, letters), default=0)):
+        groups = tuple(each[place] if place < len(each) else "" for each in letters)
+        if sum(count > 1 for group, count in Counter(groups).items() if group) > 1:
+            return groups
+    return tuple(each[0] if each else "" for each in letters)
+
+
+def _unscaled(columns: Columns) -> list[int]:
+    """Return the indices of specimens without a scale; none where no specimen has one."""
+    scales = scales_in(columns)
+    return [] if scales is None else np.flatnonzero(~np.isfinite(np.array(scales, np.float64))).tolist()
 
 
 def _columns_json(sample: Sample) -> list[contract.Column]:

@@ -495,6 +495,8 @@ interface Shapes {
   groups: string[];
   /** Number of points of each that were estimated. */
   estimated: number[];
+  /** Indices of pictures without a scale, where others have one. */
+  unscaled: number[];
   columns: Column[];
   space: Space | null;
   /** Why there is no space. */

@@ -133,6 +133,7 @@ test("a histogram holds each known value once", () => {
   assert.deepEqual(of.flat().sort(), [0, 1, 2, 3, 5, 6, 7]);
   assert.equal(edges.length, of.length + 1);
   assert.deepEqual(bins([4, 4, 4]).of, [[0, 1, 2]]);
+  assert.deepEqual(bins([5, null]).edges, [4.75, 5.25]); // around the only value
   assert.deepEqual(bins([null]).of, []);
   const { n, mean, sd } = summaryOf([1, null, 3]);
   assert.deepEqual([n, mean, sd], [2, 2, Math.SQRT2]);

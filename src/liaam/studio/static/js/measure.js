@@ -16,7 +16,7 @@ const VIEWS = [{ value: "measures", label: "Measures" }, { value: "shapes", labe
 const GROUPED_BY = { "": "No groups", folder: "By subfolder", name: "By name", table: "By a table…" };
 const EXPORTS = { csv: "Table (.csv)", svg: "Plots (.svg)" };
 const ABOUT_GROUPS =
-  "By the letters with which names begin, such as male of male_07.jpg; or by a table with the columns specimen and group";
+  "By the letters in which names differ, such as male of male_07.jpg, or B of wing16_B.jpg; or by a table with the columns specimen and group";
 const ABOUT_ESTIMATES =
   "By a thin-plate spline from the complete pictures; without, pictures that lack points have no shape";
 
@@ -339,7 +339,8 @@ export class Tab {
     return h("tr", { class: i === this.chosen && "chosen", "data-index": String(i), onclick: choose, ondblclick: () => this.#open() },
       h("th", { scope: "row" }, name, estimated),
       groupCell,
-      data.columns.map(({ values }) => h("td.number", numberText(values[i]))));
+      data.columns.map(({ values, unit }) => (values[i] === null
+        ? h("td.number.muted.small", data.unscaled.includes(i) && unit !== "°" ? "no scale" : "no point") : h("td.number", numberText(values[i])))));
   }
 }
 

@@ -78,8 +78,12 @@ export function bins(values) {
   const [least, most] = [sorted[0], sorted.at(-1)];
   const quartile = (q) => sorted[Math.round(q * (sorted.length - 1))];
   const width = (2 * (quartile(0.75) - quartile(0.25))) / Math.cbrt(sorted.length);
-  const count = most > least ? Math.min(40, Math.max(5, Math.ceil((most - least) / (width || Infinity)))) : 1;
-  const step = (most - least) / count || 1;
+  const count = Math.min(40, Math.max(5, Math.ceil((most - least) / (width || Infinity))));
+  if (most === least) { // one bar around the only value
+    const half = Math.abs(most) / 20 || 0.5;
+    return { edges: [most - half, most + half], of: [known.map(([, i]) => i)] };
+  }
+  const step = (most - least) / count;
   const of = Array.from({ length: count }, () => []);
   for (const [value, i] of known) of[Math.min(count - 1, Math.floor((value - least) / step))].push(i);
   return { edges: Array.from({ length: count + 1 }, (_, i) => least + i * step), of };
