@@ -110,6 +110,7 @@ def test_one_bar_for_all_is_written_exported_and_taken_back(small):
     assert answer["revisions"]["p2.png"] == small.marks("p2.png")["revision"]
     assert read_landmarks(small.root / "p2.ljson").scale == pytest.approx(0.25)
     assert small.marks("q.jpg")["bar"] == BAR and small.marks("q.jpg")["source"] == "proposal"
+    assert [small.marks(name)["bar_shared"] for name in ("p1.png", "q.jpg")] == [False, True]
     assert small.export("tps")[1].count(b"SCALE=0.25") == 3
     assert by_name(small)["p2.png"]["checked"] == "Ada"  # its points are as before,
     assert [item.revision for item in small.annotated()] == [item.revision for item in done]  # for training, too

@@ -148,6 +148,7 @@ class Marks(TypedDict):
     width: int
     height: int
     bar: Bar | None
+    bar_shared: Annotated[bool, "Whether it was drawn on another picture, so that its place here means nothing."]
     beside: Annotated[str, "Changes with the absent points and the origins, which the file does not hold."]
 
 

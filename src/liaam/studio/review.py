@@ -242,6 +242,7 @@ class PictureStates:
         template = self.templates.current
         marks = self.landmarks.of(file)
         n_points = 0 if template is None else len(template)
+        scale_bar = self.landmarks.scale_bar(file)
         answer: contract.Marks = {
             "points": [None] * n_points,
             "invisible": [],
@@ -256,7 +257,8 @@ class PictureStates:
             "error": marks.error,
             "width": width,
             "height": height,
-            "bar": self.landmarks.scale_bar(file)["bar"],
+            "bar": scale_bar["bar"],
+            "bar_shared": "before" in scale_bar,
             "absent": self.absent_of(file, marks),
             "origins": None,
             "beside": self.beside(file, marks),

@@ -110,6 +110,8 @@ interface Marks {
   width: number;
   height: number;
   bar: Bar | null;
+  /** Whether it was drawn on another picture, so that its place here means nothing. */
+  bar_shared: boolean;
   /** Changes with the absent points and the origins, which the file does not hold. */
   beside: string;
 }

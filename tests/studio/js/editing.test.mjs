@@ -233,6 +233,40 @@ test("an absent point is not waited for, until it is placed after all", () => {
   assert.deepEqual(made.missing, [1, 2]);
 });
 
+test("ellipses stay around the points that are still as the model proposed them", () => {
+  const { made } = marking();
+  const seen = { points: TRIANGLE, invisible: [], source: "proposal" };
+  made.open({ history: new History(seen), doubtful: false, seen });
+  assert.deepEqual(made.uncertain, TRIANGLE);
+  made.select([1]);
+  made.commit(TRIANGLE.map((point, i) => (i === 1 ? [31, 21] : point)), "move");
+  assert.deepEqual(made.uncertain, [TRIANGLE[0], null, TRIANGLE[2]]);
+  made.accept();
+  assert.deepEqual(made.uncertain, [null, null, null]);
+});
+
+test("a scale bar of another picture is known as such until another is drawn", () => {
+  const bar = { ends: [[0, 0], [9, 0]], length: 1, unit: "cm" };
+  const { made } = marking();
+  const state = { points: TRIANGLE, invisible: [], source: "file", bar };
+  made.open({ history: new History(state), doubtful: false, sharedBar: { ...bar } });
+  const ruler = new ScaleBar(made, { onchange() {}, onpreview() {} });
+  assert.equal(ruler.isShared, true);
+  made.change({ bar: { ...bar, length: 2 } }, "scale bar");
+  assert.equal(ruler.isShared, false);
+});
+
+test("with the box, either button sets the scale in all pictures", () => {
+  const { made } = marking();
+  const shared = [];
+  const ruler = new ScaleBar(made, { onchange() {}, onpreview() {}, onshare: (bar, anyway) => shared.push([bar.length, anyway]) });
+  const bar = { ends: [[0, 0], [9, 0]], length: 1, unit: "cm" };
+  ruler.settle("save", { ...bar, anyway: false }, "scale bar");
+  assert.deepEqual(shared, []);
+  ruler.settle("save", { ...bar, length: 2, anyway: true }, "scale bar");
+  assert.deepEqual(shared, [[2, true]]);
+});
+
 test("an end of a scale bar that is being drawn is undone first, then drawing ends", () => {
   const { made } = marking({ points: [TRIANGLE[0], null, TRIANGLE[2]] });
   made.select([1]);
