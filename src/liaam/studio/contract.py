@@ -538,10 +538,18 @@ class ShapeAgreement(TypedDict):
     methods: Annotated[str, "Sentences for the section Methods of a paper."]
 
 
+class Pixel(TypedDict):
+    """The length of a pixel."""
+
+    length: float
+    unit: str
+
+
 class Agreement(TypedDict):
     """How far observers are apart."""
 
     observers: list[str]
+    pixel: Annotated[Pixel | None, "Of all these pictures; null if some have no scale, or another one."]
     sd: float
     percent: float
     repeatability: float | None

@@ -548,9 +548,17 @@ interface ShapeAgreement {
   methods: string;
 }
 
+/** The length of a pixel. */
+interface Pixel {
+  length: number;
+  unit: string;
+}
+
 /** How far observers are apart. */
 interface Agreement {
   observers: string[];
+  /** Of all these pictures; null if some have no scale, or another one. */
+  pixel: Pixel | null;
   sd: number;
   percent: number;
   repeatability: number | null;

@@ -7,7 +7,7 @@ import { bins, measureText, numberText, summary } from "./measures.js";
 import { plotFiles } from "./plot-files.js";
 import { createShapeSpace } from "./shape-space.js";
 import { groupMark, histogram } from "./shape-plots.js";
-import { button, fileField, h, icon, menu, runKey, isPlain, saveFile, segmented } from "./ui.js";
+import { button, complaints, fileField, h, icon, menu, runKey, isPlain, saveFile, segmented } from "./ui.js";
 
 const MOST_ROWS = 400; // of the table that is shown
 const MOST_GROUPS = 8; // in the legend
@@ -34,6 +34,7 @@ export class Tab {
   #isStale = true; // whether something has changed since the data were fetched
   #newest = 0; // number of the newest request; answers to earlier ones are ignored
   #timer = null;
+  #complain = complaints(); // about tables of groups
   // Elements.
   #builder; #chart; #chosen; #content; #empty; #estimate; #fault; #groupList; #legend; #measures; #table; #tableFile; #views;
 
@@ -187,7 +188,11 @@ export class Tab {
   async #takeTable(file) {
     const { api, toast } = this.app;
     const text = await file.text();
-    const { specimens } = await this.state.send((folder) => api.put(api.url("groups"), { text, name: file.name, folder }));
+    const put = (folder) => api.put(api.url("groups"), { text, name: file.name, folder });
+    const answer = await this.state.send(put).catch((error) => void this.#complain(error.message));
+    if (!answer) return;
+    this.#complain(""); // of an earlier table
+    const { specimens } = answer;
     toast(`Groups of ${several(specimens, "specimen")} read.`, "good");
     await this.#group("table");
   }

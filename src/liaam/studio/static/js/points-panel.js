@@ -60,6 +60,7 @@ export function createPointsPanel(tab) {
     render(marking, mayEdit) {
       edit.disabled = !mayEdit;
       tally.textContent = marking.book ? tallyOf(marking) : "";
+      tally.title = tally.textContent; // there may be no room for all
       list.render(marking.book ? marking.names : [], (i) => marking.stateOf(i));
       mark(marking);
     },

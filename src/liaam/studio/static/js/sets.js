@@ -2,6 +2,7 @@
 
 import { calledSet, percent, several } from "./annotate-words.js";
 import { COLOURS } from "./drawing.js";
+import { numberText } from "./measures.js";
 import { discs, stroked } from "./overlays.js";
 import { shapeFacts, shapeNote } from "./shape-agreement.js";
 import { button, dialog, h, press, relist, saveFile, toast } from "./ui.js";
@@ -108,13 +109,14 @@ export function createAgreement(tab) {
 
 /** Show how far observers are apart, and the pictures and points where most. @param {App} app */
 export async function showAgreement({ api, state }) {
-  const { observers, sd, percent: share, repeatability, points, pictures, unconfirmed, file, table: text, shapes } =
+  const { observers, sd, percent: share, repeatability, points, pictures, unconfirmed, file, table: text, shapes, pixel } =
     await api.get(api.url("agreement"));
   const ignored = unconfirmed.length > 0 && h("p.small.warn-text", { testid: "agreement-unconfirmed" },
     `${several(unconfirmed.length, "picture")} ${unconfirmed.length === 1 ? "does" : "do"} not count, since points were ` +
     `accepted as they were proposed: ${unconfirmed.slice(0, SHOWN).join(", ")}${unconfirmed.length > SHOWN ? " and others" : ""}. ` +
     "Move or confirm (Y) each of them.");
-  const pixels = (value) => `${value.toFixed(2)} px`;
+  const inUnit = (value) => (pixel ? ` (${numberText(value * pixel.length, pixel.unit)})` : "");
+  const pixels = (value) => `${value.toFixed(2)} px${inUnit(value)}`;
   const table = (title, head, rows) => h("section.agreement-table", h("h3", title), h("table",
     h("thead", h("tr", head.map((what) => h("th", { scope: "col" }, what)))), h("tbody", rows.slice(0, SHOWN))));
   const openPicture = (name) => (event) => { event.target.closest("dialog").close(); state.select(name); };

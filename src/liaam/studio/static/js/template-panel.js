@@ -37,8 +37,8 @@ export function createTemplatePanel({ drafting, formats, onload, onsliders, ondo
   const path = tool("Draw a curve", "path", () => drafting.togglePath(), {
     shortcut: "N", testid: "template-new-path", pressed: false, title: "Clicks add points of a curve, until you press it again",
   });
-  const close = tool("Close", "check", () => drafting.close(), {
-    shortcut: "C", testid: "template-close-path", title: "Close the curve",
+  const close = tool("Join its ends", "curve", () => drafting.close(), {
+    shortcut: "C", testid: "template-close-path", title: "Close the curve: join its last point with its first",
   });
   const slidersFile = fileField((chosen) => onsliders(chosen), {
     id: "template-sliders", accept: ".csv,.txt", testid: "template-sliders", tabindex: null,
