@@ -4,7 +4,7 @@ import { KINDS, measureOf, measureText } from "./measures.js";
 import { picker } from "./shape-plots.js";
 import { button, h, iconButton, segmented } from "./ui.js";
 
-const SCALE = "Scale, if the pictures have none: length of a pixel, or two points and the length between them, such as 11-12=5 mm";
+const SCALE = "Scale, if the pictures have none: length of a pixel, or two points, by name or number, and the length between them, such as 11-12=5 mm";
 
 export class MeasureBuilder {
   /** @type {number[]} */

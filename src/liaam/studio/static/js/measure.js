@@ -232,7 +232,9 @@ export class Tab {
     this.#empty.replaceChildren(
       icon("ruler", 56),
       h("h2", "Measures and shapes of all pictures"),
-      h("p", "Place the landmarks of a picture. Its measures are then here, and from three pictures on their shapes."),
+      h("p", this.state.pictures.some(({ state }) => state === "proposed")
+        ? "Proposed points are not measured: accept those of a picture, or correct them. Its measures are then here, and from three pictures on their shapes."
+        : "Place the landmarks of a picture. Its measures are then here, and from three pictures on their shapes."),
       h("div.row", go));
   }
 
@@ -249,7 +251,7 @@ export class Tab {
 
   #aboutChosen() {
     const { chosen } = this;
-    if (chosen < 0) return "has no landmarks yet";
+    if (chosen < 0) return this.state.picture()?.state === "proposed" ? "has proposed points only: accept them to measure it" : "has no landmarks yet";
     const { space } = this.#data;
     const shape = space ? space.of.indexOf(chosen) : -1;
     if (shape < 0) return "";
