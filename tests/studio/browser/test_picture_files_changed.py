@@ -88,6 +88,7 @@ def test_a_name_that_is_refused_is_said_in_the_dialog_which_stays(listed, marked
     assert field.input_value() == "portrait-02v"
     field.fill("lisa")
     listed.keyboard.press("Enter")
+    listed.locator(".toast", has_text="portrait-01.png is now lisa.png").wait_for()
     opened(listed, "lisa.png")
     assert listed.locator("dialog").count() == 0 and listed.locator(".toast.bad").count() == 0
     assert not listed.evaluate("() => window.liaamStudio.annotate.invisible()")
