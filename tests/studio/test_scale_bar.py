@@ -62,9 +62,17 @@ def test_the_scale_of_a_file_stays(small):
     write_landmarks(small.root / "p1.tps", Landmarks(np.array(POINTS), scale=0.1, image_name="p1.png"))
     put(small, "p1.png", [[5.0, 5.0], *POINTS[1:]])
     assert read_landmarks(small.root / "p1.ljson").scale == pytest.approx(0.1)
+    assert small.marks("p1.png")["pixel"] is None  # the file states no unit
     for did in ("deleted", "undeleted"):
         assert small.review({"pictures": ["p1.png"], "did": did})["changed"]
     assert read_landmarks(small.root / "p1.ljson").scale == pytest.approx(0.1)
+
+
+def test_a_scale_in_a_file_is_known_where_its_measures_are_drawn(small):
+    write_landmarks(small.root / "p1.ljson", Landmarks(np.array(POINTS), scale=0.1, unit="mm"))
+    assert small.marks("p1.png")["pixel"] == {"length": 0.1, "unit": "mm"}
+    put(small, "p1.png", bar=BAR)
+    assert small.marks("p1.png")["pixel"] is None  # the bar says it
 
 
 def test_a_pts_file_has_no_room_for_it_but_the_studio_knows_it(small):

@@ -129,6 +129,13 @@ class FoundScale(TypedDict):
     ticks: Annotated[int | None, "Number of ticks; null of a scale bar."]
 
 
+class Pixel(TypedDict):
+    """The length of a pixel."""
+
+    length: float
+    unit: str
+
+
 class Marks(TypedDict):
     """The landmarks of a picture."""
 
@@ -149,6 +156,7 @@ class Marks(TypedDict):
     height: int
     bar: Bar | None
     bar_shared: Annotated[bool, "Whether it was drawn on another picture, so that its place here means nothing."]
+    pixel: Annotated[Pixel | None, "By the scale of the landmark file, where there is no bar."]
     beside: Annotated[str, "Changes with the absent points and the origins, which the file does not hold."]
 
 
@@ -536,13 +544,6 @@ class ShapeAgreement(TypedDict):
     p: Annotated[float, "That the mean shapes are as far apart by chance."]
     size_correlation: float
     methods: Annotated[str, "Sentences for the section Methods of a paper."]
-
-
-class Pixel(TypedDict):
-    """The length of a pixel."""
-
-    length: float
-    unit: str
 
 
 class Agreement(TypedDict):

@@ -259,6 +259,7 @@ class PictureStates:
             "height": height,
             "bar": scale_bar["bar"],
             "bar_shared": "before" in scale_bar,
+            "pixel": None if scale_bar["bar"] else self._pixel_of(file),
             "absent": self.absent_of(file, marks),
             "origins": None,
             "beside": self.beside(file, marks),
@@ -275,6 +276,12 @@ class PictureStates:
             answer["absent"] = self._absent_with(file, proposal)
             answer["points"] = [None if i in answer["absent"] else point for i, point in enumerate(answer["points"])]
         return answer
+
+    def _pixel_of(self, file: File) -> contract.Pixel | None:
+        """Return the length of a pixel of a picture; None if it has no scale, or none with a unit."""
+        length = self.landmarks.scale_of(file)
+        unit = self.landmarks.unit_of(file)
+        return {"length": length, "unit": unit} if length and unit else None
 
     def _absent_with(self, file: File, proposal: Mapping[str, Any]) -> list[int]:
         """Return the points that a person said to be absent in a picture, and those that the model found absent.

@@ -90,6 +90,12 @@ interface FoundScale {
   ticks: number | null;
 }
 
+/** The length of a pixel. */
+interface Pixel {
+  length: number;
+  unit: string;
+}
+
 /** The landmarks of a picture. */
 interface Marks {
   points: (number[] | null)[];
@@ -112,6 +118,8 @@ interface Marks {
   bar: Bar | null;
   /** Whether it was drawn on another picture, so that its place here means nothing. */
   bar_shared: boolean;
+  /** By the scale of the landmark file, where there is no bar. */
+  pixel: Pixel | null;
   /** Changes with the absent points and the origins, which the file does not hold. */
   beside: string;
 }
@@ -546,12 +554,6 @@ interface ShapeAgreement {
   size_correlation: number;
   /** Sentences for the section Methods of a paper. */
   methods: string;
-}
-
-/** The length of a pixel. */
-interface Pixel {
-  length: number;
-  unit: string;
 }
 
 /** How far observers are apart. */

@@ -21,7 +21,8 @@ export function createMeasured(tab) {
   for (const event of ["measuring", "project"]) state.addEventListener(event, read);
   read();
 
-  const pixel = () => ruler.bar && { length: ruler.bar.length / distance(...ruler.bar.ends), unit: ruler.bar.unit };
+  const pixel = () => (ruler.bar ? { length: ruler.bar.length / distance(...ruler.bar.ends), unit: ruler.bar.unit }
+    : marking.book?.pixel ?? null);
 
   /** Place of a text where no earlier one is. */
   function freeOf([x, y], taken) {
