@@ -363,7 +363,7 @@ class PictureStates:
     def is_done(self, file: File) -> bool:
         """Whether a person said of all points where they are, most of them inside the picture, or that they are absent.
 
-        A picture in which a few points of a proposal were moved is not done: nobody has accepted the others.
+        If a few points of a proposal were moved, the picture is not done until the others are accepted.
         """
         template = self.templates.current
         marks = self.landmarks.of(file)

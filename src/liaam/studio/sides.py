@@ -58,7 +58,7 @@ def completed(stated: Sequence[str], names: Sequence[str], shapes: np.ndarray) -
 def for_measuring(stated: Sequence[str], names: Sequence[str], shapes: np.ndarray) -> list[str]:
     """Return the side of each picture as :func:`completed` does, and ``original`` or ``mirrored`` if none is known.
 
-    Then the shapes tell which are mirrored, however few they are, as in training.
+    Which are mirrored then follows from the shapes, as in training, even if they are few.
     """
     sides = completed(stated, names, shapes)
     found = sides_of_shapes(shapes, sides, names) if not any(sides) else None
