@@ -536,6 +536,8 @@ test("where a point is, what comes next, and what is missing", () => {
   assert.equal(words.placeOf(made, 2, 1), "tip, 20.0, 30.0, invisible. Next: right");
   assert.equal(words.placeOf(made, 1), "right, missing");
   assert.equal(words.tallyOf(made), "2 of 3, 1 invisible");
+  assert.equal(words.outsideText(made, { width: 40, height: 40 }), "");
+  assert.match(words.outsideText(made, { width: 40, height: 30 }), /^tip lies outside the picture: drag it back/);
   assert.equal(words.tallyOf(marking({ points: TRIANGLE, source: "layout" }).made), "mean shape");
   const proposal = marking({ points: [...TRIANGLE.slice(0, 2), null], source: "proposal", absent: [2] }).made;
   assert.equal(words.tallyOf(proposal), "2 of 3 proposed, 1 absent");

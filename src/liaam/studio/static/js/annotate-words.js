@@ -22,6 +22,16 @@ export function promptOf({ state, book, placing, names, active, missing, absent 
   return proposed ? `${several(proposed, "point")} as proposed: drag wrong ones, then press Enter` : "";
 }
 
+/** Which points lie outside a picture of a size, where they are easily lost; "" if none does. */
+export function outsideText({ names, points }, { width, height }) {
+  // Coordinates are of pixel centres, so the picture ends half a pixel beyond the last.
+  const isOutside = ([x, y]) => x < -0.5 || y < -0.5 || x > width - 0.5 || y > height - 0.5;
+  const outside = names.map((_, i) => i).filter((i) => points[i] && isOutside(points[i]));
+  if (!outside.length) return "";
+  const [lie, them] = outside.length === 1 ? ["lies", "it"] : ["lie", "them"];
+  return `${listed(names, outside)} ${lie} outside the picture: drag ${them} back, or select ${them} and press U if absent`;
+}
+
 export function tallyOf({ points, missing, invisible, state, absent = [] }) {
   if (state.source === "layout") return "mean shape"; // no point has a place of its own
   const more = { invisible: invisible.size, absent: absent.length };
