@@ -47,8 +47,8 @@ CARD = ModelCard(
         "10 composites; and copies of these, mirrored, relit, and with the head turned and other expressions"
     ),
     accuracy=(
-        "median errors for unknown persons, % of the distance between the eyes: 1.6 under hard flashes, 3.5 frontal, "
-        "4.2 in spot light, 4.6 smiling, 5.2 turned by 30° (7 % are lost), 3.2 in photographs of any kind (18 % lost)"
+        "median errors for unknown persons, % of the distance between the eyes: 1.6 under hard flashes, 3.6 frontal, "
+        "4.2 in spot light, 4.6 smiling, 5.2 turned by 30° (7 % are lost), 3.3 in photographs of any kind (16 % lost)"
     ),
     limits=(
         "not for heads turned by more than 40°, laughing mouths, thick glasses, black beards, masks and children; not "

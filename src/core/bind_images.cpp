@@ -140,14 +140,14 @@ auto sample_at(const Array<float, 3>& channels, const Array<double, 2>& points) 
 
 void correlate_spectra(const Array<float, 4>& image, const Array<float, 4>& templates,
                        nb::ndarray<float, nb::ndim<3>, nb::c_contig, nb::device::cpu> product) {
-    bool same = image.shape(0) == 2 && templates.shape(0) == 2 && product.shape(2) == 2;
-    for (std::size_t axis = 0; axis < 3; ++axis)
-        same = same && image.shape(axis + 1) == product.shape(axis) && templates.shape(axis + 1) == product.shape(axis);
+    bool same = image.shape(1) == 2 && product.shape(2) == 2;
+    for (std::size_t axis = 0; axis < 4; ++axis) same = same && image.shape(axis) == templates.shape(axis);
+    for (std::size_t axis = 0; axis < 2; ++axis) same = same && image.shape(axis + 2) == product.shape(axis);
     require(same, "the spectra differ in size");
     const float *seen = data_of(image), *expected = data_of(templates);
     float* out = data_of(product);
     const Unlocked unlocked;
-    correlate(seen, expected, product.size() / 2, out);
+    correlate(seen, expected, image.shape(0), product.size() / 2, out);
 }
 
 auto peaks_of(const nb::ndarray<const float, nb::ndim<2>, nb::device::cpu>& image, std::size_t count, float least,

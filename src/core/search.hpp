@@ -7,8 +7,9 @@
 
 namespace liaam {
 
-// Sum of the products of the spectra of an image with the conjugates of those of templates, each (2, n) complex numbers.
-void correlate(const float* image, const float* templates, std::size_t n, float* product);
+// Sum over channels of the products of the spectra of an image with the conjugates of those of templates, each
+// (n_channels, 2, n): first the real parts, then the imaginary ones. In the product (n, 2) they alternate.
+void correlate(const float* image, const float* templates, std::size_t n_channels, std::size_t n, float* product);
 
 // A view of an image (h, w), with the distances between its rows and pixels.
 struct Plane {

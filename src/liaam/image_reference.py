@@ -209,14 +209,13 @@ def sample_channels(channels: np.ndarray, points: np.ndarray) -> tuple[np.ndarra
 
 
 def correlate(image: np.ndarray, templates: np.ndarray, product: np.ndarray) -> None:
-    """Sum the products of two spectra and the conjugates of two others (2, h, w, 2; real and imaginary part last).
+    """Sum, over channels c, the products of spectra and the conjugates of others.
 
-    The result (h, w, 2) is written to ``product``.
+    Both are (c, 2, h, w): real and imaginary parts. The sum (h, w, 2) is written to ``product``.
     """
-    of_image = image.view(np.complex64)[..., 0]
-    of_templates = templates.view(np.complex64)[..., 0]
-    total = of_image[0] * of_templates[0].conj() + of_image[1] * of_templates[1].conj()
-    product.view(np.complex64)[..., 0] = total
+    of_image = image[:, 0] + 1j * image[:, 1]
+    of_templates = templates[:, 0] + 1j * templates[:, 1]
+    product.view(np.complex64)[..., 0] = (of_image * of_templates.conj()).sum(axis=0)
 
 
 def best_peaks(image: np.ndarray, count: int, least: float, reach: int) -> tuple[np.ndarray, np.ndarray]:

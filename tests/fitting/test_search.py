@@ -22,8 +22,8 @@ from liaam.fitting.search.finder import (
     STEP,
     search_sizes,
 )
-from liaam.fitting.search.responses import SPECTRA_KEPT, Bank
-from liaam.fitting.search.templates import TEMPLATE, Field, OrientationTemplate
+from liaam.fitting.search.responses import SPECTRA_KEPT, TILES, Bank
+from liaam.fitting.search.templates import TEMPLATE, Field, OrientationTemplate, channels_of, turned_channels
 from liaam.model import AAM, MESH, Level
 from liaam.model.shape import diagonal_of, rotation
 from liaam.workers import one_thread
@@ -266,11 +266,15 @@ def random_field(rng: np.random.Generator, *size: int) -> np.ndarray:
     return (rng.normal(size=size) + 1j * rng.normal(size=size)).astype(np.complex64)
 
 
+def template_of(field: np.ndarray) -> OrientationTemplate:
+    return OrientationTemplate(channels_of(field, 2), np.zeros(2), 0.0, np.zeros(4))
+
+
 @pytest.mark.parametrize("n", [1, 2, 3])
 def test_responses_are_mean_cosines_of_orientations(rng, n):
     """At each place, the sum of the real parts, by definition; the templates of a pair have different sizes."""
     values, parts = random_field(rng, 9, 11), [random_field(rng, 3 + i, 5 - i) for i in range(n)]
-    bank = Bank([OrientationTemplate(part, np.zeros(2), 0.0, np.zeros(4)) for part in parts], pad=0)
+    bank = Bank([template_of(part) for part in parts], pad=0)
     peaks = bank.peaks(Field(values, np.ones(2)), 0, count=1, worth=0.0)
     for number, part in enumerate(parts):
         (height, width), norm = part.shape, np.abs(part).sum()
@@ -436,21 +440,38 @@ def test_the_fields_of_a_strip_are_bounded(size):
     assert sizes[-1] > LARGEST * min(size) / STEP
 
 
-@pytest.mark.parametrize("size", [(9, 900), (900, 9)])
-def test_long_fields_are_compared_by_tiles(rng, monkeypatch, size):
-    """Tiles are as large as the memory for spectra, and what they find is the same as without them."""
+def test_responses_of_all_channels_are_summed(rng):
+    values, template = random_field(rng, 9, 11), rng.normal(size=(5, 4, 3)).astype(np.float32)
+    bank = Bank([OrientationTemplate(template, np.zeros(2), 0.0, np.zeros(4))], pad=0, normalised=True)
+    peaks = bank.peaks(Field(values, np.ones(2)), 0, count=1, worth=0.0)
+    windows = np.lib.stride_tricks.sliding_window_view(channels_of(values, 5), (4, 3), axis=(1, 2))
+    responses = np.einsum("cyxij,cij->yx", windows, template)
+    assert peaks.responses[0] == pytest.approx(responses.max(), rel=1e-5)
+    place = np.unravel_index(responses.argmax(), responses.shape)
+    np.testing.assert_allclose(peaks.centres[0], place[::-1], atol=1e-9)
+
+
+def test_the_doubled_angle_does_not_tell_the_brighter_side(rng):
+    directions = random_field(rng, 4, 5)
+    np.testing.assert_allclose(channels_of(-directions, 5)[2:], channels_of(directions, 5)[2:], atol=1e-6)
+    np.testing.assert_allclose(channels_of(-directions, 2), -channels_of(directions, 2), atol=1e-6)
+    turned = turned_channels(channels_of(directions, 5), 0.7)
+    np.testing.assert_allclose(turned, channels_of(directions * np.exp(0.7j).astype(np.complex64), 5), atol=1e-5)
+
+
+@pytest.mark.parametrize("size", [(9, 900), (900, 9), (70, 80)])
+def test_fields_are_compared_by_tiles(rng, monkeypatch, size):
+    """What they find is the same as in one tile, and they are hardly larger together than the field."""
     parts = [random_field(rng, 5, 7), random_field(rng, 7, 4), random_field(rng, 6, 6)]
-    templates, field = (
-        [OrientationTemplate(part, np.zeros(2), 0.0, np.zeros(4)) for part in parts],
-        Field(random_field(rng, *size), np.ones(2)),
-    )
-    whole = Bank(templates, pad=3).peaks(field, 0, count=50, worth=0.0)
+    templates = [template_of(part) for part in parts]
+    field = Field(random_field(rng, *size), np.ones(2))
     transformed, spectra = [], responses.spectra
-    monkeypatch.setattr(responses, "SPECTRA_KEPT", 1000)
     monkeypatch.setattr(responses, "spectra", lambda *about: transformed.append(about[2]) or spectra(*about))
     tiled = Bank(templates, pad=3).peaks(field, 0, count=50, worth=0.0)
-    assert max(height * width for height, width in transformed) < 1200
-    assert sum(height * width for height, width in transformed) < 1.5 * (9 + 6) * (900 + 6)
+    assert max(side for sides in transformed for side in sides) <= max(TILES) * 7 + 3
+    assert sum(height * width for height, width in transformed) < 2.2 * (size[0] + 6) * (size[1] + 6)
+    monkeypatch.setattr(responses, "TILES", (150.0,))
+    whole = Bank(templates, pad=3).peaks(field, 0, count=50, worth=0.0)
     np.testing.assert_array_equal(tiled.templates, whole.templates)
     np.testing.assert_allclose(tiled.responses, whole.responses, atol=1e-6)
     np.testing.assert_allclose(tiled.centres, whole.centres, atol=1e-9)

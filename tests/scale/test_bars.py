@@ -142,6 +142,18 @@ def test_a_few_blocks_beside_a_bar_of_many_are_none(rng: np.random.Generator) ->
     assert find_bar(np.concatenate([above, below])).length == pytest.approx(200, abs=1)
 
 
+@pytest.mark.parametrize("is_dark", [True, False])
+def test_a_bar_that_a_program_drew_on_whole_pixels_has_its_length(is_dark: bool, rng: np.random.Generator) -> None:
+    ground, ink = (235, 10) if is_dark else (12, 240)
+    canvas = np.full((800, 2000), ground, np.uint8)
+    write(canvas, "5 mm", np.array([704.0, 300.0]), 0.0, ink)
+    picture = cv2.resize(canvas, (500, 200), interpolation=cv2.INTER_AREA).astype(float)
+    picture[98:104, 100:253] = ink
+    bar = find_bar(np.clip(picture + rng.normal(0, 0.5, picture.shape), 0, 255).round().astype(np.uint8))
+    assert bar.length == pytest.approx(153, abs=0.05)  # interpolation beyond the levels of pixels is no end mark
+    assert bar.length_se < 0.15
+
+
 @pytest.mark.parametrize("blur", [0.6, 1.5])
 @pytest.mark.parametrize("encoded", [False, True])
 def test_the_error_holds_where_blur_and_end_marks_add_up(blur: float, encoded: bool, rng: np.random.Generator) -> None:

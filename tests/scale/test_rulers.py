@@ -21,6 +21,17 @@ def test_rulers_of_all_kinds_are_found(kind: str, rng: np.random.Generator) -> N
     assert gaps == pytest.approx(ruler.period, rel=1e-3)
 
 
+@pytest.mark.parametrize("period", [15.016, 8.006])
+def test_a_period_of_nearly_a_whole_number_of_pixels_is_found_as_it_is(period: float) -> None:
+    y, x = np.mgrid[:160, :760].astype(float)
+    number = np.rint((x - 30) / period)
+    length = np.where(number % 10 == 0, 60, np.where(number % 5 == 0, 48, 36))
+    is_ruler = (number >= 0) & (number <= 45) & (y > 40) & (y < 40 + length)
+    away = x - 30 - number * period
+    ruler = find_ruler(np.rint(230 - 200 * np.exp(-0.5 * np.square(away / 0.9)) * is_ruler).astype(np.uint8))
+    assert abs(ruler.period - period) * (ruler.n_ticks - 1) < 0.005
+
+
 def test_the_larger_the_image_the_same_the_ruler(rng: np.random.Generator) -> None:
     scene = draw("plain", rng, size=12.0, angle=7.0, noise=0.0)
     large = np.kron(scene.image, np.ones((4, 4, 1), np.uint8))  # 2560 pixels wide, which is reduced

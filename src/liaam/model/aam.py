@@ -66,9 +66,9 @@ class AAM:
     features : Features, optional
         What is known of the function whose channels the appearance ``features`` holds. The function itself is given
         with the method (:func:`liaam.fitting.features_method`).
-    search_filter : (h, w, 2) float32, optional
+    search_filter : (h, w, 5) float32, optional
         Filter on gradient orientations that responds to the object at the resolution of the search, its centre at that
-        of the mean shape (:mod:`liaam.training.search_filter`); older files have none.
+        of the mean shape (:mod:`liaam.training.search_filter`); of older files (h, w, 2), or None.
     is_colour : bool
         Whether the model was trained on colour images.
     card : ModelCard

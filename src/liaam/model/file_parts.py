@@ -59,13 +59,13 @@ WEIGHTS_KEY = re.compile(r"(?P<calibration>reliability(?:/(?P<method>[a-z0-9-]{1
 
 
 def read_search_filter(tensors: dict[str, np.ndarray]) -> np.ndarray | None:
-    """Return the filter of the search, (h, w, 2) float32; None if the model has none."""
+    """Return the filter of the search, (h, w, 5) float32, or (h, w, 2) in older files; None if the model has none."""
     key = "search_filter"
     if key not in tensors:
         return None
-    search_filter = half_or_single(tensors, key, (None, None, 2))
-    height, width = search_filter.shape[:2]
-    if not (1 <= height <= LARGEST_FILTER and 1 <= width <= LARGEST_FILTER):
+    search_filter = half_or_single(tensors, key, (None, None, None))
+    height, width, n_channels = search_filter.shape
+    if not (1 <= height <= LARGEST_FILTER and 1 <= width <= LARGEST_FILTER and n_channels in (2, 5)):
         raise ValueError(f"{key} has shape {search_filter.shape}")
     check_magnitude(key, search_filter, MAX_VALUE)
     return search_filter

@@ -19,6 +19,9 @@ if TYPE_CHECKING:
 
 BY_X_AND_Y = (*GRADIENTS, "search")  # Appearances whose first channel is a gradient along x
 
+# Of the cosine and the sine of an orientation and of its double, and the length, of a search filter.
+_MIRRORED_CHANNELS = np.array([-1, 1, 1, -1, 1], np.float32)
+
 
 def mirrored_model(model: "AAM", order: np.ndarray) -> "AAM":
     """Mirror a model of one shape left to right, without its light basis, its regressor and its map from other points.
@@ -46,7 +49,7 @@ def mirrored_model(model: "AAM", order: np.ndarray) -> "AAM":
         relief = np.ascontiguousarray(model.relief[:, ::-1] * np.array([-1, 1], np.float32))
     search_filter = model.search_filter
     if search_filter is not None:
-        search_filter = np.ascontiguousarray(search_filter[:, ::-1] * np.array([-1, 1], np.float32))
+        search_filter = np.ascontiguousarray(search_filter[:, ::-1] * _MIRRORED_CHANNELS[: search_filter.shape[2]])
     return replace(
         model,
         views=views,

@@ -82,9 +82,20 @@ def axes_of(pixels: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.
 
 
 def sampled(
-    grey: np.ndarray, middle: np.ndarray, axis: np.ndarray, along: np.ndarray, across: np.ndarray
+    grey: np.ndarray,
+    middle: np.ndarray,
+    axis: np.ndarray,
+    along: np.ndarray,
+    across: np.ndarray,
+    *,
+    is_linear: bool = False,
 ) -> np.ndarray:
-    """Return the levels at places along and across an axis through a middle, (len(along), len(across))."""
+    """Return the levels at places along and across an axis through a middle, (len(along), len(across)).
+
+    They are interpolated by cubic polynomials, which go beyond the levels of the pixels beside a sharp edge by a tenth
+    of its height, or linearly, which does not.
+    """
     places = middle + along[:, None, None] * axis + across[:, None] * np.array([-axis[1], axis[0]])
     maps = (places[..., 0].astype(np.float32), places[..., 1].astype(np.float32))
-    return cv2.remap(grey.astype(np.float32), *maps, cv2.INTER_CUBIC, borderMode=cv2.BORDER_REPLICATE)
+    method = cv2.INTER_LINEAR if is_linear else cv2.INTER_CUBIC
+    return cv2.remap(grey.astype(np.float32), *maps, method, borderMode=cv2.BORDER_REPLICATE)

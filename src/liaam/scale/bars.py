@@ -41,7 +41,11 @@ _OF_MARKS = (2.0, 3.0)  # pixels beside a bar where marks across its ends are se
 _SEARCHED = (12.0, 4.0)  # pixels inwards and outwards of an end where its mark is
 _OF_INK = 0.4  # least darkness of a mark, of the bar's
 _MARKED = 0.1  # least share by which an end mark is darker than the bar, which is blurred more
-_OF_MARK = 0.25  # from the outer edge of an end mark to where the bar ends, of its width: some count from its middle
+_OF_MARK = 0.25
+"""From the outer edge of an end mark to where the bar is taken to end, of the width of the mark.
+
+Bars are drawn to that edge, or to the middle of the mark, so that the true end lies so far to one side or the other,
+and alike at both ends. The standard deviation of two places is half of what is between them."""
 _SHARED = 0.06  # standard error of the place of an edge by the shape of pixels and the ground, pixels
 _NOT_FOUND = (
     "no even, straight stroke with sharp ends is found that could be a scale bar: crop the image to its bar, or state "
@@ -346,25 +350,30 @@ def _with_ends(
     margin = _BEYOND[1] + 2
     along = np.arange(rough[0] - margin, rough[1] + margin, _STEP)
     half = max(0.3 * thickness, 0.5)
-    profile = sampled(levels, middle, axis, along, np.linspace(-half, half, 2 * math.ceil(half) + 1)).mean(axis=1)
+    across = np.linspace(-half, half, 2 * math.ceil(half) + 1)
+    profile = sampled(levels, middle, axis, along, across).mean(axis=1)
+    pixels = sampled(levels, middle, axis, along, across, is_linear=True).mean(axis=1)
     inside = profile[(along > rough[0] + 4) & (along < rough[1] - 4)]
     if len(inside) < SHORTEST:
         return None
     level = np.median(inside, axis=0)
     beside = (thickness / 2 + np.array([_OF_MARKS])).T * np.array([-1.0, 1.0])
     marks = sampled(levels[..., 0], middle, axis, along, beside.ravel()).mean(axis=1)
-    ends = [_end(along * side, profile, level, rough[1] if side > 0 else -rough[0], marks) for side in (-1, 1)]
+    ends = [_end(along * side, profile, level, rough[1] if side > 0 else -rough[0], marks, pixels) for side in (-1, 1)]
     if None in ends:
         return None
-    (first, ground), (last, other_ground) = (end or (Edge(0.0, 0.0, 0.0, 0.0), 0.0) for end in ends)
+    none = (Edge(0.0, 0.0, 0.0, 0.0), 0.0, 0.0)
+    (first, ground, mark), (last, other_ground, other_mark) = (end or none for end in ends)
     contrast = min(ground, other_ground) - float(level[0])
     if contrast < _LEAST_CONTRAST or float(inside[:, 0].std()) > _UNIFORM * contrast:
         return None
     if first.at + last.at < SHORTEST or _is_shadow(levels[..., 0], middle, axis, rough, thickness):
         return None
     points = np.array([middle - first.at * axis, middle + last.at * axis])
-    shift = OF_SHIFT * (abs(first.shift) + abs(last.shift))  # it makes both ends longer, or shorter
-    return Bar(first.at + last.at, math.hypot(first.error, last.error, math.sqrt(2) * _SHARED, shift), points)
+    # Both of these make the bar longer at both ends, or shorter, but do not depend on each other.
+    shift = OF_SHIFT * (first.shift + last.shift)
+    drawn = _OF_MARK * (mark + other_mark)
+    return Bar(first.at + last.at, math.hypot(first.error, last.error, math.sqrt(2) * _SHARED, shift, drawn), points)
 
 
 def _width_of_mark(outwards: np.ndarray, levels: np.ndarray, end: float, ink: float) -> float:
@@ -395,14 +404,15 @@ def _is_shadow(
 
 
 def _end(
-    outwards: np.ndarray, profile: np.ndarray, level: np.ndarray, end: float, marks: np.ndarray
-) -> tuple[Edge, float] | None:
-    """Return where a profile (n, 2) crosses half its height at an end, outwards from the middle, and the ground.
+    outwards: np.ndarray, profile: np.ndarray, level: np.ndarray, end: float, marks: np.ndarray, pixels: np.ndarray
+) -> tuple[Edge, float, float] | None:
+    """Return where a bar ends by its profile (n, 2), outwards from the middle, the ground, and the width of its mark.
 
-    An end mark is seen beside the bar, whose levels (n,) are given, too; it may be darker than the bar. Bars are drawn
-    to its outer edge, or to its middle, so that the end is taken to be between these.
+    The profile crosses half its height there. An end mark is seen beside the bar, whose levels (n,) are given, too; it
+    may be darker than the bar, by levels that are not interpolated beyond those of pixels (n, 2).
     """
     mark = _width_of_mark(outwards, marks, end, float(level[0]))
+    darkest = pixels[(outwards > end - 6) & (outwards < end)].min(axis=0, initial=np.inf)
     seen = profile_at(outwards, profile, end, _BEYOND)
     if seen is None:
         return None
@@ -411,7 +421,6 @@ def _end(
     near = np.flatnonzero((outwards > end - 6) & (outwards < end + 6))
     if ground[0] - level[0] < _LEAST_CONTRAST or (ground <= level).any() or not len(near):
         return None
-    darkest = profile[(outwards > end - 6) & (outwards < end)].min(axis=0, initial=np.inf)
     is_mark = bool(level[0] - darkest[0] > _MARKED * (ground[0] - level[0]))
     level = np.minimum(darkest, level) if is_mark else level
     shares = (profile[near] - level) / (ground - level)
@@ -419,6 +428,4 @@ def _end(
     if edge is None or edge.width >= _SHARP:
         return None
     width = 2 * (edge.at - float(outwards[near][shares[:, 0].argmin()])) if is_mark and not mark else mark
-    # As blur does, this makes the bar longer or shorter at both ends. Neither is scatter, so that both add up.
-    edge = edge._replace(at=edge.at - _OF_MARK * width, shift=abs(edge.shift) + 2 * _OF_MARK * width)
-    return edge, float(ground[0])
+    return edge._replace(at=edge.at - _OF_MARK * width), float(ground[0]), width

@@ -36,8 +36,12 @@ _EQUAL = 0.08  # greatest relative difference of a block's length from the mean
 _BEYOND = (4, 12)  # pixels beyond an end, whose median is the level of the ground
 _LEAST_CONTRAST = 25.0  # between dark and light blocks
 _FIRST = 0.2  # least share of the contrast by which an outline differs from the ground
-_OUTLINE = 0.7  # standard error of an end, of half the width of its outline, which is inside, outside, or on the end
-_CHANGE = 0.05  # usual scatter of the places of changes from one block to the next, pixels
+_OUTLINE = math.sqrt(2 / 3)
+"""Standard error of an end, of half the width of its outline, which is inside, outside, or on the end: one of three."""
+_CHANGE = 0.037
+"""Usual scatter of the places of changes from one block to the next, pixels.
+
+It is the root mean square of that in bars of five blocks and more of the third test (experiments/notes/scale.md)."""
 _CHANGES = 4.0  # which counts as that of so many changes, as few of a bar do not show their own
 _AROUND = 10.0  # greatest distance from a change that is looked at, pixels
 _LEVEL = 0.35  # greatest difference of the level of a block from the others of its kind, of the contrast
@@ -324,16 +328,17 @@ def _of_profile(
     blocks = np.diff(np.concatenate([[-first], changes, [last]]))
     if len(blocks) < FEWEST or np.abs(blocks / blocks.mean() - 1).max() > max(_EQUAL, 3 / blocks.mean()):
         return None
-    if len(changes) < 2:
+    reach = min(0.45 * float(blocks.mean()), _AROUND)
+    edges = [edge for change in changes if (edge := _edge(places, profile, change, reach)) is not None]
+    if len(edges) < len(changes):
+        return None
+    if len(edges) < 2:
         points = np.array([middle - (first - width) * axis, middle + (last - other_width) * axis])
         length = first + last - width - other_width
         drawn = _OUTLINE * (width + other_width)  # at both ends alike
-        return Bar(length, math.hypot(error, other_error, 2 * _CHANGE, drawn), points), len(blocks)
-    reach = min(0.45 * float(blocks.mean()), _AROUND)
-    edges = [_edge(places, profile, change, reach) for change in changes]
-    if None in edges:
-        return None
-    start, pitch, error = _pitch([edge for edge in edges if edge])
+        shift = OF_SHIFT * edges[0].shift  # that of the dark end, where no outline hides it: the light end is fainter
+        return Bar(length, math.hypot(error, other_error, 2 * _CHANGE, drawn, shift), points), len(blocks)
+    start, pitch, error = _pitch(edges)
     n = len(blocks)
     points = np.array([middle + start * axis, middle + (start + n * pitch) * axis])
     return Bar(n * pitch, n * error, points), n

@@ -2,8 +2,10 @@
 
 A camera blurs the light, and then encodes it: half the height of an edge in stored levels then lies on its dark side,
 by 0.7 standard deviations of the blur. An image that was blurred or reduced after it was encoded has its edges at half
-the height of stored levels. The shape of an edge does not show which: an encoded edge is as symmetric as a linear one.
-So the middle of both is taken, and how far they are apart is part of the error.
+the height of stored levels. With a blur of s before the encoding and one of t after it, the edge lies s / sqrt(s² + t²)
+of the way from the place in stored levels to that in linear light. The shape of an edge does not show this share: an
+encoded edge is as symmetric as a linear one. So the middle of both is taken, and the share, which may be any from 0 to
+1, is part of the error.
 """
 
 from __future__ import annotations
@@ -17,10 +19,11 @@ from liaam.photometry import srgb_to_linear
 
 _MOST_LEVEL = 1e9  # of an image
 _LIMITS = (0.2, 0.5, 0.8)  # shares of the height of an edge at which it is measured
-OF_SHIFT = 0.35
+OF_SHIFT = 1 / math.sqrt(12)
 """Standard error of an edge, of the distance between its places in stored levels and in linear light.
 
-It is half of that distance in one of two cases, with noise besides."""
+It is the standard deviation of an even distribution from one to the other. Edges of one image are blurred alike, so
+that the errors of both ends of a bar add up, and are not squared."""
 
 
 class Edge(NamedTuple):

@@ -30,8 +30,11 @@ _IS_NONE = 0.4  # and the greatest if it has none
 _EQUAL = 0.06  # greatest relative difference of the length of a light block from the dark one's
 _LEAST_EQUAL = 3.0  # pixels that are allowed in any case
 _AROUND = 6.0  # pixels around an edge or a line that are looked at
-_OF_LINE = 0.25  # from the outer edge of the outline to where the bar ends, of its width: some count from its middle
-_OF_LINE_ERROR = 0.3  # standard error of that, of its width; it makes a bar longer or shorter at both ends
+_OF_LINE = 0.25
+"""From the outer edge of the outline to where the bar is taken to end, of the width of the line.
+
+Blocks end at that edge, or in the middle of the line, and alike at both ends. The standard deviation of two places is
+half of what is between them, so that this is the standard error, too."""
 _SHARED = 0.06  # standard error of the place of an edge by the shape of pixels and the ground, pixels
 
 
@@ -104,8 +107,8 @@ def _bar_at(levels: np.ndarray, block: Block) -> Outlined | None:
     first, last = (each - _OF_LINE * width for each in outer)
     if length < SHORTEST or abs(length / (n * block.along) - 1) > _EQUAL:
         return None
-    shift = OF_SHIFT * sum(abs(side.shift) for side in sides) + 2 * _OF_LINE_ERROR * width
-    error = math.hypot(before.error, after.error, math.sqrt(2) * _SHARED, shift)
+    shift = OF_SHIFT * sum(side.shift for side in sides)
+    error = math.hypot(before.error, after.error, math.sqrt(2) * _SHARED, shift, 2 * _OF_LINE * width)
     ends = np.array([view.middle - first * view.axis, view.middle + last * view.axis])
     return Outlined(Bar(first + last, error, ends), view.thickness / 2, n)
 

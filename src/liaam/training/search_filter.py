@@ -2,8 +2,13 @@
 
 It is the mean of the training images' gradient orientations, at the resolution of the search and with the small
 differences in pose that a search leaves, whitened by the covariance that such orientations have in random images. Of
-all linear filters, this one separates the mean from them best. Random images are dead leaves (Lee, Mumford and Huang,
+all linear filters, this one separates the mean from them best (Hariharan, Malik and Ramanan, "Discriminative
+decorrelation for clustering and classification", ECCV 2012). Random images are dead leaves (Lee, Mumford and Huang,
 "Occlusion models for natural images", IJCV 2001), whose statistics are those of photographs.
+
+Hair before a bright or a dark wall has opposite orientations, which cancel in the mean, while those of the doubled
+angle agree. So the filter sees both, and how long they are (:func:`liaam.fitting.search.templates.channels_of`). It
+does not respond to a length that is the same everywhere: pictures differ in how many edges they have.
 """
 
 from functools import lru_cache
@@ -11,7 +16,7 @@ from typing import cast
 
 import numpy as np
 
-from liaam.fitting.search.templates import TEMPLATE, Grey, soft_directions
+from liaam.fitting.search.templates import TEMPLATE, Grey, channels_of, soft_directions
 from liaam.model import AAM
 from liaam.model.mesh import ReferenceFrame
 from liaam.model.shape import align, rotation
@@ -23,7 +28,10 @@ from liaam.photometry import Response
 TURN = 7.0
 GROWTH = 0.1
 SHIFT = 1.0
-RIDGE = 0.1  # Variance added to that of random images, as a fraction of it
+N_CHANNELS = 5  # Of the orientations
+LENGTH = 4  # The last of these, the length
+RIDGE = 0.1  # Variance added to that of each channel in random images, as a fraction of it
+PRECISION = 1e-4  # Of the weights; files hold them in 16 bits
 BORDER = 4  # Margin around the filter's window in which gradients are computed, pixels
 LEAST_EXCESS = 0.01  # Least excess of pixels that an image is blurred for (see FilterLearner.add)
 OPENCV_SIDE = 32_767  # Pixels; of images with such a side OpenCV warps none
@@ -58,8 +66,8 @@ class FilterLearner:
         Pixels (x, y) of the window on each side of the middle one.
     inside : (h, w) bool
         Pixels of the window inside the mesh.
-    total : (h, w, 2) float64
-        Sums of the orientations, and ``counts`` (h, w) of the images that they are of, which show that part.
+    total : (5, h, w) float64
+        Sums of the channels, and ``counts`` (h, w) of the images that they are of, which show that part.
     n_images : int
         Number of images so far.
     """
@@ -76,7 +84,7 @@ class FilterLearner:
         self._x, self._y = (pixels + self.half).T  # of the same pixels in the window
         self.inside = np.zeros(2 * self.half[::-1] + 1, bool)
         self.inside[self._y, self._x] = True
-        self.total = np.zeros((*self.inside.shape, 2))
+        self.total = np.zeros((N_CHANNELS, *self.inside.shape))
         self.counts = np.zeros(self.inside.shape)
         self.n_images = 0
 
@@ -109,7 +117,7 @@ class FilterLearner:
         window = cv2.warpAffine(values, affine, (width, height), flags=flags, borderMode=cv2.BORDER_REPLICATE)
         field = soft_directions(window, self.blur)[BORDER:-BORDER, BORDER:-BORDER]
         used = self._used(known)
-        self.total += np.stack([np.real(field), np.imag(field)], axis=-1) * used[..., None]
+        self.total += channels_of(field, N_CHANNELS) * used
         self.counts += used
         self.n_images += 1
 
@@ -123,18 +131,43 @@ class FilterLearner:
         return used
 
     def learnt(self) -> np.ndarray:
-        """Return the filter, whose response to the mean is 1: (h, w, 2) float32, rounded to 16 bits as in its file."""
-        y, x = np.nonzero(self.inside)
-        # Mean, covariance and weights are of both components of the k pixels inside: first all x, then all y.
-        mean = (self.total[y, x] / np.maximum(self.counts[y, x], 1)[:, None]).T.ravel()
+        """Return the filter, whose response to the mean is 1: (h, w, 5) float32, rounded to 16 bits as in its file."""
+        mean = self._without_mean_length(self.total / np.maximum(self.counts, 1) * self.inside)
+        weights = self._whitened(mean)
+        search_filter = weights / (weights * mean).sum()
+        return np.moveaxis(search_filter, 0, 2).astype(np.float16).astype(np.float32)
+
+    def _without_mean_length(self, channels: np.ndarray) -> np.ndarray:
+        """Subtract the mean of the lengths inside from them, in channels (5, h, w) that are 0 outside."""
+        centred = channels.copy()
+        centred[LENGTH] -= self.inside * (channels[LENGTH].sum() / self.inside.sum())
+        return centred
+
+    def _whitened(self, mean: np.ndarray) -> np.ndarray:
+        """Solve C w = m, with the covariance C of random images inside the mesh, for the mean m (5, h, w).
+
+        C depends on the distance of two pixels alone, so that a product with it is a convolution. Conjugate gradients
+        need some dozens of these.
+        """
+        from scipy import fft  # heavy: imported when first needed
+        from scipy.sparse.linalg import LinearOperator, cg
+
         by_distance = _covariances(self.blur, max(self.inside.shape))
-        of_pairs = by_distance[:, :, y[:, None] - y, x[:, None] - x]  # (2, 2, k, k): components, then pixels
-        covariance = of_pairs.transpose(0, 2, 1, 3).reshape(len(mean), len(mean))
-        covariance[np.diag_indices(len(mean))] += RIDGE * covariance.trace() / len(mean)
-        weights = np.linalg.solve(covariance, mean)
-        search_filter = np.zeros(self.total.shape, np.float16)
-        search_filter[y, x] = (weights / (weights @ mean)).reshape(2, -1).T
-        return search_filter.astype(np.float32)
+        variances = np.einsum("ccyx->cyx", by_distance)[:, 0, 0]
+        height, width = self.inside.shape
+        size = (fft.next_fast_len(2 * height - 1, real=True), fft.next_fast_len(2 * width - 1, real=True))
+        spectrum = fft.rfft2(_cut_cyclic(by_distance, height, width, size))
+
+        def product(flat: np.ndarray) -> np.ndarray:
+            weights = self._without_mean_length(flat.reshape(mean.shape))
+            of_weights = fft.rfft2(weights, size)
+            values = fft.irfft2(np.einsum("cdyx,dyx->cyx", spectrum, of_weights), size)[:, :height, :width]
+            values = values * self.inside + RIDGE * variances[:, None, None] * weights
+            return self._without_mean_length(values).ravel()
+
+        operator = LinearOperator((mean.size, mean.size), matvec=product, dtype=np.float64)
+        weights, _ = cg(operator, mean.ravel(), rtol=PRECISION)
+        return weights.reshape(mean.shape)
 
 
 def _cut_for_opencv(values: np.ndarray, affine: np.ndarray, width: int, height: int) -> tuple[np.ndarray, np.ndarray]:
@@ -154,23 +187,33 @@ def _cut_for_opencv(values: np.ndarray, affine: np.ndarray, width: int, height: 
 
 @lru_cache(maxsize=4)
 def _covariances(blur: float, reach: int) -> np.ndarray:
-    """Return the covariances of the components of orientations in random images, by the distance of two pixels.
+    """Return the covariances of the channels of orientations in random images, by the distance of two pixels.
 
-    The result is (2, 2, size, size): first, second component, distance along y and x. Distances are cyclic, so that
+    The result is (5, 5, size, size): first, second channel, distance along y and x. Distances are cyclic, so that
     index -1 is a distance of -1; those of at most ``reach`` are valid.
     """
     from scipy import fft  # heavy: imported when first needed
 
     # A product of small primes: transforms of other sizes take ten times as long.
     size = cast("int", fft.next_fast_len(SIDE + reach, real=True))
+    fields = [channels_of(soft_directions(image, blur), N_CHANNELS) for image in _random_images()]
+    mean = np.mean([field.mean(axis=(1, 2)) for field in fields], axis=0)  # not 0 of the lengths
     power: np.ndarray | float = 0.0
-    for image in _random_images():
-        field = soft_directions(image, blur)
-        spectrum = np.asarray(fft.rfft2(np.stack([np.real(field), np.imag(field)]), (size, size)))
+    for field in fields:
+        spectrum = np.asarray(fft.rfft2(field - mean[:, None, None], (size, size)))
         power = power + spectrum[:, None] * spectrum[None].conj()
     distance = np.minimum(np.arange(size), size - np.arange(size))
     n_pairs = np.maximum(SIDE - distance, 1)  # of rows, or of columns, of an image at that distance
     return fft.irfft2(power / N_IMAGES, (size, size)) / (n_pairs[:, None] * n_pairs)
+
+
+def _cut_cyclic(values: np.ndarray, height: int, width: int, size: tuple[int, int]) -> np.ndarray:
+    """Return values by cyclic distance (..., n, n) for smaller distances than height and width, in arrays of a size."""
+    rows = np.arange(1 - height, height)[:, None]
+    columns = np.arange(1 - width, width)
+    cut = np.zeros((*values.shape[:-2], *size))
+    cut[..., rows, columns] = values[..., rows, columns]
+    return cut
 
 
 @lru_cache(maxsize=1)

@@ -6,18 +6,18 @@ from typing import NamedTuple
 import numpy as np
 
 from liaam import _core
-from liaam.fitting.search.templates import Field, OrientationTemplate, spectra
+from liaam.fitting.search.templates import Field, OrientationTemplate, channels_of, spectra
 
-# Number of field pixels for which spectra are cached, about 100 bytes each. Larger fields, of panoramas and strips, are
-# cut into tiles of so many pixels at most, so that memory for spectra and the time per pixel do not grow with them.
+# Sides of tiles, into which fields are cut, in those of the largest template. Tiles overlap by one template, which is
+# computed twice. As they have few sizes, the spectra of templates serve images of many sizes.
+TILES = (1.5, 2.0, 2.5, 3.0, 3.5, 4.0, 5.0, 6.0)
+# Number of pixels of tiles for which spectra are kept, about 320 bytes each of learnt filters.
 SPECTRA_KEPT = 600_000
 SURROUNDINGS = 2  # radius in pixels within which a place has to be the maximum
 LEAST_RESPONSE = 1e-3  # of a place, so that flat regions have none
 # Difference of the logarithms of sizes below which two peaks may show the same object: those of neighbouring sizes,
 # which are a factor of 1.2 apart, but not of the next ones.
 SIMILAR_SIZES = 0.3
-# Least length of a tile, in lengths of the longest template: tiles overlap by one of these, which is computed twice.
-TEMPLATES_PER_TILE = 4
 
 
 class Peaks(NamedTuple):
@@ -41,20 +41,18 @@ class Bank:
         self.templates = tuple(templates)
         self.pad = pad
         self.normalised = normalised
-        self.shapes = np.array([template.field.shape for template in templates])
+        self.shapes = np.array([template.field.shape[1:] for template in templates])
         self.origins = np.array([template.origin for template in templates])
+        self.n_channels = max(len(template.field) for template in templates)
         n_fields = len(templates) + len(templates) % 2  # an even number, for pairs; the last field may be empty
-        fields = np.zeros((n_fields, *self.shapes.max(axis=0)), np.complex64)
+        fields = np.zeros((n_fields, self.n_channels, *self.shapes.max(axis=0)), np.float32)
         for i, template in enumerate(self.templates):
-            height, width = template.field.shape
-            norm = 1.0 if normalised else max(float(np.abs(template.field).sum()), 1e-9)
-            fields[i, :height, :width] = template.field / norm
-        first = fields[::2]
-        second = fields[1::2]
-        # With corr(f, t) the sum of f times the conjugate of t, the real response to a template t is half the sum of
-        # corr(f, t) and corr(conj f, conj t). Of a pair a and b, the response to a plus i times that to b is therefore
-        # corr(f, a - i b) / 2 + corr(conj f, conj a - i conj b) / 2. These two fields are kept for each pair.
-        self.pairs = 0.5 * np.stack([first - 1j * second, first.conj() - 1j * second.conj()], axis=1)
+            n_channels, height, width = template.field.shape
+            norm = 1.0 if normalised else max(float(np.hypot(*template.field[:2]).sum()), 1e-9)
+            fields[i, :n_channels, :height, :width] = template.field / norm
+        # With corr(f, t) the sum of a channel f times the conjugate of t, the response to a template a plus i times
+        # that to another one b is the sum over channels of corr(f, a - i b), which is kept for each pair.
+        self.pairs = fields[::2] - 1j * fields[1::2]
         self._spectra: dict[tuple[int, int], list[np.ndarray]] = {}
 
     def peaks(self, field: Field, which: int, count: int, worth: float) -> Peaks:
@@ -92,77 +90,72 @@ class Bank:
         """
         import cv2  # heavy: imported when first needed
 
-        fast, tiles = self._tiles(size)
-        spectra_of_tiles = [spectra(*self._cut(field.values, tile), fast) for tile in tiles]
-        product = np.empty((*fast, 2), np.float32)
-        whole = product if len(tiles) == 1 else np.empty((*size, 2), np.float32)
-        for spectra_of_pair in self._spectra_of(fast):
-            for tile, spectra_of_tile in zip(tiles, spectra_of_tiles, strict=True):
+        rows, columns = (self._tiles_along(axis, int(length)) for axis, length in enumerate(size))
+        sides = rows.side, columns.side
+        places = [(top, left) for top in rows.starts for left in columns.starts]
+        channels = channels_of(field.values, self.n_channels)
+        spectra_of_tiles = [spectra(*self._cut(channels, place, sides), sides) for place in places]
+        product = np.empty((*sides, 2), np.float32)
+        whole = np.empty((*size, 2), np.float32)
+        for spectra_of_pair in self._spectra_of(sides):
+            for (top, left), spectra_of_tile in zip(places, spectra_of_tiles, strict=True):
                 _core.correlate(spectra_of_tile, spectra_of_pair, product)
                 cv2.idft(product, product)
-                if whole is not product:
-                    # Where templates reach beyond the tile's end, the product is wrong: the next tile overwrites that.
-                    part = whole[tile]
-                    part[:] = product[: part.shape[0], : part.shape[1]]
+                part = whole[top : top + rows.step, left : left + columns.step]
+                part[:] = product[: part.shape[0], : part.shape[1]]
             yield whole[..., 0]
             yield whole[..., 1]
 
-    def _tiles(self, size: np.ndarray) -> tuple[tuple[int, int], list[tuple[slice, slice]]]:
-        """Cut a padded field of a size along its longer side; return the size of transforms, and the tiles.
-
-        Tiles overlap, so that each template lies in one of them wherever it is.
-        """
+    def _tiles_along(self, axis: int, length: int) -> "_Tiles":
+        """Return the tiles of a padded field of a length along an axis that have the fewest pixels together."""
         import cv2  # heavy: imported when first needed
 
-        axis = int(size[1] >= size[0])  # the longer one: 0 for rows, 1 for columns
-        length = int(size[axis])
-        breadth = int(size[1 - axis])
-        longest_template = int(self.shapes[:, axis].max())
-        shortest_template = int(self.shapes[:, axis].min())
-        longest_tile = max(SPECTRA_KEPT // breadth, TEMPLATES_PER_TILE * longest_template)
-        tile_size = size.copy()
-        tile_size[axis] = min(length, longest_tile)
-        fast = int(cv2.getOptimalDFTSize(int(tile_size[0]))), int(cv2.getOptimalDFTSize(int(tile_size[1])))
-        if length <= longest_tile:
-            return fast, [(slice(0, int(size[0])), slice(0, int(size[1])))]
-        step = fast[axis] + 1 - longest_template  # positions at which every template lies in a tile
-        across = slice(0, breadth)
-        tiles = []
-        for first in range(0, length - shortest_template + 1, step):
-            along = slice(first, min(first + fast[axis], length))
-            tiles.append((along, across) if axis == 0 else (across, along))
-        return fast, tiles
+        longest = int(self.shapes[:, axis].max())
+        shortest = int(self.shapes[:, axis].min())
+        choices = []
+        for times in TILES:
+            side = cv2.getOptimalDFTSize(int(times * longest))
+            step = side + 1 - longest
+            choices.append(_Tiles(side, step, range(0, length - shortest + 1, step)))
+        return min(choices, key=lambda tiles: tiles.side * len(tiles.starts))
 
-    def _cut(self, values: np.ndarray, tile: tuple[slice, slice]) -> tuple[np.ndarray, tuple[int, int]]:
-        """Return a tile's part of a field and its conjugate, (2, h, w), and its first row and column in the tile.
+    def _cut(
+        self, channels: np.ndarray, place: tuple[int, int], sides: tuple[int, int]
+    ) -> tuple[np.ndarray, tuple[int, int]]:
+        """Return a tile's part of the channels of a field, (c, h, w), and its first row and column in the tile.
 
-        A tile is one of the padded field, in which the field itself begins at row and column ``pad``.
+        The tile is one of the padded field, in which the field itself begins at row and column ``pad``.
         """
-        rows, columns = tile
-        field_rows = slice(max(rows.start - self.pad, 0), max(rows.stop - self.pad, 0))
-        field_columns = slice(max(columns.start - self.pad, 0), max(columns.stop - self.pad, 0))
-        first = max(self.pad - rows.start, 0), max(self.pad - columns.start, 0)
-        part = values[field_rows, field_columns]
-        return np.array([part, part.conj()]), first
+        (top, left), (height, width) = place, sides
+        first_row = max(top - self.pad, 0)
+        first_column = max(left - self.pad, 0)
+        part = channels[:, first_row : max(top + height - self.pad, 0), first_column : max(left + width - self.pad, 0)]
+        return part, (max(self.pad - top, 0), max(self.pad - left, 0))
 
-    def _spectra_of(self, size: tuple[int, int]) -> list[np.ndarray]:
-        """Return the spectra of all pairs of templates for fields of a size; those of the last sizes are cached."""
-        cached = self._spectra.get(size)
-        if cached is not None:
-            return cached
-        n_pixels = float(np.prod(size))  # OpenCV's inverse is not normalised
-        spectra_of_pairs = [spectra(pair / n_pixels, (0, 0), size) for pair in self.pairs]
-        sizes = [*self._spectra, size]  # a copy: other threads may search at the same time
-        while sizes and sum(height * width for height, width in sizes) > SPECTRA_KEPT:  # remove the oldest
-            oldest = sizes.pop(0)
-            self._spectra.pop(oldest, None)
-        if sizes:  # else this one is too large to be cached
-            self._spectra[size] = spectra_of_pairs
+    def _spectra_of(self, sides: tuple[int, int]) -> list[np.ndarray]:
+        """Return the spectra of all pairs of templates for tiles of a size; those of the last sizes are kept."""
+        kept = self._spectra.get(sides)
+        if kept is not None:
+            return kept
+        n_pixels = float(np.prod(sides))  # OpenCV's inverse is not normalised
+        spectra_of_pairs = [spectra(pair / n_pixels, (0, 0), sides) for pair in self.pairs]
+        sizes = [*self._spectra, sides]  # a copy: other threads may search at the same time
+        while sum(height * width for height, width in sizes) > SPECTRA_KEPT and len(sizes) > 1:  # remove the oldest
+            self._spectra.pop(sizes.pop(0), None)
+        self._spectra[sides] = spectra_of_pairs
         return spectra_of_pairs
 
     def __getstate__(self) -> dict:
         """Leave out the spectra, which are large and quick to compute."""
         return {**self.__dict__, "_spectra": {}}
+
+
+class _Tiles(NamedTuple):
+    """Tiles of a padded field along an axis."""
+
+    side: int  # pixels of one
+    step: int  # positions at which every template lies in a tile
+    starts: range  # first pixels
 
 
 def joined(parts: Sequence[Peaks]) -> Peaks:

@@ -45,9 +45,10 @@ CONTRASTS = (0.3, 1.0)  # limits on the measured contrast, so that flat images a
 
 @dataclass(frozen=True, eq=False)
 class OrientationTemplate:
-    """Gradient orientations that the reduced model expects."""
+    """Gradient orientations that the reduced model expects, or a learnt filter on them."""
 
-    # (h, w) complex64: cosine and sine, shorter than 1 where the orientation varies; 0 outside the mesh.
+    # (c, h, w) float32: the first c of the channels of `channels_of`, shorter than 1 where the orientation varies; 0
+    # outside the mesh.
     field: np.ndarray
     origin: np.ndarray  # (2,) position of the first pixel relative to the shape's centre, pixels
     turn: float  # rotation, radians
@@ -124,6 +125,28 @@ class Grey:
         return Field(soft_directions(resized, small.levels[0].blur), covered / (width, height))
 
 
+def channels_of(directions: np.ndarray, count: int) -> np.ndarray:
+    """Return what the search compares of softly normalised gradients (h, w) complex, (count, h, w) float32.
+
+    The first two channels are their cosines and sines. A count of 5 adds those of the doubled angle, as long, and the
+    lengths: an edge has the same doubled angle whichever of its sides is the brighter one.
+    """
+    lengths = np.abs(directions)
+    doubled = np.square(directions) / np.maximum(lengths, 1e-6)
+    channels = [directions.real, directions.imag, doubled.real, doubled.imag, lengths]
+    return np.stack(channels[:count]).astype(np.float32)
+
+
+def turned_channels(channels: np.ndarray, turn: float) -> np.ndarray:
+    """Return channels (c, h, w) of orientations that are turned by an angle in radians, each in its place."""
+    turned = channels.copy()
+    for first, multiple in ((0, 1), (2, 2)):
+        if len(channels) >= first + 2:
+            pair = (channels[first] + 1j * channels[first + 1]) * np.exp(1j * multiple * turn)
+            turned[first : first + 2] = pair.real, pair.imag
+    return turned
+
+
 def soft_directions(grey: np.ndarray, blur: float) -> np.ndarray:
     """Compute softly normalised gradients, g / sqrt(|g|^2 + softness^2), (h, w) complex64, of an image (h, w) float32.
 
@@ -138,19 +161,21 @@ def soft_directions(grey: np.ndarray, blur: float) -> np.ndarray:
 
 
 def spectra(fields: np.ndarray, first: tuple[int, int], size: tuple[int, int]) -> np.ndarray:
-    """Return Fourier transforms of fields (k, h, w) padded to a size, (k, *size, 2) float32: real, imaginary part.
+    """Return Fourier transforms of fields (k, h, w) padded to a size, (k, 2, *size) float32: real, imaginary part.
 
-    Their first pixel comes to the row and column ``first``.
+    The fields are real or complex. Their first pixel comes to the row and column ``first``.
     """
     import cv2  # heavy: imported when first needed
 
     height, width = fields.shape[1:]
     top, left = first
-    padded = np.zeros((len(fields), *size), np.complex64)
+    padded = np.zeros((len(fields), *size), np.complex64)  # of real fields, too: OpenCV takes twice as long for these
     padded[:, top : top + height, left : left + width] = fields
-    parts = padded.view(np.float32).reshape(*padded.shape, 2)
-    for part in parts:
-        cv2.dft(part, part)
+    parts = np.empty((len(fields), 2, *size), np.float32)
+    for values, part in zip(padded, parts, strict=True):
+        spectrum = values.view(np.float32).reshape(*size, 2)
+        cv2.dft(spectrum, spectrum)
+        cv2.split(spectrum, list(part))
     return parts
 
 
@@ -228,7 +253,7 @@ def make_templates(small: AAM, rotations: str = "upright") -> tuple[OrientationT
 
 
 def rotated_filters(values: np.ndarray, rotations: str, small: AAM) -> tuple[OrientationTemplate, ...]:
-    """Make templates of a learnt filter (h, w, 2), of the mean shape in several rotations."""
+    """Make templates of a learnt filter (h, w, c), of the mean shape in several rotations."""
     import cv2  # heavy: imported when first needed
 
     height, width = values.shape[:2]
@@ -240,9 +265,10 @@ def rotated_filters(values: np.ndarray, rotations: str, small: AAM) -> tuple[Ori
     for turn in np.deg2rad(TURNS[rotations]):
         back = rotation(-turn)
         affine = np.column_stack([back, centre - back @ middle])
-        moved = cv2.warpAffine(values, affine, (size, size), flags=cv2.INTER_CUBIC | cv2.WARP_INVERSE_MAP)
-        field = (moved[..., 0] + 1j * moved[..., 1]) * np.exp(1j * turn)
-        filters.append(OrientationTemplate(field.astype(np.complex64), -middle, float(turn), straight))
+        flags = cv2.INTER_CUBIC | cv2.WARP_INVERSE_MAP
+        channels = [np.ascontiguousarray(channel) for channel in np.moveaxis(values, 2, 0)]
+        moved = np.stack([cv2.warpAffine(channel, affine, (size, size), flags=flags) for channel in channels])
+        filters.append(OrientationTemplate(turned_channels(moved, turn), -middle, float(turn), straight))
     return tuple(filters)
 
 
@@ -251,6 +277,5 @@ def _template(small: AAM, turn: float, p: np.ndarray) -> OrientationTemplate:
     at = np.einsum("nv,nvc->nc", frame.weights, small.shape_model.mean[frame.vertices])
     everywhere = np.ones(small.frame.n_pixels, bool)
     mean = _read(small.frame, small.levels[0].appearances["orientation"].mean, everywhere, at, 0.0)
-    picture = frame.picture(mean)
-    field = (picture[..., 0] + 1j * picture[..., 1]) * np.exp(1j * turn)
-    return OrientationTemplate(field.astype(np.complex64), frame.origin, turn, p)
+    channels = np.moveaxis(frame.picture(mean), 2, 0).astype(np.float32)
+    return OrientationTemplate(turned_channels(channels, turn), frame.origin, turn, p)
