@@ -46,6 +46,7 @@ from liaam.studio.routes import (
     checked_size,
     light_of,
     maybe_json,
+    opacity_of,
     parse_side,
     parse_start,
     read_json,
@@ -234,7 +235,11 @@ class Studio:
             "default_ambient": AMBIENT,
             "fitting": self.background.progress,
             "formats": FORMATS,
-            "limits": {"upload_bytes": self.settings.upload_bytes, "pixels": self.settings.pixels},
+            "limits": {
+                "upload_bytes": self.settings.upload_bytes,
+                "pixels": self.settings.pixels,
+                "relit_pixels": self.settings.whole_pixels,
+            },
             "problems": project.problems,
         }
 
@@ -447,7 +452,8 @@ class Studio:
 
     def _export_fit(self, request: Request, asked: contract.FitFileQuery) -> Response:
         fit = self.fits.get(request.path_params["id"])
-        name, kind, data = self.fits.export(fit, asked.what, light_of(asked.light), self._pixel_of(fit))
+        light = light_of(asked.light)
+        name, kind, data = self.fits.export(fit, asked.what, light, self._pixel_of(fit), opacity_of(asked.opacity))
         return attachment(name, data, kind)
 
     def _fit(self, request: Request, data: Any) -> contract.Fit:

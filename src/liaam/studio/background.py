@@ -24,7 +24,7 @@ from liaam.model import AAM, load_model
 from liaam.model.shape import diagonal_of
 from liaam.models import FACE
 from liaam.studio import contract
-from liaam.studio.fits import WARM_UP, example
+from liaam.studio.fits import WARM_UP, example, found_nothing
 from liaam.studio.layers import fit_file
 from liaam.studio.model_store import ModelInUse, ModelStore
 from liaam.studio.pictures import file_tag
@@ -271,6 +271,7 @@ def proposal_of(result: FitResult) -> dict[str, Any]:
         "quality": None if np.isnan(result.quality) else round(float(result.quality), 4),
         "ok": result.status.ok,
         "found": is_certain,
+        "nothing_found": found_nothing(result),
         "doubtful": not is_certain or not result.status.ok,
         "uncertainty": round(float(result.sd.mean()) / size, 5) if has_covariances else None,
         "absent": np.flatnonzero(result.absent).tolist() if result.status.ok else [],

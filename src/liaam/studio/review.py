@@ -138,7 +138,8 @@ class _Count:
 
     marks: Marks
     origins: Mapping[str, Any] | None
-    number: int
+    unconfirmed: int
+    proposed: int  # of these, the points that were not accepted together either
 
     def holds(self, marks: Marks, origins: Mapping[str, Any] | None) -> bool:
         """Whether landmarks and origins are still those that were counted: both are replaced when they change."""
@@ -163,8 +164,8 @@ class PictureStates:
     slips: dict[str, tuple[str, str, list[int]]] = field(default_factory=dict)
     """:meth:`version_of` the landmarks in which a slip was found, its description, and its points, by picture."""
 
-    _unconfirmed: dict[str, "_Count"] = field(default_factory=dict)
-    """The last count of :meth:`unconfirmed` by picture."""
+    _counts: dict[str, "_Count"] = field(default_factory=dict)
+    """The last count of :meth:`unconfirmed` and :meth:`proposed` by picture."""
 
     def ranks(self) -> dict[str, int]:
         """Rank the pictures that have only a proposal; 1 is the most useful to annotate (:func:`teaching_order`)."""
@@ -190,7 +191,8 @@ class PictureStates:
             fault = None
             width, height = size
         proposal = None
-        if fault is None and not marks.n_placed:
+        n_proposed = self.proposed(file, marks)
+        if fault is None and (n_proposed or not marks.n_placed):
             proposal = self.proposal_of(file)
         state: contract.Progress = "broken" if fault is not None else self._state_of(file, marks, proposal)
         checked_by = slip = None
@@ -209,6 +211,9 @@ class PictureStates:
             "uncertainty": proposal["uncertainty"] if proposal else None,
             "quality": proposal["quality"] if proposal else None,
             "doubtful": bool(proposal and proposal["doubtful"]),
+            "nothing_found": bool(
+                proposal and proposal.get("nothing_found")
+            ),  # those of earlier versions do not say it
             "rank": ranks.get(file.name) if proposal else None,
             "checked": checked_by,
             "slip": slip,
@@ -216,6 +221,7 @@ class PictureStates:
             "left_out": self.log.who("left out", file.name),
             "absent": len(self.absent_of(file, marks)),
             "unconfirmed": self.unconfirmed(file, marks),
+            "proposed": n_proposed,
             "revision": marks.revision,
             "side": self.landmarks.side_of(file),
         }
@@ -304,13 +310,21 @@ class PictureStates:
         """Count the points of a picture that no person has placed, moved or confirmed one by one."""
         if file.name not in self.origins and not self._were_accepted(file):
             return 0
+        return self._count(file, marks).unconfirmed
+
+    def proposed(self, file: File, marks: Marks) -> int:
+        """Count the points of a picture that are saved as they were proposed, and were not accepted."""
+        return self._count(file, marks).proposed if file.name in self.origins else 0
+
+    def _count(self, file: File, marks: Marks) -> "_Count":
         entry = self.origins.entry(file.name)
-        count = self._unconfirmed.get(file.name)
+        count = self._counts.get(file.name)
         if count is None or not count.holds(marks, entry):
-            number = sum(origin not in (None, *OWN) for origin in self.origins_of(file, marks))
-            count = _Count(marks, entry, number)
-            self._unconfirmed[file.name] = count
-        return count.number
+            origins = self.origins_of(file, marks)
+            n_unconfirmed = sum(origin not in (None, *OWN) for origin in origins)
+            count = _Count(marks, entry, n_unconfirmed, origins.count("proposed"))
+            self._counts[file.name] = count
+        return count
 
     def proposal_of(self, file: File) -> dict[str, Any] | None:
         """Return the proposal for a picture, unless it does not fit the template or was discarded."""
@@ -345,14 +359,14 @@ class PictureStates:
         return f"{version}-{side}" if side else version
 
     def is_done(self, file: File) -> bool:
-        """Whether all points of a picture are placed, most of them inside it, but for absent ones."""
+        """Whether all points of a picture are placed or accepted, most of them inside it, but for absent ones."""
         template = self.templates.current
         marks = self.landmarks.of(file)
         if template is None or not marks.fits(template):
             return False
         if marks.n_placed + len(self.absent_of(file, marks)) < len(template):
             return False
-        return self._misplaced(file, marks) is None
+        return self._misplaced(file, marks) is None and not self.proposed(file, marks)
 
     def _error_of(self, file: File, marks: Marks) -> str | None:
         """Return what is wrong with the landmarks of a usable picture, or why the model proposed none."""
@@ -483,7 +497,7 @@ class PictureStates:
     def _revision_to_check(self, file: File) -> str | None:
         """Return the placement of the landmarks of a picture. Refuse if it is not complete, or checked already."""
         if not self.is_done(file):
-            raise Refusal(409, "not all points are placed: place them first")
+            raise Refusal(409, "not all points are placed or accepted: place or accept them first")
         placement = self.landmarks.of(file).placement
         if self.log.who("checked", file.name, placement):
             raise Refusal(409, "checked already")

@@ -24,6 +24,8 @@ interface Picture {
   quality?: number | null;
   /** 1 is the most useful to annotate. */
   rank?: number | null;
+  /** Whether its proposal is a guess: the model finds no object in it. */
+  nothing_found?: boolean;
   /** Who checked its landmarks. */
   checked?: string | null;
   /** What looks wrong with its landmarks. */
@@ -36,6 +38,8 @@ interface Picture {
   absent?: number;
   /** Number of points that no person placed, moved or confirmed one by one. */
   unconfirmed?: number;
+  /** Number of those in the file that were not accepted either: it is not done. */
+  proposed?: number;
   /** Of the landmark file; null if there is none. */
   revision?: string | null;
   /** left or right, as a person or the landmark file says; empty if none does. */
@@ -331,6 +335,8 @@ interface Formats {
 interface Limits {
   upload_bytes: number;
   pixels: number;
+  /** Of flat and relit pictures that are saved; larger ones are reduced to it. */
+  relit_pixels: number;
 }
 
 /** The folder, as the page shows it. */
@@ -610,6 +616,8 @@ interface Fit {
   deviations: (number | null)[];
   /** null: the fit had a start. */
   found: Found | null;
+  /** Whether neither the search nor the fit has found an object: the fit is a guess. */
+  nothing_found: boolean;
   /** Boxes of several objects, the one that was fitted first. */
   objects: number[][];
   iterations: Iteration[];
@@ -654,6 +662,14 @@ interface ColourScale {
   /** The value of the last colour; that of the first is its negative. */
   limit: number;
   what: string;
+  /** Of the shading: as LayerChange has it. */
+  even?: boolean;
+}
+
+/** What the flat picture changes, sent beside it. */
+interface LayerChange {
+  /** Whether the light is so much as in training that nothing that can be seen is taken off. */
+  even: boolean;
 }
 
 /** The part of the picture that a layer covers, sent beside it. */
@@ -789,6 +805,8 @@ interface FitFileQuery {
   what?: string | number;
   /** A SentLight as JSON, for a relit picture. */
   light?: string | number;
+  /** Of a flat or relit picture over the picture, 0 to 1; null: 1. */
+  opacity?: string | number;
 }
 
 /** Says which fits are in a table. */

@@ -65,6 +65,8 @@ test("states are described", () => {
   assert.deepEqual(said, ["checked", "left out", "proposed", "doubtful", "left out"]);
   const partial = { name: "d.png", state: "partial", placed: 68 };
   assert.equal(describe(partial, {}), "68 placed");
+  assert.equal(describe({ ...partial, proposed: 67 }, {}), "not accepted");
+  assert.equal(describe({ name: "coin.jpg", state: "proposed", doubtful: true, nothing_found: true }, {}), "nothing found");
   assert.equal(describe({ ...partial, error: "d.pts has 68 points" }, {}), "points do not fit");
 });
 

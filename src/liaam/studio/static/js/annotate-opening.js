@@ -93,7 +93,7 @@ export function createOpening(tab, { begins, cover = null }) {
     const same = old && (saver.isDirty(name) || (before.source === shown.source && sameMarks(before, shown)));
     const book = {
       history: same ? old.history : new History(shown), covariances: marks.covariances ?? null,
-      doubtful: marks.doubtful, key, tag: state.picture(name)?.tag, seen: null,
+      doubtful: marks.doubtful, nothing: state.picture(name)?.nothing_found ?? false, key, tag: state.picture(name)?.tag, seen: null,
     };
     book.seen = book.history.state; // as it was opened
     books.set(name, book);
