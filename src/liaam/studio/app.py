@@ -226,6 +226,7 @@ class Studio:
             "pictures": overview.pictures,
             "template": project.templates.as_json(),
             "offered": project.templates.is_offered,
+            "looking": self.background.looking,
             "model": model_json(self.models.current, overview.done, overview.unread, overview.sides),
             "checked": self.background.has_checked(overview.done),
             "training": training.state.as_json(),

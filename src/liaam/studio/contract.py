@@ -379,6 +379,7 @@ class Project(TypedDict):
     pictures: list[Picture]
     template: Template | None
     offered: Annotated[bool, "Whether a model offers the template, and it was not accepted yet."]
+    looking: Annotated[bool, "Whether faces are being looked for: then the face model offers its points."]
     model: Model | None
     checked: Annotated[bool, "Whether slips were looked for in the landmarks as they are."]
     training: Training

@@ -60,8 +60,10 @@ def test_points_are_defined_placed_and_exported_by_keys_only(serve, page, three)
         press(page, "ArrowRight", "ArrowDown")  # the whole shape
         wait_for(page, "() => window.liaamStudio.annotate.source() === 'file'")
         saved(page)
-        wait_for_state(page, name, "done")
+        wait_for_state(page, name, "partial")  # until its points are accepted
         assert annotate(page, "name()") == name
+        press(page, "Enter")
+        wait_for_state(page, name, "done")
 
     press(page, "Escape")  # Tab leaves the picture
     tab_to(page, "export-all")

@@ -357,6 +357,8 @@ interface Project {
   template: Template | null;
   /** Whether a model offers the template, and it was not accepted yet. */
   offered: boolean;
+  /** Whether faces are being looked for: then the face model offers its points. */
+  looking: boolean;
   model: Model | null;
   /** Whether slips were looked for in the landmarks as they are. */
   checked: boolean;

@@ -57,6 +57,8 @@ test("what was added is told in one sentence", () => {
   assert.equal(summary({ ...none, pictures: 48, landmarks: 1, placed: 12, refused: ["a: why"] }),
     "48 pictures added, landmarks for 12, 1 file left out: a: why.");
   assert.equal(summary({ ...none, known: 2 }), "2 files already here.");
+  assert.match(summary({ ...none, refused: ["a.csv: name the columns as x,y."] }), /as x,y\.$/);
+  assert.doesNotMatch(summary({ ...none, refused: ["a.csv: name the columns as x,y."] }), /\.\./);
   assert.match(summary({ ...none, refused: ["a", "b", "c", "d"] }), /4 files left out: a; b; c; and 1 more/);
 });
 

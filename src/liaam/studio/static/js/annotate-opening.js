@@ -48,7 +48,7 @@ export function createOpening(tab, { begins, cover = null }) {
       viewer.setPicture(picture.bitmap, width, height, picture.tiles);
       viewer.mirror(tab.shown.isMirrored(name));
       if (before !== name || width !== wasWide || height !== wasHigh) viewer.fit();
-      if (!tab.template) tab.templates.begin();
+      if (!tab.template || tab.templates.isDrafting) tab.templates.begin();
       else await take(name, marks, own, key);
       if (own === turn && hasNewerMarks()) reload();
     } catch (error) {

@@ -248,7 +248,10 @@ export class Tab {
 
   #aboutChosen() {
     const { chosen } = this;
-    if (chosen < 0) return "has no landmarks yet";
+    if (chosen < 0) {
+      const isProposed = this.state.picture()?.state === "proposed";
+      return isProposed ? "has proposed points only: they are measured once you accept them" : "has no landmarks yet";
+    }
     const { space } = this.#data;
     const shape = space ? space.of.indexOf(chosen) : -1;
     if (shape < 0) return "";
