@@ -124,7 +124,7 @@ export function verdictOf(fit, isExpert = true, object = "object") {
   const kind = kindOf(fitStatus);
   if (fit.nothing_found) {
     const title = `No ${object} found`;
-    const advice = `What is drawn is only the likeliest place. If there is ${object === "face" ? "a face" : "an object"}, draw a box around it:`;
+    const advice = `The points are only a guess. If there is ${object === "face" ? "a face" : "an object"}, draw a box around it:`;
     return { kind, title: isExpert ? `${title} (${status})` : title, advice };
   }
   if (!ok) return { kind, title: status, advice: "Draw a box around the object, or drag the mean shape onto it:" };

@@ -171,7 +171,7 @@ export function picker({ points, names, contours, lit, closed, onpick, width = 4
       role: "checkbox", tabindex: "0", "aria-checked": String(order >= 0), "aria-label": names[i], "data-index": i, class: "plot-pick",
     }, svg("circle", { cx: x, cy: y, r: 11, fill: "transparent" }), svg("circle", { cx: x, cy: y, r: 5, class: order >= 0 ? "plot-chosen" : "plot-mean" }));
     const title = svg("title", {});
-    title.textContent = names[i];
+    title.textContent = `${i + 1}: ${names[i]}`; // a scale names points by their numbers
     dot.append(title);
     if (order >= 0) dot.append(text(x + 8, y - 7, String(order + 1)));
     dot.addEventListener("click", () => onpick(i));
