@@ -47,6 +47,7 @@ from liaam.studio.routes import (
     checked_size,
     light_of,
     maybe_json,
+    opacity_of,
     parse_side,
     parse_start,
     read_json,
@@ -228,6 +229,7 @@ class Studio:
             "pictures": overview.pictures,
             "template": project.templates.as_json(),
             "offered": project.templates.is_offered,
+            "looking": self.background.looking,
             "model": model_json(self.models.current, overview.done, overview.unread, overview.sides),
             "checked": self.background.has_checked(overview.done),
             "training": training.state.as_json(),
@@ -237,7 +239,11 @@ class Studio:
             "default_ambient": AMBIENT,
             "fitting": self.background.progress,
             "formats": FORMATS,
-            "limits": {"upload_bytes": self.settings.upload_bytes, "pixels": self.settings.pixels},
+            "limits": {
+                "upload_bytes": self.settings.upload_bytes,
+                "pixels": self.settings.pixels,
+                "relit_pixels": self.settings.whole_pixels,
+            },
             "problems": project.problems,
             "measuring": kept_in(project.store),
             "who": project.store.get("who") or "",
@@ -462,7 +468,8 @@ class Studio:
 
     def _export_fit(self, request: Request, asked: contract.FitFileQuery) -> Response:
         fit = self.fits.get(request.path_params["id"])
-        name, kind, data = self.fits.export(fit, asked.what, light_of(asked.light), self._pixel_of(fit))
+        light = light_of(asked.light)
+        name, kind, data = self.fits.export(fit, asked.what, light, self._pixel_of(fit), opacity_of(asked.opacity))
         return attachment(name, data, kind)
 
     def _fit(self, request: Request, data: Any) -> contract.Fit:

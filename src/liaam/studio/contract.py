@@ -77,6 +77,7 @@ class Picture(TypedDict):
     uncertainty: Annotated[NotRequired[float | None], "Of its proposal, as the next one."]
     quality: NotRequired[float | None]
     rank: Annotated[NotRequired[int | None], "1 is the most useful to annotate."]
+    nothing_found: Annotated[NotRequired[bool], "Whether its proposal is a guess: the model finds no object in it."]
     checked: Annotated[NotRequired[str | None], "Who checked its landmarks."]
     slip: Annotated[NotRequired[str | None], "What looks wrong with its landmarks."]
     slip_points: Annotated[NotRequired[list[int]], "Indices of these points."]
@@ -371,6 +372,7 @@ class Limits(TypedDict):
 
     upload_bytes: int
     pixels: int
+    relit_pixels: Annotated[int, "Of flat and relit pictures that are saved; larger ones are reduced to it."]
 
 
 class Measuring(TypedDict):
@@ -420,6 +422,7 @@ class Project(TypedDict):
     pictures: list[Picture]
     template: Template | None
     offered: Annotated[bool, "Whether a model offers the template, and it was not accepted yet."]
+    looking: Annotated[bool, "Whether faces are being looked for: then the face model offers its points."]
     model: Model | None
     checked: Annotated[bool, "Whether slips were looked for in the landmarks as they are."]
     training: Training
@@ -644,6 +647,7 @@ class Fit(TypedDict):
     covariances: list[list[list[float | None]]]
     deviations: Annotated[list[float | None], "Standard deviations of the landmarks."]
     found: Annotated[Found | None, "null: the fit had a start."]
+    nothing_found: Annotated[bool, "Whether neither the search nor the fit has found an object: the fit is a guess."]
     objects: Annotated[list[list[float]], "Boxes of several objects, the one that was fitted first."]
     iterations: list[Iteration]
     trained_on: Annotated[bool, "Whether the model was trained on this picture."]
@@ -681,6 +685,13 @@ class ColourScale(TypedDict):
 
     limit: Annotated[float, "The value of the last colour; that of the first is its negative."]
     what: str
+    even: Annotated[NotRequired[bool], "Of the shading: as LayerChange has it."]
+
+
+class LayerChange(TypedDict):
+    """What the flat picture changes, sent beside it."""
+
+    even: Annotated[bool, "Whether the light is so much as in training that nothing that can be seen is taken off."]
 
 
 class LayerPlace(TypedDict):
@@ -819,6 +830,7 @@ class FitFileQuery(Query):
 
     what: str = ""
     light: Annotated[str | None, "A SentLight as JSON, for a relit picture."] = None
+    opacity: Annotated[str | None, "Of a flat or relit picture over the picture, 0 to 1; null: 1."] = None
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -892,7 +904,8 @@ ROUTES = {
     "POST fits": Endpoint(Fit, body=FitOne),
     "POST fits/all": Endpoint(Fits, body=FitAll),
     "GET fits/table": Endpoint(bytes, FitsQuery),
-    "GET fits/{id}/layers/{layer}": Endpoint(bytes, ImageQuery),  # the header x-scale has a ColourScale or LayerPlace
+    # The header x-scale has a ColourScale, a LayerChange or a LayerPlace.
+    "GET fits/{id}/layers/{layer}": Endpoint(bytes, ImageQuery),
     "GET fits/{id}/relit": Endpoint(bytes, LightQuery),
     "GET fits/{id}/export": Endpoint(bytes, FitFileQuery),
     "POST recordings": Endpoint(bytes, body=bytes),

@@ -194,10 +194,11 @@ class PictureStates:
             fault = None
             width, height = size
         proposal = None
-        if fault is None and not marks.n_placed:
+        count = self._count(file, marks)
+        n_proposed = count.proposed if count else 0
+        if fault is None and (n_proposed or not marks.n_placed):
             proposal = self.proposal_of(file)
         state: contract.Progress = "broken" if fault is not None else self._state_of(file, marks, proposal)
-        count = self._count(file, marks)
         checked_by = slip = None
         wrong_points: list[int] = []
         if state == "done":
@@ -214,6 +215,7 @@ class PictureStates:
             "uncertainty": proposal["uncertainty"] if proposal else None,
             "quality": proposal["quality"] if proposal else None,
             "doubtful": bool(proposal and proposal["doubtful"]),
+            "nothing_found": bool(proposal and proposal.get("nothing_found")),  # of earlier versions: not known
             "rank": ranks.get(file.name) if proposal else None,
             "checked": checked_by,
             "slip": slip,
@@ -221,7 +223,7 @@ class PictureStates:
             "left_out": self.log.who("left out", file.name),
             "absent": len(self.absent_of(file, marks)),
             "unconfirmed": count.unconfirmed if count else 0,
-            "proposed": count.proposed if count else 0,
+            "proposed": n_proposed,
             "revision": marks.revision,
             "side": self.landmarks.side_of(file),
         }

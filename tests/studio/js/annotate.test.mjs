@@ -949,6 +949,9 @@ test("next is the picture of the best rank, else the next in the folder, round",
   const { pictures } = project(["new", "done", "new", "broken", "new"]);
   assert.equal(assist.nextToTeach(pictures, "2").name, "4");
   assert.equal(assist.nextToTeach(pictures, "4").name, "0");
+  const without = pictures.map((picture) => (picture.name === "4" ? { ...picture, nothing_found: true, rank: 1 } : picture));
+  assert.notEqual(assist.nextToTeach(without, "2").name, "4"); // there is nothing to correct
+  assert.equal(assist.nextToTeach(without.filter(({ name, state }) => name === "4" || state === "done"), "2").name, "4");
   pictures[2].rank = 2;
   pictures[4].rank = 1;
   assert.equal(assist.nextToTeach(pictures, "0").name, "4");
@@ -960,6 +963,8 @@ test("the reason is the uncertainty, in words", () => {
   const others = [picture, { uncertainty: 0.01 }, { uncertainty: 0.008 }];
   assert.match(assist.reason(picture, others, {}), /least certain.*3\.1\s% of the object's size.*median 1\.0\s%/);
   assert.match(assist.reason({ ...picture, doubtful: true }, others, {}), /low confidence/);
+  const nothing = assist.reason({ ...picture, doubtful: true, nothing_found: true }, others, { source: "face" });
+  assert.match(nothing, /^No face was found in this picture\. If there is none, skip it/);
   assert.match(assist.reason(picture, others, null), /Next in the folder/);
   assert.equal(assist.reason({ ...picture, slip: "a point lies outside" }, others, {}), "Possible slip: a point lies outside.");
 });

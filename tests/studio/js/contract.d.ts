@@ -24,6 +24,8 @@ interface Picture {
   quality?: number | null;
   /** 1 is the most useful to annotate. */
   rank?: number | null;
+  /** Whether its proposal is a guess: the model finds no object in it. */
+  nothing_found?: boolean;
   /** Who checked its landmarks. */
   checked?: string | null;
   /** What looks wrong with its landmarks. */
@@ -346,6 +348,8 @@ interface Formats {
 interface Limits {
   upload_bytes: number;
   pixels: number;
+  /** Of flat and relit pictures that are saved; larger ones are reduced to it. */
+  relit_pixels: number;
 }
 
 /** What is measured of the pictures, as it is kept with the folder. */
@@ -404,6 +408,8 @@ interface Project {
   template: Template | null;
   /** Whether a model offers the template, and it was not accepted yet. */
   offered: boolean;
+  /** Whether faces are being looked for: then the face model offers its points. */
+  looking: boolean;
   model: Model | null;
   /** Whether slips were looked for in the landmarks as they are. */
   checked: boolean;
@@ -670,6 +676,8 @@ interface Fit {
   deviations: (number | null)[];
   /** null: the fit had a start. */
   found: Found | null;
+  /** Whether neither the search nor the fit has found an object: the fit is a guess. */
+  nothing_found: boolean;
   /** Boxes of several objects, the one that was fitted first. */
   objects: number[][];
   iterations: Iteration[];
@@ -714,6 +722,14 @@ interface ColourScale {
   /** The value of the last colour; that of the first is its negative. */
   limit: number;
   what: string;
+  /** Of the shading: as LayerChange has it. */
+  even?: boolean;
+}
+
+/** What the flat picture changes, sent beside it. */
+interface LayerChange {
+  /** Whether the light is so much as in training that nothing that can be seen is taken off. */
+  even: boolean;
 }
 
 /** The part of the picture that a layer covers, sent beside it. */
@@ -849,6 +865,8 @@ interface FitFileQuery {
   what?: string | number;
   /** A SentLight as JSON, for a relit picture. */
   light?: string | number;
+  /** Of a flat or relit picture over the picture, 0 to 1; null: 1. */
+  opacity?: string | number;
 }
 
 /** Says which fits are in a table. */

@@ -57,6 +57,8 @@ test("what was added is told in one sentence", () => {
   assert.equal(summary({ ...none, pictures: 48, landmarks: 1, placed: 12, refused: ["a: why"] }),
     "48 pictures added, landmarks for 12, 1 file left out: a: why.");
   assert.equal(summary({ ...none, known: 2 }), "2 files already here.");
+  assert.match(summary({ ...none, refused: ["a.csv: name the columns as x,y."] }), /as x,y\.$/);
+  assert.doesNotMatch(summary({ ...none, refused: ["a.csv: name the columns as x,y."] }), /\.\./);
   assert.match(summary({ ...none, refused: ["a", "b", "c", "d"] }), /4 files left out: a; b; c; and 1 more/);
 });
 
@@ -65,6 +67,8 @@ test("states are described", () => {
   assert.deepEqual(said, ["checked", "left out", "proposed", "doubtful", "left out"]);
   const partial = { name: "d.png", state: "partial", placed: 68 };
   assert.equal(describe(partial, {}), "68 placed");
+  assert.equal(describe({ ...partial, proposed: 67 }, {}), "67 only proposed");
+  assert.equal(describe({ name: "coin.jpg", state: "proposed", doubtful: true, nothing_found: true }, {}), "nothing found");
   assert.equal(describe({ ...partial, error: "d.pts has 68 points" }, {}), "points do not fit");
 });
 

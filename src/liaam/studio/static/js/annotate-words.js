@@ -11,6 +11,7 @@ export const percent = (fraction) => `${(100 * fraction).toFixed(fraction < 0.01
 export function promptOf({ state, book, placing, names, active, missing, absent = [], proposed = 0 }) {
   if (state.source === "proposal") {
     const lacks = absent.length ? ` (${listed(names, absent)} absent: U if not)` : "";
+    if (book.nothing) return "The model found nothing here, so these points are a guess: drag them into place, or skip the picture";
     return book.doubtful
       ? `Placed by the model with low confidence${lacks}: check every point, drag wrong ones, then press Enter`
       : `Placed by the model${lacks}: drag wrong points, then press Enter`;

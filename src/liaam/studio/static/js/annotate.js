@@ -129,6 +129,8 @@ export class Tab {
     const { state, saver, opening, commands } = this;
     state.addEventListener("select", (/** @type {any} */ { detail }) => this.#selected(detail));
     state.addEventListener("project", () => this.templates.noticed() || opening.refresh());
+    state.addEventListener("project", () => this.templates.look());
+    state.addEventListener("fitting", () => this.templates.look());
     state.addEventListener("landmarks", (/** @type {any} */ { detail }) => {
       const { name, revision, beside } = /** @type {LandmarksChanged} */ (detail);
       saver.heard(name, revision, beside);

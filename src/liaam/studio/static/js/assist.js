@@ -56,19 +56,28 @@ export function nextOf(state, pictures) {
   if (!state.worstFirst) return nextToTeach(pictures, state.current);
   const known = new Set(pictures.map(({ name }) => name));
   const listed = state.order.filter((name) => known.has(name) && name !== state.current);
-  return openIn(listed.map((name) => state.picture(name)))[0] ?? null;
+  const open = openIn(listed.map((name) => state.picture(name)));
+  return open.find(({ nothing_found: nothing }) => !nothing) ?? open[0] ?? null;
 }
 
-/** The picture that helps the model most: by rank, then by position after `current`; null if all are done.
+/** The picture that helps the model most: by rank, then by position after `current`; null if all are done. Those in which
+ *  nothing is found come last.
  *  @param {Picture[]} pictures; @param {string | null} current; @returns {Picture | null} */
 export function nextToTeach(pictures, current) {
   const at = pictures.findIndex((picture) => picture.name === current);
   const round = [...pictures.slice(at + 1), ...pictures.slice(0, Math.max(at, 0))];
   const ofState = (...states) => round.filter((picture) => states.includes(picture.state));
   const waiting = ofState("new", "partial", "proposed");
-  const open = waiting.length ? waiting : ofState("unchecked");
+  const useful = waiting.filter(({ nothing_found: nothing }) => !nothing);
+  const open = [useful, waiting].find(({ length }) => length) ?? ofState("unchecked");
   const rank = (picture) => picture.rank ?? Infinity;
   return open.reduce((best, picture) => (best === null || rank(picture) < rank(best) ? picture : best), null);
+}
+
+/** What to do with a picture in which the model finds no object. @param {Pick<Model, "source"> | null} model */
+function nothingIn(model) {
+  const is = model?.source === "face" ? "face" : "object";
+  return `No ${is} was found in this picture. If there is none, skip it, or remove it: select it in the list and press Delete. If there is one, place its points.`;
 }
 
 const uncertain = (fraction) => (fraction <= 1 ? percent(fraction) : "over 100\u00a0%");
@@ -82,6 +91,7 @@ export function reason(picture, pictures, model) {
     ? `${several(picture.proposed, "point")} of it ${picture.proposed === 1 ? "is" : "are"} still as proposed: correct ` +
       "what is wrong, then press Enter." : "Some of its points are missing.";
   if (picture.state === "unchecked") return "Its points are still the mean shape, so no model is trained on it.";
+  if (picture.nothing_found) return nothingIn(model);
   if (picture.uncertainty == null) return "The model has not been fitted to it yet.";
   const text = `uncertainty of its points: ${uncertain(picture.uncertainty)} of the object's size`;
   if (picture.doubtful) return `The model has low confidence here (${text}), so correcting it helps most.`;
@@ -272,7 +282,7 @@ export function createAssist(app, commands, onexport) {
     const more = several(AUTO_FIRST - done, "more picture");
     const wait = done < AUTO_FIRST ? `After ${more} the model can place points for you.` : training?.state === "running"
       ? "After training, the model places points for you." : "Train the model to let it place points for you.";
-    const isOpen = here && here.state !== "done" && here.uncertainty != null && model;
+    const isOpen = here && here.state !== "done" && (here.uncertainty != null || here.nothing_found) && model;
     const ended = left || (done ? allDone(state.folder) : "");
     const next = !then ? ended : model ? `Next: ${then.name}. ${reason(then, pictures, model)}` : wait;
     why.textContent = fault || (isOpen ? reason(here, pictures, model) : next);

@@ -54,10 +54,15 @@ export class LiveGraphs {
     const measures = this.#app.state.project.measuring.measures.join(" ");
     this.#pair = firstPair(names, [kept(KEY), /distance:(.+?)-(\S+)/.exec(measures)?.slice(1), MOUTH].filter(Boolean));
     this.#ends.forEach((select, end) => relist(select, { ...names }, String(this.#pair[end])));
+    this.#name();
   }
+
+  /** A long name is cut off in its list, and whole beside the pointer. */
+  #name() { for (const select of this.#ends) select.title = select.selectedOptions[0]?.textContent ?? ""; }
 
   #choose() {
     this.#pair = this.#ends.map(({ value }) => Number(value));
+    this.#name();
     localStorage.setItem(KEY, JSON.stringify(this.#ends.map(({ selectedOptions: [option] }) => option.textContent)));
   }
 

@@ -17,6 +17,9 @@ const GROUPED_BY = { "": "No groups", folder: "By subfolder", name: "By name", t
 const EXPORTS = { csv: "Table (.csv)", svg: "Plots (.svg)" };
 const ABOUT_GROUPS =
   "By the letters in which names differ, such as male of male_07.jpg, or B of wing16_B.jpg; or by a table with the columns specimen and group";
+const ABOUT_SAVED =
+  "The table has the columns of “liaam measure”: names without a unit are in pixels, and X1, Y1 and so on are coordinates after " +
+  "Procrustes superimposition, not positions in pictures";
 const ABOUT_ESTIMATES =
   "By a thin-plate spline from the complete pictures; without, pictures that lack points have no shape";
 
@@ -121,9 +124,9 @@ export class Tab {
     this.#draw();
   }
 
-  /** Without data, the tab says what to do instead. */
+  /** Say what is wrong, and that the table is the earlier one; without data, the tab says what to do instead. */
   #showFault(text) {
-    this.#fault.textContent = text;
+    this.#fault.textContent = text && `${text.replace(/\.$/, "")}. Below is what was measured before.`;
     this.#fault.hidden = !text || !this.#data;
   }
 
@@ -161,7 +164,7 @@ export class Tab {
     this.#legend = h("span.row.tight.small", { testid: "measure-legend" });
     this.#estimate = h("input", { type: "checkbox", testid: "measure-estimate", onchange: () => this.#fetch() });
     const estimate = h("label.check.small", { title: ABOUT_ESTIMATES }, this.#estimate, "Estimate missing points");
-    const save = menu("Save…", EXPORTS, (kind) => this.#save(kind), { "aria-label": "Save", testid: "measure-save" });
+    const save = menu("Save…", EXPORTS, (kind) => this.#save(kind), { "aria-label": "Save", testid: "measure-save", title: ABOUT_SAVED });
     return h("div.toolbar", { role: "toolbar", "aria-label": "Measure" },
       this.#views.element, this.#groupList, this.#tableFile, this.#legend, h("span.grow"), estimate, save);
   }
