@@ -298,6 +298,8 @@ def test_every_object_of_an_image_has_a_row(tmp_path):
             ("two.png", "1"),
             ("two.png", "2"),
         ]
+        assert [str(row["n_found"]) for row in rows[:2]] == ["2", "2"]
+        assert sum(summary.rows.values()) == 3
         assert "no object was found" in rows[2]["message"] and "more" not in rows[0]
         assert [each.name for each in read_specimens(tmp_path / name)][:2] == ["two#1", "two#2"]
     with pytest.raises(LiaamError, match="use only one of them"):

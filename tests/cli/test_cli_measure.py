@@ -170,6 +170,33 @@ def test_sides_are_reflected_and_said(run, wings, tmp_path):
     assert unreflected.filter(regex=r"^[XY]\d+$").to_numpy().std(axis=0).max() > 0.2
 
 
+def test_a_table_of_ones_own_tells_individuals_sides_and_groups_of_a_folder_of_fits(run, tmp_path, rng):
+    folder = tmp_path / "fits"
+    folder.mkdir()
+    wing = np.array([[0.0, 0], [90, 20], [200, 30], [240, 80], [150, 110], [30, 50]])
+    rows = ["photo;individual;side;sex"]
+    for i in range(8):
+        own = wing + rng.normal(0, 3, wing.shape)
+        for j, side in enumerate(("left", "right")):
+            points = own * [1 - 2 * (side == "left"), 1] + [300, 50] + rng.normal(0, 0.5, wing.shape)
+            name = f"IMG_{2 * i + j}"
+            facts = {"status": "converged", "covariance": np.tile([1.0, 0, 1], (6, 1)), "image": f"{name}.JPG"}
+            write_fit(folder / f"{name}.json", Landmarks(points), facts, (200, 600))
+            rows.append(f"{name}.JPG;F{i};{side};{'mf'[i % 2]}")
+    (tmp_path / "own.csv").write_text("\n".join([*rows, "none.JPG;F9;left;m"]))
+    given = ("measure", folder, "--specimens", tmp_path / "own.csv", "-o", tmp_path / "t.csv")
+    code, out, err = run(*given, "--groups", "sex", "--symmetry", "matching", "--permutations", 9)
+    assert (code, err) == (0, "") and "variance of shape of 16 specimens of 8 individuals" in out
+    assert pd.read_csv(tmp_path / "t_asymmetry.csv")["individual"].tolist() == [f"F{i}" for i in range(8)]
+    code, _, err = run(*given, "--groups", "age")
+    assert code == 1 and "has no column 'age': it has photo, individual, side, sex" in err
+    (tmp_path / "own.csv").write_text("\n".join(rows[:5]))
+    _, _, err = run(*given[:-1], tmp_path / "u.csv", "--side", "ignore")
+    assert "12 of 16 specimens have no row in" in err
+    code, _, err = run(*given[:-1], tmp_path / "own.csv")
+    assert code == 1 and "own.csv is an input" in " ".join(err.split())
+
+
 def test_specimens_without_a_side_are_refused_by_name(run, tmp_path):
     marks = {f"{name}.png": Landmarks(FACE) for name in ("a_left", "a_right", "stray")}
     write_collection(tmp_path / "all.csv", marks)
@@ -258,7 +285,7 @@ def test_a_stated_error_beyond_the_differences_between_sides_is_reported(run, tm
     assert code == 0 and "taken as independent on both sides" in out
     told = " ".join(err.split())
     assert told.startswith("the stated error exceeds the differences between the sides (F = 0.")
-    assert "photograph or digitise each side twice" in told
+    assert "place the landmarks of some individuals by hand, twice on both sides" in told
     assert json.loads((tmp_path / "t_asymmetry.json").read_text())["error_exceeds_differences"] is True
 
 
@@ -372,7 +399,7 @@ def test_a_flipped_photograph_is_reported_and_not_compared(run, wings, tmp_path)
     assert code == 0
     assert "2 specimens of another side than stated: fly3_left_1 (stated left, right by the shape), fly3_left_2" in out
     assert "if the photograph is flipped, flip it back" in out
-    assert err == "fly3: fly3_left_1 is stated left, and is right by its shape; it is left out\n"
+    assert err == "fly3: fly3_left_1 is stated left, and is right by its landmarks; it is left out\n"
     assert len(pd.read_csv(tmp_path / "t_asymmetry.csv")) == 5
     assert (
         pd.read_csv(tmp_path / "t_replicates.csv")["specimens"].iloc[0] == 12

@@ -124,9 +124,28 @@ def test_a_folder_stands_for_its_images(run, images, tmp_path):
     code, _, _ = run("scale", images, "--ruler", "1 mm", "-o", tmp_path / "s.csv")
     assert code == 0
     assert pd.read_csv(tmp_path / "s.csv")["image"].tolist() == ["a.png", "c.png", "b.png"]
-    code, _, _ = run("scale", f"{images}/more/**", "--ruler", "1 mm", "-o", tmp_path / "s.csv")
+    code, _, _ = run("scale", f"{images}/more/**", "--ruler", "1 mm", "-o", tmp_path / "t.csv")
     assert code == 0
-    assert pd.read_csv(tmp_path / "s.csv")["image"].tolist() == ["b.png"]
+    assert pd.read_csv(tmp_path / "t.csv")["image"].tolist() == ["b.png"]
+
+
+def test_a_table_that_exists_is_completed(run, images, tmp_path):
+    table = tmp_path / "s.csv"
+    assert run("scale", images / "a.png", "--ruler", "1 mm", "-o", table)[0] == 0
+    by_hand = "image,scale,unit,scale_se,how,message,fingerprint,note\nc.png,0.2,mm,,,,,lens B\n"
+    table.write_text(by_hand + "".join(f"{line},\n" for line in table.read_text().splitlines()[1:]))
+    found = pd.read_csv(table)["scale"].tolist()
+    code, out, _ = run("scale", images / "b.png", images / "c.png", "--ruler", "1 mm", "-o", table)
+    assert code == 0 and "1 line of other images stay" in " ".join(out.split())
+    assert "by hand or as no scale is found now: c.png" in " ".join(out.split())
+    completed = pd.read_csv(table)
+    assert completed["image"].tolist() == ["c.png", "a.png", "b.png"] and completed["note"][0] == "lens B"
+    assert completed["scale"][:2].tolist() == found and completed["scale"][2] == pytest.approx(0.1, rel=1e-3)
+    code, _, _ = run("scale", images / "a.png", images / "b.png", "--ruler", "7 mm", "-o", table)
+    assert code == 0 and pd.read_csv(table)["scale"][1] == pytest.approx(0.7, rel=1e-3)  # found anew
+    (tmp_path / "other.csv").write_text("x,y\n1,2\n")
+    code, _, err = run("scale", images / "a.png", "--ruler", "1 mm", "-o", tmp_path / "other.csv")
+    assert code == 1 and "exists, and cannot be completed" in " ".join(err.split())
 
 
 def test_bars_are_found_too(run, tmp_path, rng):

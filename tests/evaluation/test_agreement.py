@@ -212,3 +212,21 @@ def test_estimated_landmarks_are_compared_with_nobody_s(rng):
     labels = [Specimen(f"w{i}", points, estimated=(0, 4) if i == 5 else ()) for i, points in enumerate(truth)]
     found = compare_specimens(fits, [labels])
     assert (found.n_specimens, found.n_left_out) == (6, 2)
+
+
+def test_records_of_an_individual_count_together(rng):
+    truth = np.repeat(specimens(rng, 10), 4, axis=0)
+    automatic = observed(truth, rng, 0.02)
+    labels = observed(truth, rng, 0.02)
+    flies = [f"fly{i // 4}" for i in range(40)]
+    found = compare_shapes(automatic, labels, individuals=flies)
+    alone = compare_shapes(automatic, labels)
+    assert (found.n_specimens, found.n_individuals, alone.n_individuals) == (40, 10, 40)
+    assert found.slope == alone.slope and found.slope_interval != alone.slope_interval
+    assert found.mean_distance < 0.7 * alone.mean_distance  # the mean of 10 flies is known less well than that of 40
+    assert "Automatic landmarks of 40 records of 10 individuals were" in found.methods()
+    assert "shapes of 40 records of 10 individuals" in found.report()
+    with pytest.raises(LiaamError, match=r"4 individuals with all landmarks: .* from 5 individuals on"):
+        compare_shapes(automatic[:16], labels[:16], individuals=flies[:16])
+    with pytest.raises(LiaamError, match="10 individuals of 40 specimens"):
+        compare_shapes(automatic, labels, individuals=flies[::4])

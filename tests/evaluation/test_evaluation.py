@@ -12,11 +12,12 @@ import pytest
 
 import liaam
 from liaam import Evaluation, FitStatus, Landmarks, Sample
+from liaam.cli.evaluate import show_landmarks
 from liaam.error_measures import landmark_errors, within_ellipses
 from liaam.errors import LiaamError
 from liaam.evaluation import measure
-from liaam.io import read_landmarks, write_image, write_landmarks
-from liaam.io.files import real_path
+from liaam.io import read_image, read_landmarks, write_image, write_landmarks
+from liaam.io.files import fingerprint_of, real_path
 from liaam.studio.folder import Folder
 from liaam.studio.store import Store
 
@@ -53,6 +54,15 @@ def test_fits_are_right_refused_silent_or_lost(mixed):
     assert mixed.coverage == 1.0  # of im0 and im2
     assert evaluation([2.4, 2.5], (OK, OK)).coverage == 0.5  # the radius is 2.45 standard deviations
     assert np.isnan(evaluation([1.0], (DOUBTFUL,)).coverage)
+
+
+def test_the_printed_table_says_how_many_landmarks_it_leaves_out(mixed, capsys):
+    arrays = {name: np.tile(getattr(mixed, name), (1, 3, 1)) for name in ("truths", "landmarks")}
+    covariances = np.tile(mixed.covariances, (1, 3, 1, 1))
+    show_landmarks(replace(mixed, **arrays, covariances=covariances, landmark_names=()))
+    assert "these are the 10 landmarks of 12 with the largest errors" in " ".join(capsys.readouterr().out.split())
+    show_landmarks(mixed)
+    assert "largest errors" not in capsys.readouterr().out
 
 
 def test_tables_count_landmarks_from_1_and_name_them(mixed):
@@ -205,6 +215,35 @@ def test_the_command_writes_tables_and_pictures(run, folder, tmp_path):
     assert [len(own) for own in rows.values()] == [4 * 5, 4, 5]
     assert {row["outcome"] for row in rows["images"]} == {"right"}
     assert all((tmp_path / "out" / name).read_bytes()[:4] == b"\x89PNG" for name in ("errors.png", "worst.png"))
+
+
+def test_images_of_training_are_known_by_their_content_and_reported(run, folder, small, tmp_path):
+    files = sorted((folder / "faces").glob("*.png"))
+    prints = tuple(sorted(fingerprint_of(file) for file in files[:2]))
+    seen = replace(small, fingerprints=prints)
+    seen.save(tmp_path / "seen.liaam")
+    assert liaam.load_model(tmp_path / "seen.liaam").fingerprints == prints
+    data = [(file, file.with_suffix(".pts")) for file in files]
+    found = liaam.evaluate(liaam.load_model(tmp_path / "seen.liaam"), data, method="grey", progress=False)
+    assert found.in_training == (True, True, *[False] * (len(files) - 2))
+    assert f"the model was trained on 2 of these {len(files)} images (f0, f1)" in found.report()
+    assert found.by_image()["in_training"][:3] == [True, True, False]
+    options = ("-m", "grey", "--init", folder / "faces", "--limit", 20, "-o", tmp_path / "out")
+    _, out, err = run("evaluate", tmp_path / "seen.liaam", folder / "faces", *options)
+    told = " ".join((out + err).split())
+    assert "the model was trained on 2 of these" in told and "for the section Methods of a paper:" not in told
+    other = liaam.evaluate(replace(seen, fingerprints=("abcdefghijklmnop",)), data[:2], method="grey", progress=False)
+    assert other.in_training == (False, False) and "trained on" not in other.report()
+    unknown = liaam.evaluate(replace(small, fingerprints=()), data[:2], method="grey", progress=False)
+    assert "does not say which images it was trained on" in unknown.report()
+
+
+def test_training_keeps_the_fingerprints_of_files(folder):
+    files = sorted((folder / "faces").glob("*.png"))
+    pairs = [(file, file.with_suffix(".pts")) for file in files]
+    quick = OPTIONS | {"lamps": None}
+    assert liaam.train(pairs, **quick).fingerprints == tuple(sorted(map(fingerprint_of, files)))
+    assert liaam.train([(read_image(file), marks) for file, marks in pairs], **quick).fingerprints == ()
 
 
 def test_the_command_trains_on_folds(run, folder, tmp_path, monkeypatch):

@@ -513,6 +513,8 @@ FORGERIES = {
     "many images": (entry("n_images", value=float("inf")), "infinity"),
     "other pixels": (other_pixels, "0/soft.modes has type int8 and shape"),
     "no name": (without("name"), "name"),
+    "odd fingerprints": (entry("fingerprints", value=["abc"]), "fingerprints are not a list of 16 letters"),
+    "one fingerprint": (entry("fingerprints", value="abcdefghijklmnop"), "fingerprints are not a list"),
     "few counts": (entry("n_missing", value=[1]), "n_missing has not 4 numbers from 0 to 3"),
     "many missing": (entry("n_missing", value=[0, 0, 4, 0]), "n_missing has not 4 numbers from 0 to 3"),
     "half missing": (entry("n_missing", value=[0, 0.5, 0, 0]), "n_missing has not 4 numbers from 0 to 3"),

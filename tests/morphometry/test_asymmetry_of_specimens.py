@@ -136,6 +136,35 @@ def test_replicates_and_too_few_permutations_say_nothing_of_the_stated_error(rng
     assert analysed(fitted, "matching", permutations=39).error_exceeds_differences
 
 
+@pytest.mark.parametrize("kind", ["matching", "object"])
+def test_replicates_that_repeat_the_errors_of_fits_have_a_second_error_term(rng, kind) -> None:
+    """Both records of a structure have one error of 0.5 in common, which the covariances state, and 0.05 besides."""
+    facts = {"covariances": np.tile(0.5**2 * np.eye(2), (len(NAMES), 1, 1)), "status": "converged"}
+    once = wings(rng, 20, 0.5, **facts) if kind == "matching" else faces(rng, 20, **facts)
+    if kind == "object":
+        once = [replace(each, points=each.points + rng.normal(0, 0.5, each.points.shape)) for each in once]
+    specimens = [
+        replace(each, name=f"{each.name}_{number}", points=each.points + rng.normal(0, 0.05, each.points.shape))
+        for each in once
+        for number in (1, 2)
+    ]
+    result = analysed(specimens, kind, by="_", permutations=99)
+    other = result.error_by_covariances
+    assert result.replicates_repeat_errors and other is not None and result.analysis.error == "replicates"
+    anova = result.analysis.shape_anova
+    assert other["MS"] > 20 * anova["MS"][ERROR]
+    if kind == "matching":  # without asymmetry, what differs is the error
+        assert anova["P"][2] < 0.02 < other["P"] and other["F"] == pytest.approx(1.0, abs=0.4)
+    rows = result.anova()
+    place = rows["effect"].index("error by covariances")
+    assert (rows["trait"][place], rows["MS"][place]) == ("shape", other["MS"])
+    told = json.loads(result.to_json())
+    assert told["replicates_repeat_errors"] and told["error_by_covariances"] == other
+    bare = analysed([replace(each, covariances=None) for each in specimens], kind, by="_")
+    assert bare.error_by_covariances is None and not bare.replicates_repeat_errors
+    assert "error by covariances" not in bare.anova()["effect"]
+
+
 def test_estimated_landmarks_do_not_count_in_the_error_term(rng) -> None:
     fitted = wings(rng, 10, 0.3, covariances=np.tile(0.09 * np.eye(2), (6, 1, 1)))
     whole = analysed(fitted, "matching").analysis.shape_anova["MS"][ERROR]
@@ -284,7 +313,7 @@ def test_individuals_whose_side_the_shape_contradicts_are_left_out_by_name(rng) 
     given = wings(rng, 6, 1.0)
     flipped = replace(given[4], points=given[4].points * [-1, 1])
     found = analysed([*given[:4], flipped, *given[5:]], "matching", permutations=99)
-    assert found.left_out == ("fly2: fly2_left is stated left, and is right by its shape; it is left out",)
+    assert found.left_out == ("fly2: fly2_left is stated left, and is right by its landmarks; it is left out",)
     others = analysed([*given[:4], *given[6:]], "matching", permutations=99)
     assert found.individuals == others.individuals
     np.testing.assert_allclose(found.analysis.distances, others.analysis.distances, rtol=0.05)
@@ -299,7 +328,7 @@ def test_the_side_of_a_fit_is_taken_and_explains_why_an_individual_is_left_out(r
     found = analysed([*given[:4], flipped, *given[5:]], "matching", permutations=0)
     assert found.left_out == (
         "fly2: it has 0 left and 2 right records with a shape, where most have 1 of each side (fly2_left is stated "
-        "left, and is right by its fit); it is left out",
+        "left, and is right by its landmarks); it is left out",
     )
     exchanged = [replace(given[4], name="fly2_right"), replace(given[5], name="fly2_left")]
     found = analysed([*given[:4], *exchanged, *given[6:]], "matching", permutations=0)

@@ -10,7 +10,7 @@ import pytest
 from geomorph_results import read_set
 from liaam.errors import LiaamError
 from liaam.model.shape import align
-from liaam.morphometry import Specimen, far_estimates, measure, with_estimated_landmarks
+from liaam.morphometry import Specimen, estimated_on_a_side, far_estimates, measure, with_estimated_landmarks
 from liaam.morphometry.missing import METHODS, estimate_missing
 from liaam.morphometry.superimposition import superimpose
 
@@ -212,3 +212,17 @@ def test_few_complete_specimens_do_not_say_what_is_far(rng) -> None:
     assert far_estimates([moved, *specimens[1:]]) == ()
     assert len(far_estimates([moved, *specimens[1:], Specimen("w5", wings(rng, 1)[0])])) == 1
     assert far_estimates(()) == () and far_estimates([moved]) == ()
+
+
+def test_landmarks_that_are_estimated_on_one_side_only_are_reported(rng):
+    base = np.array([[0.0, 0], [60, 5], [120, 20], [90, 70], [30, 60]])
+    specimens = [
+        Specimen(f"w{i}", base + rng.normal(0, 1, base.shape), side="left" if i % 2 else "right", estimated=(3,))
+        for i in range(6)
+    ]
+    assert estimated_on_a_side(specimens) == ()  # on both
+    lacking = [replace(each, estimated=(3,) if each.side == "left" else ()) for each in specimens]
+    (line,) = estimated_on_a_side(lacking)
+    assert line.startswith("landmark 4 is estimated in all left specimens: differences between the sides there are")
+    assert estimated_on_a_side([replace(lacking[1], estimated=()), *lacking]) == ()
+    assert estimated_on_a_side([each for each in lacking if each.side == "left"]) == ()

@@ -1,6 +1,7 @@
 """Records of images: names that tell all apart, objects and replicates."""
 
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -9,7 +10,7 @@ import pytest
 from liaam.errors import LiaamError
 from liaam.io.landmarks.matching import unique_names
 from liaam.morphometry import Specimen, alike, exchanged_landmarks, measure, measurement_error, read_specimens
-from liaam.morphometry.records import Record, objects_of_records
+from liaam.morphometry.records import Record, objects_of_records, without_copies
 from setups import growth
 
 LEAF = np.array([[0.0, 0], [30, 5], [45, 30], [20, 50], [5, 30]])
@@ -180,3 +181,32 @@ def test_objects_without_points_do_not_matter() -> None:
 
 def test_names_that_are_only_a_drive_are_kept():
     assert unique_names(["x/c:", "y/c:"]) == {"x/c:": "x/c:", "y/c:": "y/c:"}
+
+
+def test_fits_to_copies_of_a_picture_are_left_out_by_name():
+    points = np.array([[0.0, 0], [10, 1], [12, 9], [3, 14]])
+
+    def fit(name, fingerprint, moved=0.0, status="converged"):
+        return Specimen(name, points + moved, image=f"{name}.jpg", fingerprint=fingerprint, status=status)
+
+    given = [fit("a", "p"), fit("b", "q"), fit("copy", "p", 0.5), fit("other", "p", 100.0), fit("bare", "")]
+    by_hand = replace(fit("d", "p"), status="")  # a second observation of the picture
+    again = replace(given[0], name="a#2")  # another record of the same file
+    kept, left_out = without_copies([*given, by_hand, again, fit("lost", "p", status="diverged")])
+    assert [each.name for each in kept] == ["a", "b", "other", "bare", "d", "a#2", "lost"]
+    assert left_out == ("copy: its file is a copy of that of a, under another name; it is left out",)
+
+
+def test_images_that_were_fitted_again_are_taken_from_the_table_that_may_be_used(tmp_path):
+    header = "path,status,quality,x1,y1,x2,y2,x3,y3\n"
+    first = "a.png,converged,1,0,0,9,2,20,3\nb.png,doubtful,1,5,5,9,2,20,3\nc.png,doubtful,1,0,0,9,2,20,3\n"
+    (tmp_path / "fits.csv").write_text(header + first)
+    (tmp_path / "turned.csv").write_text(f"{header}b.png,converged,1,7,7,9,2,20,3\nc.png,doubtful,1,1,1,9,2,20,3\n")
+    told: list[str] = []
+    found = read_specimens(tmp_path, told.append)
+    assert [(each.name, each.status, each.points[0, 0]) for each in found] == [
+        ("a", "converged", 0.0),
+        ("b", "converged", 7.0),
+        ("c", "doubtful", 0.0),
+    ]
+    assert told == []

@@ -17,6 +17,7 @@ from liaam.morphometry import (
     of_one_side,
     read_specimens,
     replicates as module,
+    replicates_repeat_errors,
 )
 
 
@@ -212,3 +213,38 @@ def test_a_flipped_image_is_no_replicate_of_the_other_side() -> None:
     one_side, _ = of_one_side(numbered, by="_")
     error = measurement_error(one_side, measure(one_side), "_")
     assert (error["specimens"][0], error["replicates"][0]) == (4, 8)
+
+
+@pytest.mark.parametrize("own", [0.0, 1.5])
+def test_replicates_that_repeat_errors_which_covariances_state_are_known(rng, own):
+    """Two records of each specimen have one error in common; ``own`` is what each has besides."""
+    base = np.array([[0.0, 0], [60, 5], [120, 20], [90, 70], [30, 60]])
+    spread = np.tile((1.5**2) * np.eye(2), (5, 1, 1))
+    specimens = []
+    for i in range(30):
+        common = base + rng.normal(0, 4, base.shape) + rng.normal(0, 0.0 if own else 1.5, base.shape)
+        for number in (1, 2):
+            points = common + rng.normal(0, own or 0.2, base.shape)
+            specimens.append(Specimen(f"w{i}_{number}", points, spread, status="converged"))
+    error = measurement_error(specimens, measure(specimens, ["distance:1-3"]), "_")
+    assert replicates_repeat_errors(error) == (own == 0)
+    by_name = dict(zip(error["measure"], zip(error["sd"], error["sd_by_covariances"], strict=True), strict=True))
+    assert by_name["distance_1_3"][1] == pytest.approx(1.5 * 2**0.5, rel=0.05)
+    for sd, by_covariances in by_name.values():
+        assert sd == pytest.approx(by_covariances, rel=0.5) if own else sd < 0.3 * by_covariances
+    bare = [replace(each, covariances=None) for each in specimens]
+    without = measurement_error(bare, measure(bare), "_")
+    assert "sd_by_covariances" not in without and not replicates_repeat_errors(without)
+
+
+def test_records_of_one_individual_and_side_may_be_the_replicates(rng):
+    wing = np.array([[0.0, 0], [9, 2], [20, 3], [24, 8], [15, 11], [3, 5]])
+    specimens = [
+        Specimen(f"IMG_{4 * i + j}", wing * 10 + rng.normal(0, 1, wing.shape), individual=f"F{i}", side=side)
+        for i in range(5)
+        for j, side in enumerate(("left", "left", "right", "right"))
+    ]
+    sided, _ = of_one_side(specimens, "reflected", by="individual")
+    assert [each.individual for each in sided[:5]] == ["F0"] * 4 + ["F1"]
+    error = measurement_error(sided, measure(sided), "individual")
+    assert (error["specimens"][0], error["replicates"][0]) == (10, 20)

@@ -1,5 +1,6 @@
 """Tables of ``liaam scale``: lengths of a pixel by the image of a specimen."""
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -123,3 +124,31 @@ def test_lengths_have_the_source_that_their_row_states(tmp_path: Path) -> None:
         "b.png": "the table of scales",
         "c.png": "the table of scales",
     }
+
+
+def test_tables_complete_each_other_and_may_not_disagree(tmp_path: Path) -> None:
+    rulers = save(tmp_path, HEADER + "a.png,0.01,mm,0,ruler\nb.png,,,,\n")
+    bars = tmp_path / "bars.csv"
+    bars.write_text(HEADER + "b.png,0.02,mm,0,bar\nc.png,,,,\n")
+    lengths = read_lengths(rulers, bars)
+    assert {name: length and length.value for name, length in lengths.items()} == {
+        "a.png": 0.01,
+        "b.png": 0.02,
+        "c.png": None,
+    }
+    bars.write_text(HEADER + "a.png,0.02,mm,0,bar\n")
+    with pytest.raises(LiaamError, match=r"scales\.csv and .*bars\.csv both have a scale of 'a\.png': keep one"):
+        read_lengths(rulers, bars)
+
+
+def test_images_of_one_name_are_told_apart_by_their_endings(tmp_path: Path) -> None:
+    table = read_lengths(save(tmp_path, HEADER + "IMG_9.JPG,0.01,mm,0,ruler\nIMG_9.tif,0.02,mm,0,ruler\n"))
+    named = [Specimen(name, np.zeros((2, 2))) for name in ("IMG_9.JPG", "IMG_9.tif")]
+    fitted = [replace(each, name=f"w{i}", image=f"study/pair/{each.name}") for i, each in enumerate(named)]
+    for specimens in (named, fitted):
+        assert [each.scale for each in with_lengths(specimens, table)] == [0.01, 0.02]
+    with pytest.raises(LiaamError, match=r"specimen IMG_9 may be of the images IMG_9\.JPG, IMG_9\.tif"):
+        with_lengths([Specimen("IMG_9", np.zeros((2, 2)))], table)
+    other_format = [Specimen("IMG_9.png", np.zeros((2, 2)), image="IMG_9.png")]  # of the same photograph
+    alone = read_lengths(save(tmp_path, HEADER + "IMG_9.JPG,0.01,mm,0,ruler\n"))
+    assert with_lengths(other_format, alone)[0].scale == 0.01

@@ -67,11 +67,44 @@ def test_numbers_of_replicates_are_no_part_of_the_individual(names, by, individu
     ],
 )
 def test_names_that_tell_no_sides_change_nothing(names) -> None:
-    given = specimens(*names)
+    given = [Specimen(name, POINTS + i) for i, name in enumerate(names)]
     found, said = of_one_side(given)
     assert said == ""
     assert [each.points.tolist() for each in found] == [each.points.tolist() for each in given]
     assert not any(each.side for each in found)
+
+
+WING = np.array([[0.0, 0], [9, 2], [20, 3], [24, 8], [15, 11], [3, 5]])
+"""A shape that does not look the same in a mirror."""
+
+
+def test_mirrored_shapes_without_a_stated_side_are_reflected_and_named() -> None:
+    right = [Specimen(name, WING + i) for i, name in enumerate("abc")]
+    mirrored = [replace(each, name=f"m{i}", points=each.points * [-1, 1]) for i, each in enumerate(right[:2])]
+    found, said = of_one_side([*right, *mirrored])
+    assert said.startswith(
+        "2 of 5 specimens are mirrored by their shapes, and were reflected, to be compared with the others: m0, m1; "
+        "state the sides"
+    )
+    assert "--side ignore" in said
+    assert [each.side for each in found] == ["original"] * 3 + ["mirrored"] * 2
+    assert [each.points.tolist() for each in found[3:]] == [each.points.tolist() for each in right[:2]]
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        columns = measure(found)
+    np.testing.assert_allclose(columns["X1"], columns["X1"][0])
+    found, said = of_one_side([*right, *mirrored], "ignore")
+    assert said == "" and [each.points.tolist() for each in found[3:]] == [each.points.tolist() for each in mirrored]
+
+
+def test_records_with_y_from_the_other_border_are_reflected_and_have_no_side() -> None:
+    upright = [Specimen(name, WING + i) for i, name in enumerate("abc")]
+    turned = [replace(each, name=f"u{i}", points=each.points * [1, -1]) for i, each in enumerate(upright[:2])]
+    found, said = of_one_side([*upright, *turned])
+    assert "u0, u1; y of these seems to count from the other border" in said
+    assert not any(each.side for each in found)
+    columns = measure(found)
+    np.testing.assert_allclose(columns["X1"], columns["X1"][0])
 
 
 def test_one_side_alone_stays_as_it_is() -> None:
@@ -180,6 +213,18 @@ def test_columns_of_a_table_tell_the_individual_and_the_side(tmp_path) -> None:
     assert [each.name for each in found] == ["s0", "s1", "s2", "s3"]
     assert [each.individual for each in found] == ["i1", "i1", "i2", "i2"]
     assert [each.side for each in found] == ["left", "right", "left", "right"]
+
+
+def test_a_column_individual_beside_one_of_images_is_read(tmp_path) -> None:
+    rows = ["image,side,individual,landmark,x,y"]
+    for number, (individual, side) in enumerate([("F1", "left"), ("F1", "right"), ("F2", "left")]):
+        rows += [f"IMG_{number}.jpg,{side},{individual},{i + 1},{x},{y}" for i, (x, y) in enumerate(POINTS)]
+    rows += [f"tray.jpg,left,{name},{i + 1},{x},{y}" for name in ("F3", "F4") for i, (x, y) in enumerate(POINTS)]
+    (tmp_path / "t.csv").write_text("\n".join(rows))
+    found = read_specimens(tmp_path / "t.csv")
+    assert [each.name for each in found][:3] == ["IMG_0", "IMG_1", "IMG_2"]
+    assert [each.individual for each in found] == ["F1", "F1", "F2", "F3", "F4"]
+    assert [each.side for each in found] == ["left", "right", "left", "left", "left"]
 
 
 def test_a_row_for_each_image_may_tell_them_too(tmp_path) -> None:

@@ -67,6 +67,62 @@ def test_groups_have_means_with_standard_errors_and_a_test(rng):
     assert "a – b: means" in found.report()
 
 
+def records_of(rng, individuals: np.ndarray, n: int, sd: float) -> list[Specimen]:
+    """Give n records of each individual's shape, whose names tell the individual and the record."""
+    return [
+        Specimen(f"fly{i}#{j}", points + rng.normal(0.0, sd, points.shape), individual=f"fly{i}")
+        for i, points in enumerate(individuals)
+        for j in range(n)
+    ]
+
+
+def test_groups_are_compared_by_individuals_of_which_there_are_several_records(rng):
+    individuals = truth_of(rng, 12)
+    specimens = records_of(rng, individuals, 4, 0.01)
+    groups = [group for group in "ab" * 6 for _ in range(4)]
+    found = shape_variation(specimens, measure(specimens), groups, permutations=199)
+    (test,) = found.tests
+    assert (test["specimens"], test["individuals"]) == (48, 12)
+    assert "of 12 individuals" in found.report() and "by the means of individuals" in found.report()
+    assert found.by_group()["individuals"][0] == 6 and found.by_specimen()["individual"][:5] == ["fly0"] * 4 + ["fly1"]
+    assert json.loads(found.to_json())["individuals"] == 12
+    # The records of an individual are alike, so that one of each says the same.
+    alone = specimens[::4]
+    of_one = shape_variation(alone, measure(alone), groups[::4], permutations=199)
+    assert float(test["P"]) == pytest.approx(float(of_one.tests[0]["P"]), abs=0.03)
+    assert found.means_se["a"].max() == pytest.approx(of_one.means_se["a"].max(), rel=0.05)
+    independent = [Specimen(each.name, each.points) for each in specimens]
+    as_specimens = shape_variation(independent, measure(independent), groups, permutations=199)
+    assert as_specimens.individuals == () and float(as_specimens.tests[0]["P"]) < float(test["P"])
+
+
+def test_groups_within_individuals_are_exchanged_within_them(rng):
+    individuals = truth_of(rng, 8)
+    moved = individuals.copy()
+    moved[:, 6] += [0.8, 0.0]  # far less than individuals differ by
+    specimens = [
+        Specimen(f"fly{i}{side}", points + rng.normal(0.0, 0.1, points.shape), individual=f"fly{i}")
+        for side, shapes in (("l", individuals), ("r", moved))
+        for i, points in enumerate(shapes)
+    ]
+    found = shape_variation(specimens, measure(specimens), ["l"] * 8 + ["r"] * 8, permutations=499)
+    assert float(found.tests[0]["P"]) <= 0.02 and float(found.tests[0]["R2"]) < 0.1
+    assert "8 individuals have records in several groups" in found.report()
+
+
+def test_few_individuals_in_several_groups_are_refused_by_name(rng):
+    specimens = records_of(rng, truth_of(rng, 6), 2, 0.1)
+    groups = ["a", "a", "a", "b", *"aabbbbbb"]
+    with pytest.raises(LiaamError, match=r"1 of 6 individuals have records in several groups, .* \(fly1\): correct"):
+        shape_variation(specimens, measure(specimens), groups)
+
+
+def test_a_group_of_records_of_one_individual_is_too_small(rng):
+    specimens = records_of(rng, truth_of(rng, 3), 3, 0.1)
+    with pytest.raises(LiaamError, match="need two groups of 2 individuals or more"):
+        shape_variation(specimens, measure(specimens), ["a"] * 3 + ["b"] * 6)
+
+
 def test_without_a_difference_the_test_finds_none(rng):
     specimens = fitted(rng, truth_of(rng, 40), 1.0)
     groups = ["a", "b", "c", "d"] * 10

@@ -337,6 +337,22 @@ def test_results_and_tables_say_the_side(model, both, tmp_path):
     assert np.abs(compare_specimens(specimens, [labels]).bias).max() < 0.02
 
 
+def test_a_batch_of_landmarks_alone_says_that_sides_are_lost_and_measuring_finds_them(model, both, tmp_path, run):
+    folder = folder_of(tmp_path / "new", both[N_TRAINED:], [f"w{i}" for i in range(6)])
+    model.save(tmp_path / "m.liaam")
+    for _ in range(2):  # also if there is nothing to do
+        code, out, err = run("batch", tmp_path / "m.liaam", folder, "-o", tmp_path / "out.tps")
+        assert code == 0 and "2 mirrored and 4 original ones are as they lie in the images" in " ".join(err.split())
+        told = " ".join((out + err).split())
+        assert "6 fits: 6 converged" in told and "landmarks of the 6 fits that may be used" in told
+        assert "column 'm" not in told and "row" not in told
+    _, _, err = run("batch", tmp_path / "m.liaam", folder, "-o", tmp_path / "out.csv")
+    assert "as they lie" not in " ".join(err.split())
+    code, out, _ = run("measure", tmp_path / "out.tps", "-o", tmp_path / "t.csv")
+    said = "2 of 6 specimens are mirrored by their shapes, and were reflected, to be compared with the others: w0, w3"
+    assert code == 0 and said in " ".join(out.split())
+
+
 def test_the_command_line_says_how_many_are_of_each_side(both, tmp_path, run):
     names = [f"w{i}{'L' if i % 3 == 0 else 'R'}" for i in range(N_TRAINED)]
     folder = folder_of(tmp_path / "w", both[:N_TRAINED], names)

@@ -15,10 +15,12 @@ from liaam.io import Landmarks
 from liaam.model import MESH, SURROUNDINGS, load_model
 from liaam.model.mirror import mirrored_model
 from liaam.model.shape import align, diagonal_of, mirror_order
+from liaam.model.sides import Sides
 from liaam.photometry import CameraModel
 from liaam.training import train as train_as_users_do
 from liaam.training.entries import read_entries, with_all_landmarks
 from liaam.training.images import count_outside, describe_cut_off, describe_outside
+from liaam.training.incomplete import missing_on_a_side
 from liaam.training.lamps import Copies
 from liaam.training.left_out import folds_of
 from liaam.training.reliability import OPTIONS, _fit
@@ -271,3 +273,18 @@ def test_landmarks_outside_are_counted_of_those_that_are_known():
         "2 images have landmarks outside of the image: a (1 of 4), c (2 of 5); correct them, unless"
     )
     assert describe_cut_off({"b": (0, 5)}) == ""
+
+
+def test_landmarks_that_all_images_of_one_side_lack_are_said():
+    known = np.ones((6, 5), bool)
+    is_other = np.array([True, False] * 3)
+    sides = Sides("right", 3, 3)
+    known[::2, 3] = False
+    said = missing_on_a_side(known, is_other, sides, ())
+    assert said.startswith("landmark 4 is missing in all 3 left images: fits of left objects place it as on the other")
+    known[0, 3] = True
+    assert missing_on_a_side(known, is_other, sides, ()) == ""
+    known[1::2, :2] = False
+    assert missing_on_a_side(known, is_other, sides, [*"abcde"]).startswith(
+        "landmarks 1 (a), 2 (b) are missing in all 3 r"
+    )

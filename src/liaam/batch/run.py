@@ -49,6 +49,10 @@ class Summary:
         Number of fits that may be used, with landmarks that are absent.
     faults : tuple of str
         Why images could not be fitted, with their names: of the first three.
+    sides : dict of str to int
+        Number of fits that may be used by side, if the model knows two sides.
+    rows : dict of str to int
+        Number of rows by status; more than images if several objects of an image were fitted.
     """
 
     output: Path
@@ -57,6 +61,8 @@ class Summary:
     seconds: float = 0.0
     absent: int = 0
     faults: tuple[str, ...] = ()
+    sides: dict[str, int] = field(default_factory=dict)
+    rows: dict[str, int] = field(default_factory=dict)
 
     @property
     def total(self) -> int:
@@ -172,7 +178,9 @@ class _Batch:
             earlier = None if restart else earlier_summary(self.output)
             if earlier is not None and (earlier["settings"], earlier["pictures"]) == (self.facts, journal.digest()):
                 faults = tuple(earlier.get("faults", ()))
-                summary = Summary(self.output, earlier["statuses"], absent=earlier.get("absent", 0), faults=faults)
+                counts = {"absent": earlier.get("absent", 0), "sides": earlier.get("sides", {})}
+                counts["rows"] = earlier.get("rows", earlier["statuses"])
+                summary = Summary(self.output, earlier["statuses"], faults=faults, **counts)
             else:
                 summary = self._finish(journal)
             journal.remove()
@@ -220,12 +228,16 @@ class _Batch:
             self._rows(journal, tally), model.n_points, self.job.settings.covariance, self.facts, contours, names
         )
         write_table(self.output, table)
-        summary = replace(summary, absent=tally.absent, faults=tuple(tally.faults))
+        sides = dict(sorted(tally.sides.items()))
+        rows = dict(sorted(tally.statuses.items()))
+        summary = replace(summary, absent=tally.absent, faults=tuple(tally.faults), sides=sides, rows=rows)
         facts = {
             "settings": self.facts,
             "statuses": summary.statuses,
             "absent": summary.absent,
             "faults": list(summary.faults),
+            "sides": summary.sides,
+            "rows": summary.rows,
             "pictures": journal.digest(),
             "bytes": self.output.stat().st_size,
         }
@@ -310,10 +322,15 @@ class _Tally:
 
     absent: int = 0  # number of fits that may be used, with absent landmarks
     faults: list[str] = field(default_factory=list)  # why images could not be fitted, of the first
+    sides: Counter[str] = field(default_factory=Counter)  # number of fits that may be used, by side
+    statuses: Counter[str] = field(default_factory=Counter)  # number of rows by status
 
     def add(self, row: FitRow) -> None:
         """Add a row."""
         self.absent += has_absent(row)
+        self.statuses[row["status"]] += 1
+        if row["side"] and row["status"] in USABLE:
+            self.sides[row["side"]] += 1
         if row["status"] == ERROR and len(self.faults) < REASONS:
             message = row["message"]
             names_image = message.startswith(row["path"])
@@ -340,7 +357,11 @@ def earlier_summary(output: Path) -> dict[str, Any] | None:
         faults = summary.get("faults", [])
         sound = isinstance(settings, dict) and isinstance(pictures, str) and isinstance(statuses, dict)
         sound = sound and isinstance(faults, list) and all(isinstance(fault, str) for fault in faults)
-        counted = sound and all(map(_is_count, (*statuses.values(), summary.get("absent", 0))))
+        sides = summary.get("sides", {})
+        rows = summary.get("rows", statuses)
+        sound = sound and isinstance(sides, dict) and isinstance(rows, dict)
+        numbers = (*statuses.values(), *sides.values(), *rows.values(), summary.get("absent", 0)) if sound else ()
+        counted = sound and all(map(_is_count, numbers))
     except (OSError, ValueError, KeyError, TypeError, RecursionError):
         return None
     return summary if unchanged and counted else None

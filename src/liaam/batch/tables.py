@@ -19,6 +19,7 @@ from liaam.io import Contour, Landmarks, atomic_path
 from liaam.io.files import json_object
 from liaam.io.fit_files import TPS_DECIMALS
 from liaam.io.landmarks.reading import Source
+from liaam.io.landmarks.tables import INDIVIDUALS, SIDE
 from liaam.io.landmarks.writers import tps_text, upwards
 from liaam.io.table_reader import named_rows
 
@@ -254,6 +255,7 @@ def _read_parquet(path: Path) -> Iterator[dict[str, Any]]:
 def _parsed(file: Source) -> Iterator[dict[str, Any]]:
     """Yield the rows of a table of text, with the lists that flat columns hold."""
     titles = [title.strip() for title in file.rows[0][1]]
+    renamed = _known_columns(titles)
     x_columns = [name for name in titles if re.fullmatch(r"x(\d+|_.+)", name, re.DOTALL)]
     suffixes = [name.removeprefix("x") for name in x_columns]
     if all(map(str.isdigit, suffixes)):
@@ -266,7 +268,24 @@ def _parsed(file: Source) -> Iterator[dict[str, Any]]:
             cells = [row.get(header, "") for header in flat]
             if any(cells):  # else the list is absent
                 lists[column] = [float(cell) if cell else None for cell in cells]
-        yield {**row, NAMES: names, **lists}
+        yield {**{renamed[name]: cell for name, cell in row.items()}, NAMES: names, **lists}
+
+
+def _known_columns(titles: Sequence[str]) -> dict[str, str]:
+    """Return what the columns of a table mean: those of side and individual may be written otherwise, as by people.
+
+    Raises
+    ------
+    LandmarkError
+        If two columns mean one of these.
+    """
+    known = {SIDE: SIDE} | dict.fromkeys(INDIVIDUALS, "individual")
+    meanings = {title: known.get(title.lower(), title) for title in titles}
+    for meaning in known.values():
+        same = [title for title in meanings if meanings[title] == meaning]
+        if len(same) > 1:
+            raise LandmarkError(f"the columns {' and '.join(same)} both are of the {meaning}: keep one of them")
+    return meanings
 
 
 def _read_lines(path: Path) -> Iterator[dict[str, Any]]:

@@ -194,6 +194,8 @@ class FitJob:
             number = i + 1 if every else None
             named = {"object": number, "specimen": specimen.name, "code": specimen.code, "message": fitted.message(i)}
             named["fingerprint"] = photograph.fingerprint
+            if every and row["n_found"] is not None:  # each result knows of its own object only
+                named["n_found"] = len(fitted.results)
             rows.append(row | named)
         return rows
 

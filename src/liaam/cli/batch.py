@@ -26,6 +26,12 @@ from liaam.cli.terminal import complain, progress_bar, say
 from liaam.errors import LiaamError
 from liaam.io.files import count_of
 
+SEE_MESSAGES = "see the column 'message'"
+ANOTHER_TABLE = ", into another table in the same folder: 'liaam measure FOLDER' takes the usable fits of both"
+
+LANDMARKS_ONLY = ".tps"
+"""Suffix of the output that has landmarks and no columns."""
+
 
 def batch(
     sources: Annotated[
@@ -73,6 +79,7 @@ def batch(
     from liaam.batch.run import in_words
     from liaam.batch.work import ERROR
     from liaam.fitting import FitStatus
+    from liaam.fitting.result import USABLE
     from liaam.model import load_model
 
     camera, response = camera_in(given_camera)
@@ -97,7 +104,13 @@ def batch(
     else:
         rate = summary.fitted / summary.seconds
         say(f"{output}: {count_of(summary.fitted, 'image')} done in {summary.seconds:.0f} s, {rate:.1f} per second")
-    say(f"{count_of(summary.total, 'row')}: {in_words(summary.statuses)}")
+    n_rows = sum(summary.rows.values())
+    of = f" of {count_of(summary.total, 'image')}" if n_rows != summary.total else ""
+    is_tps = output.suffix.lower() == LANDMARKS_ONLY
+    say(f"{count_of(n_rows, 'fit' if is_tps else 'row')}{of}: {in_words(summary.rows)}")
+    if is_tps:
+        n_written = sum(summary.rows.get(status, 0) for status in USABLE)
+        say(f"{output}: landmarks of the {count_of(n_written, 'fit')} that may be used; messages are in tables (.csv)")
     say_again(again)
     for folder in sorted(set(closed)):
         complain(f"skipped {folder}: it cannot be read; check its permissions")
@@ -105,17 +118,31 @@ def batch(
     if errors:
         for fault in summary.faults:
             complain(fault)
-        complain(f"{count_of(errors, 'image')} could not be fitted; see the column 'message'")
+        complain(f"{count_of(errors, 'image')} could not be fitted{'' if is_tps else f'; {SEE_MESSAGES}'}")
     if summary.absent:
         what = "estimates" if absent == "estimate" else "empty"
-        say(f"{count_of(summary.absent, 'fit')} with absent landmarks, which are {what}: see the column 'message'")
+        see = "" if is_tps else f": {SEE_MESSAGES}"
+        say(f"{count_of(summary.absent, 'fit')} with absent landmarks, which are {what}{see}")
+    if is_tps and len(summary.sides) > 1:
+        complain(_about_sides(output, summary.sides))
     # A fit to another object, or to one that is turned, may also not converge.
-    if uncertain := sum(summary.statuses.get(status, 0) for status in (FitStatus.DOUBTFUL, FitStatus.MAX_ITERATIONS)):
-        advice = f"fits that may be wrong: {uncertain}; check those, by the column 'status'"
-        ways = "" if init else other_ways(load_model(model_file), side, rotations, f"{ALONE}, into another table")
+    if uncertain := sum(summary.rows.get(status, 0) for status in (FitStatus.DOUBTFUL, FitStatus.MAX_ITERATIONS)):
+        which = "they are not written" if is_tps else "check those, by the column 'status'"
+        advice = f"fits that may be wrong: {uncertain}; {which}"
+        ways = "" if init else other_ways(load_model(model_file), side, rotations, f"{ALONE}{ANOTHER_TABLE}")
         complain("; ".join(filter(None, (advice, ways))))
     if errors == summary.total:
         raise typer.Exit(1)
+
+
+def _about_sides(output: Path, sides: dict[str, int]) -> str:
+    """Say that a file of landmarks has no sides, and what this means for statistics."""
+    counts = " and ".join(f"{n} {side}" for side, n in sides.items())
+    return (
+        f"{output}: {counts} ones are as they lie in the images, and .tps has no sides: the shapes of one side are "
+        "mirrored against the other. 'liaam measure' reflects them; for other programs, reflect one side first, by the "
+        "column 'side' of a table (-o fits.csv)"
+    )
 
 
 def input_paths(

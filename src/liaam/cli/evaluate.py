@@ -308,7 +308,9 @@ def show_and_write(output: Path, evaluation: "Evaluation") -> None:
     write(output, evaluation)
     show_landmarks(evaluation)
     say(evaluation.report())
-    if evaluation.agreement is not None:
+    if any(evaluation.in_training):
+        complain("no sentences for a paper, since the model was trained on some of these images")
+    elif evaluation.agreement is not None:
         say(f"for the section Methods of a paper: {evaluation.agreement.methods()}")
     say(f"written to {output}")
 
@@ -347,3 +349,5 @@ def show_landmarks(evaluation: "Evaluation") -> None:
             "–" if np.isnan(inside) else f"{inside:.0f} %",
         )
     show_table(table)
+    if len(worst_first) > SHOWN:
+        say(f"these are the {SHOWN} landmarks of {len(worst_first)} with the largest errors; a folder -o has all")

@@ -14,13 +14,14 @@ import typer
 from liaam.cli.inputs import CategoryOption, StrictOption
 from liaam.cli.terminal import cell, complain, say, show_table, table_of
 from liaam.errors import LiaamError
+from liaam.fitting.result import USABLE
 from liaam.io import write_columns
 from liaam.io.atomic import check_output, write_text_atomically
 from liaam.io.files import count_of, real_path, some_names
 from liaam.io.landmarks.formats import KNOWN_FILES
 from liaam.io.landmarks.reading import Reading
 from liaam.morphometry.asymmetry import MATCHING
-from liaam.morphometry.symmetry import INTERACTION
+from liaam.morphometry.symmetry import ERROR, INTERACTION
 from liaam.morphometry.table import scales_in, sizes_in, unit_of_table
 from liaam.scale.choice import TRAINING
 from liaam.scale.lengths import UNITS, Length, unlike
@@ -28,7 +29,7 @@ from liaam.tables import Columns
 
 if TYPE_CHECKING:
     from liaam.evaluation import ShapeAgreement
-    from liaam.morphometry import AsymmetryResult, ShapeVariation, Specimen
+    from liaam.morphometry import AsymmetryResult, ShapeVariation, Specimen, SpecimenTable
 
 FIGURES = (".png", ".pdf", ".svg")
 
@@ -60,6 +61,11 @@ ASYMMETRY_FILES = (ANOVA_TABLE, ASYMMETRY_BY_INDIVIDUAL, ASYMMETRY_BY_COMPONENT,
 LEAST_REPEATABLE = 5
 """Number of landmarks with the largest measurement errors to name."""
 
+_PLACE_TWICE = (
+    "place the landmarks of some individuals by hand, twice on both sides, and analyse these with --replicates; a "
+    "second photograph is no cure, as its fit has nearly the same error"
+)
+
 MOST_FAR = 5
 """Largest number of specimens with doubtful estimates to name."""
 
@@ -83,19 +89,22 @@ def measure(
             "their names.",
         ),
     ] = None,
-    scale: Annotated[
-        str | None,
+    scales: Annotated[
+        list[str] | None,
         typer.Option(
+            "--scale",
             help="Length of a pixel, such as '0.0031 mm'; the landmarks at the ends of a scale bar and its length, "
-            "such as '11-12=5 mm'; a table of 'liaam scale'; or mm alone, the unit of the SCALE in .tps files. By "
-            "default the scale that files and the tags of TIFF images state, or else results are in pixels."
+            "such as '11-12=5 mm'; a table of 'liaam scale', "
+            "or several, each after a --scale; or mm alone, the unit of the SCALE in .tps files. By "
+            "default the scale that files and the tags of TIFF images state, or else results are in pixels.",
         ),
     ] = None,
     replicates: Annotated[
         str | None,
         typer.Option(
             help="Print and write the measurement error of replicates: 'image' if they are records of one image, also "
-            "in several files; 'code' if they are of specimens of one code; or the text before their numbers in names, "
+            "in several files; 'code' if they are of specimens of one code; 'individual' if a table states the "
+            "individual; or the text before their numbers in names, "
             "such as _ for wing1_1 and wing1_2."
         ),
     ] = None,
@@ -150,11 +159,20 @@ def measure(
             "variance of shape is of specimens, and how much of measuring.",
         ),
     ] = False,
-    groups: Annotated[
+    table: Annotated[
         Path | None,
         typer.Option(
-            help="Table .csv with the columns specimen (or image) and group: as --scores, and test the differences "
-            "between the groups' mean shapes, which are written with standard errors."
+            "--specimens",
+            help="Your own table .csv with a row for each image: a column image (or photo, file, specimen), and any of "
+            "individual, side and others, such as sex for --groups.",
+        ),
+    ] = None,
+    groups: Annotated[
+        str | None,
+        typer.Option(
+            help="Table .csv with the columns specimen (or image) and group, or a column of --specimens such as sex: "
+            "as --scores, and test the differences between the groups' mean shapes, which are written with standard "
+            "errors. Individuals are compared, not their records."
         ),
     ] = None,
     compare: Annotated[
@@ -188,20 +206,30 @@ def measure(
         *(VARIATION_FILES if wants_variation else ()),
     ]
     given = [results, *(compare or ())]
-    given += [Path(name) for name in (scale, groups, pairs) if name is not None and Path(name).is_file()]
+    scale = scales[0] if scales and len(scales) == 1 else None
+    tables = [text for text in scales or () if text.lower().endswith(".csv")]
+    if scales and len(scales) > 1 and len(tables) < len(scales):
+        raise LiaamError(f"--scale {' --scale '.join(scales)}: give one length, or tables of 'liaam scale' only")
+    given += [Path(name) for name in (*tables, groups, pairs, table) if name is not None and Path(name).is_file()]
     _check_outputs(given, [output, *(_beside(output, end) for end in ends)], plot)
     if pairs is not None and symmetry != morphometry.OBJECT:
         raise LiaamError("--pairs are the landmarks of both sides of one structure: give --symmetry object, too")
     reading = Reading(strict, category)
     specimens = _comparable_specimens(results, reading, resample, has_replicates=replicates is not None)
+    stated = None if table is None else morphometry.read_specimen_table(table)
+    if stated is not None:
+        specimens, unlisted = stated.of(specimens)
+        _complain_of_unlisted(unlisted, len(specimens), stated.path)
     specimens, reflected = morphometry.of_one_side(specimens, side, replicates, strict)
-    if scale is not None and scale.lower().endswith(".csv"):
-        specimens = morphometry.with_lengths(specimens, morphometry.read_lengths(scale))
+    if tables:
+        specimens = morphometry.with_lengths(specimens, morphometry.read_lengths(*tables))
         scale = None  # each specimen now has its own
     if estimate is not None:
         specimens, incomplete = morphometry.with_estimated_landmarks(specimens, estimate, scale)
         _refuse_or_complain(incomplete, "keep missing landmarks", strict)
     _refuse_or_complain_of_far_estimates(morphometry.far_estimates(specimens, scale), estimate, strict)
+
+    _refuse_or_complain(morphometry.estimated_on_a_side(specimens), "lack landmarks of one side", strict)
 
     # Everything is computed before anything is written, so that an error leaves no part of the files.
     columns = morphometry.measure(specimens, measures or (), scale, slide)
@@ -222,11 +250,14 @@ def measure(
         _refuse_or_complain(asymmetry.left_out, "are not compared", strict)
     group_of = None
     if groups is not None:
-        group_of = morphometry.groups_of([specimen.name for specimen in specimens], morphometry.read_groups(groups))
+        group_of = _groups_of(specimens, groups, stated)
     variation = None
     if wants_variation:
-        variation = morphometry.shape_variation(specimens, columns, group_of, permutations, seed)
-    agreement = _agreement(specimens, compare, group_of, reading) if compare else None
+        variation = morphometry.shape_variation(specimens, columns, group_of, permutations, seed, replicates)
+    agreement = None
+    if compare:
+        individuals = morphometry.individuals_of(specimens, replicates)
+        agreement = _agreement(specimens, compare, group_of, individuals, reading)
 
     write_columns(output, columns)
     what = "specimen" if replicates is None else "record"
@@ -238,6 +269,7 @@ def measure(
     if asymmetry is not None:
         _write_asymmetry(asymmetry, output)
         _complain_of_error(asymmetry)
+        _complain_of_repeated_errors(asymmetry)
         _complain_of_estimated_differences(asymmetry, output)
     if variation is not None:
         _write_variation(variation, output)
@@ -258,7 +290,7 @@ def measure(
 def _comparable_specimens(
     results: Path, reading: Reading, resample: str | None, *, has_replicates: bool
 ) -> "tuple[Specimen, ...]":
-    """Read specimens, place points evenly along their curves if asked, and leave out those with other landmarks."""
+    """Read specimens, place points along their curves if asked, and leave out copies and those of other landmarks."""
     from liaam import morphometry
 
     specimens: Iterable[Specimen] = morphometry.read_specimens(results, complain, reading, has_replicates)
@@ -266,7 +298,24 @@ def _comparable_specimens(
         specimens = morphometry.with_even_curves(specimens, resample)
     alike, left_out = morphometry.alike(specimens)
     _refuse_or_complain(left_out, "have other landmarks than most", reading.strict)
-    return alike
+    kept, copies = morphometry.without_copies(alike)
+    _refuse_or_complain(copies, "are of copies of pictures", reading.strict)
+    return kept
+
+
+def _complain_of_unlisted(names: Sequence[str], n: int, path: str) -> None:
+    """Name the specimens of which a table has no row."""
+    if names:
+        complain(f"{len(names)} of {count_of(n, 'specimen')} have no row in {path}: {some_names(names)}")
+
+
+def _groups_of(specimens: "Sequence[Specimen]", groups: str, stated: "SpecimenTable | None") -> tuple[str, ...]:
+    """Return the group of each specimen: from a column of the table of specimens, or from a table of groups."""
+    from liaam import morphometry
+
+    if stated is not None and (groups in stated.columns or not Path(groups).is_file()):
+        return stated.cells_of(specimens, groups)
+    return morphometry.groups_of([specimen.name for specimen in specimens], morphometry.read_groups(groups))
 
 
 def _beside(output: Path, end: str) -> Path:
@@ -323,12 +372,17 @@ def _twins(pairs: str | None, results: Path, specimens: "Sequence[Specimen]") ->
 
 
 def _agreement(
-    specimens: "Sequence[Specimen]", labels: Sequence[Path], groups: Sequence[str] | None, reading: Reading
+    specimens: "Sequence[Specimen]",
+    labels: Sequence[Path],
+    groups: Sequence[str] | None,
+    individuals: Sequence[str],
+    reading: Reading,
 ) -> "ShapeAgreement":
     """Compare specimens with the landmarks that people have placed."""
     from liaam.evaluation import compare_specimens
 
-    return compare_specimens(specimens, [_labels(path, reading) for path in labels], groups)
+    people = [_labels(path, reading) for path in labels]
+    return compare_specimens(specimens, people, groups, individuals=individuals)
 
 
 def _labels(path: Path, reading: Reading) -> "list[Specimen]":
@@ -419,6 +473,20 @@ def _write_error(error: Columns, output: Path, by: str) -> None:
             f"--replicates {by} takes all records for replicates of one specimen; if they are of several, as IMG_1 and "
             "IMG_2 are, give what comes before the number of a replicate in their names"
         )
+    _complain_of_repeatable_errors(error)
+
+
+def _complain_of_repeatable_errors(error: Columns) -> None:
+    """Say that the repeatability of fits is not their reliability if replicates repeat errors that fits state."""
+    from liaam.morphometry import replicates_repeat_errors
+
+    if replicates_repeat_errors(error):
+        complain(
+            f"replicates of shape differ by a standard deviation of {error['sd'][0]:.3g}, and the fits state "
+            f"{error['sd_by_covariances'][0]:.3g}: fits to several images of a specimen repeat most of their error, so "
+            "this repeatability is that of photographing, not of the landmarks. Compare fits with landmarks that "
+            "people placed: --compare, or liaam evaluate"
+        )
 
 
 def _show_anova(anova: Columns) -> None:
@@ -439,7 +507,9 @@ def _about_error(asymmetry: "AsymmetryResult") -> str:
     analysis = asymmetry.analysis
     if analysis.error == "replicates":
         what = "side" if analysis.kind == MATCHING else "individual"
-        return f"error: from {asymmetry.replicates} replicates of each {what}{without}"
+        stated = f"error: from {asymmetry.replicates} replicates of each {what}{without}"
+        other = asymmetry.error_by_covariances
+        return stated if other is None else f"{stated}; expected from the covariances: MS {other['MS']:.4g}"
     if analysis.error == "covariances":
         stated = f"error: expected from the covariances of the fitted landmarks, as there are no replicates{without}"
         return f"{stated}; taken as independent on both sides"
@@ -457,7 +527,22 @@ def _complain_of_error(asymmetry: "AsymmetryResult") -> None:
     complain(
         f"the stated error exceeds the differences between the sides (F = {ratio:.2g} of individual x side, where "
         "independent error makes about 1), so the errors of both sides are alike, or smaller than stated. Fluctuating "
-        "asymmetry is not tested by this: photograph or digitise each side twice, and give --replicates"
+        f"asymmetry is not tested by this: {_PLACE_TWICE}"
+    )
+
+
+def _complain_of_repeated_errors(asymmetry: "AsymmetryResult") -> None:
+    """Say that replicates of fits lack the error that fits repeat, and what the test is by the other error term."""
+    other = asymmetry.error_by_covariances
+    if other is None or not asymmetry.replicates_repeat_errors:
+        return
+    own = asymmetry.analysis.shape_anova["MS"][ERROR]
+    complain(
+        f"the replicates differ by less than the fits state: the mean square of the error is {own:.2g} from "
+        f"replicates, and {other['MS']:.2g} by the covariances, {other['MS'] / own:.0f} times as much. Fits to several "
+        "photographs of a specimen repeat most of their error, so that replicates do not show it, and fluctuating "
+        f"asymmetry by them may be error of the fits. By the covariances, individual x side has F = {other['F']:.3g}, "
+        f"P = {other['P']:.3g}; they take errors as independent on both sides. To know, {_PLACE_TWICE}"
     )
 
 
@@ -491,7 +576,8 @@ def _show_error(error: Columns) -> None:
 
     Rows of landmarks have no degrees of freedom, since their positions in different images do not compare.
     """
-    table = table_of("measure", "specimens", "replicates", "df", "F", "P", "repeatability", "sd", "sd %")
+    stated = ("sd by covariances",) if "sd_by_covariances" in error else ()
+    table = table_of("measure", "specimens", "replicates", "df", "F", "P", "repeatability", "sd", "sd %", *stated)
     landmarks = []
     for row in _rows(error):
         if math.isnan(row["df_within"]):
@@ -499,6 +585,7 @@ def _show_error(error: Columns) -> None:
             continue
         counts = [f"{row['specimens']:g}", f"{row['replicates']:g}", f"{row['df_among']:g}, {row['df_within']:g}"]
         numbers = [row[name] for name in ("F", "P", "repeatability", "sd", "sd_percent")]
+        numbers += [row["sd_by_covariances"]] if stated else []
         table.add_row(cell(row["measure"]), *counts, *("" if math.isnan(each) else f"{each:.3g}" for each in numbers))
     show_table(table)
     with_replicates = [row for row in landmarks if not math.isnan(row["sd"])]
@@ -546,15 +633,16 @@ def _say_sources(specimens: "Sequence[Specimen]") -> None:
 
 
 def _complain_of_specimens_without_scale(columns: Columns) -> None:
-    """Name the specimens that have a shape and no scale, where others have one."""
+    """Name the specimens that may be used and have no scale, where others have one."""
     scales = scales_in(columns)
     if scales is None:
         return
     names = columns["specimen"]
+    statuses = columns.get("status", [""] * len(names))
     named = [
         name
-        for name, scale, has_shape in zip(names, scales, _have_shapes(columns), strict=True)
-        if has_shape and math.isnan(scale)
+        for name, scale, status in zip(names, scales, statuses, strict=True)
+        if math.isnan(scale) and (not status or status in USABLE)
     ]
     if named:
         what = "no sizes" if unit_of_table(columns) else "sizes in pixels"

@@ -51,7 +51,8 @@ def scale(
     """Find the length of a pixel of images: from a ruler, a scale bar, or else the tags of TIFF images.
 
     What is not clear is refused, not guessed. If you know the scale of such an image, write it into its line. Give the
-    table to 'liaam measure --scale'.
+    table to 'liaam measure --scale'. If the table exists, the lines of other images stay in it, as do scales that you
+    wrote, or that were found before and are not found now.
     """
     if ruler is not None and scale_bar is not None:
         raise LiaamError("--ruler and --scale-bar: give one of them; crop the images to what they show")
@@ -59,6 +60,7 @@ def scale(
     check_output(output)
     if output.suffix.lower() != ".csv":
         raise LiaamError(f"{output}: the table is written as CSV; give a name that ends in .csv")
+    earlier = earlier_rows(output)
     known = _known_length(ruler or scale_bar, "--ruler" if ruler else "--scale-bar")
     find = None if known is None else _finder(known if ruler is not None else None)
     folder = output.with_suffix("")
@@ -73,14 +75,61 @@ def scale(
         progress(len(images), len(images), "")
     _show_scales(rows)
     n_found = sum(not math.isnan(row["scale"]) for row in rows)
+    rows, stayed = with_earlier(rows, earlier)
     if not n_found:
         if find is not None:
             _remove_if_empty(folder)
         complain(f"the scale of none of {count_of(len(rows), 'image')} was found: {output} is not written")
         raise typer.Exit(1)
-    write_columns(output, {name: [row[name] for row in rows] for name in rows[0]})
+    names_of_columns = dict.fromkeys(name for row in rows for name in row)
+    write_columns(output, {name: [row.get(name, "") for row in rows] for name in names_of_columns})
+    _say_kept(len(rows) - len(images), stayed, output)
     drawn = f"; overlays in {folder}" if find is not None else ""
-    say(f"{output}: the scale of {n_found} of {count_of(len(rows), 'image')}{drawn}")
+    say(f"{output}: the scale of {n_found} of {count_of(len(images), 'image')}{drawn}")
+
+
+def earlier_rows(output: Path) -> list[Row]:
+    """Return the rows of a table that exists; raise if it is no table of scales."""
+    from liaam.io.table_reader import read_named_rows
+    from liaam.morphometry import read_lengths
+
+    if not output.exists():
+        return []
+    try:
+        read_lengths(output)
+    except LiaamError as fault:
+        raise LiaamError(f"{output} exists, and cannot be completed: {fault}; or give another name with -o") from fault
+    return [row for _, row in read_named_rows(output, "table of scales")]
+
+
+def with_earlier(rows: list[Row], earlier: list[Row]) -> tuple[list[Row], list[str]]:
+    """Return the rows of a table with those of other images in an earlier one, which come first.
+
+    Earlier lines of these images stay if a person has written them, or if nothing is found now in the same file. The
+    names of these images are returned, too.
+    """
+    new = {row["image"]: row for row in rows}
+    stayed = [row["image"] for row in earlier if row["image"] in new and _stays(row, new[row["image"]])]
+    kept = [row if row["image"] not in new or row["image"] in stayed else new[row["image"]] for row in earlier]
+    known = {row["image"] for row in earlier}
+    return [*kept, *(row for row in rows if row["image"] not in known)], stayed
+
+
+def _stays(earlier: Row, new: Row) -> bool:
+    """Return whether the earlier line of an image stays: it has a scale, by hand or where none is found now."""
+    if not earlier["scale"].strip():
+        return False
+    if not earlier.get("how", "").strip():  # written by hand
+        return True
+    return math.isnan(new["scale"]) and earlier.get("fingerprint", "").strip() in ("", new["fingerprint"])
+
+
+def _say_kept(n_others: int, stayed: list[str], output: Path) -> None:
+    """Say which lines of an earlier table stay."""
+    if n_others > 0:
+        say(f"{output}: {count_of(n_others, 'line')} of other images stay")
+    if stayed:
+        say(f"{output}: earlier lines of these images stay, by hand or as no scale is found now: {some_names(stayed)}")
 
 
 def _known_length(text: str | None, option: str) -> Length | None:

@@ -89,8 +89,8 @@ def sides_of_shapes(shapes: np.ndarray, stated: Sequence[str], names: Sequence[s
     shapes = np.asarray(shapes, np.float64)
     nothing = SidesOfShapes(np.zeros(len(shapes), bool))
     if not any(stated):
-        group, ratio = two_groups(shapes)
-        if ratio < CLEARLY or not group.any() or is_symmetric(shapes, group) or are_upside_down(shapes, group):
+        group = mirrored_shapes(shapes)
+        if not group.any() or are_upside_down(shapes, group):
             return nothing
         return SidesOfShapes(group, Sides(ORIGINAL, int((~group).sum()), int(group.sum())))
     own, is_other = _fewer_are_other(stated)
@@ -107,6 +107,25 @@ def sides_of_shapes(shapes: np.ndarray, stated: Sequence[str], names: Sequence[s
         is_or_are = "image is" if len(against) == 1 else "images are"
         said = f"{len(against)} {is_or_are} taken to be of the other side than stated: {listed}"
     return SidesOfShapes(by_shape, _sides(own, by_shape), said, tuple(against))
+
+
+def mirrored_shapes(shapes: np.ndarray) -> np.ndarray:
+    """Return which shapes are clearly mirrored against most others, where nothing states their sides, (m,) bool.
+
+    Parameters
+    ----------
+    shapes : (m, n, 2) float64
+        Landmarks; NaN where missing.
+
+    Returns
+    -------
+    (m,) bool
+        The smaller group; all False if shapes do not clearly tell, or look the same in a mirror.
+    """
+    group, ratio = two_groups(shapes)
+    if ratio < CLEARLY or not group.any() or is_symmetric(shapes, group):
+        return np.zeros(len(shapes), bool)
+    return group
 
 
 def others_by_shape(shapes: np.ndarray, is_other: np.ndarray) -> tuple[np.ndarray | None, str]:

@@ -60,6 +60,8 @@ class ShapeAgreement:
     ----------
     n_specimens : int
         Specimens that are compared.
+    n_individuals : int
+        Individuals that these are records of, such as both sides or replicates of each; as many if each is of its own.
     n_left_out : int
         Specimens without all landmarks.
     n_copied : int
@@ -67,7 +69,7 @@ class ShapeAgreement:
     slope : float
         Slope of automatic on people's shapes: a difference between groups appears multiplied by about this.
     slope_interval : tuple of float
-        95 % confidence interval of the slope, by the jackknife over specimens.
+        95 % confidence interval of the slope, by the jackknife over individuals.
     attenuation : float
         Differences between the groups' means in automatic shapes as a multiple of those in people's; NaN without
         groups.
@@ -78,8 +80,8 @@ class ShapeAgreement:
     mean_distance : float
         Procrustes distance between the mean shapes, as a multiple of the standard error of people's mean.
     p_of_means : float
-        Probability of so large a distance if both means are equal: by random changes of sign of each specimen's
-        difference.
+        Probability of so large a distance if both means are equal: by random changes of sign of each individual's
+        differences.
     size_correlation : float
         Correlation of the centroid sizes.
     size_ratio : float
@@ -102,6 +104,7 @@ class ShapeAgreement:
     """
 
     n_specimens: int
+    n_individuals: int
     n_left_out: int
     n_copied: int
     slope: float
@@ -151,7 +154,7 @@ class ShapeAgreement:
 
     def report(self) -> str:
         """Describe the agreement in some lines of text."""
-        specimens = count_of(self.n_specimens, "specimen")
+        specimens = self._counted
         by_chance = "as by chance" if self.p_of_means > 0.05 else "more than by chance"
         people = ""
         if np.isfinite(self.repeatability_of_people):
@@ -175,7 +178,7 @@ class ShapeAgreement:
         if np.isfinite(self.repeatability_of_people):
             people = "placed twice by people"
             repeated = f" (between people {self.repeatability_of_people:.2f})"
-        specimens = count_of(self.n_specimens, "specimen")
+        specimens = self._counted
         probability = f"P = {self.p_of_means:.3f}" if self.p_of_means >= 0.001 else "P < 0.001"
         return (
             f"Automatic landmarks of {specimens} were compared with landmarks {people}, after a Procrustes "
@@ -209,6 +212,13 @@ class ShapeAgreement:
         return f" ({'; '.join(counts)})" if counts else ""
 
     @property
+    def _counted(self) -> str:
+        """The number of specimens; if some are of one individual, as records of so many."""
+        if self.n_individuals == self.n_specimens:
+            return count_of(self.n_specimens, "specimen")
+        return f"{count_of(self.n_specimens, 'record')} of {count_of(self.n_individuals, 'individual')}"
+
+    @property
     def _compared_with(self) -> str:
         """The shapes of the squared correlation: their errors are known only if two people have placed landmarks."""
         return "the true shapes" if np.isfinite(self.repeatability_of_people) else "the shapes placed by hand"
@@ -226,6 +236,7 @@ def compare_shapes(
     second: np.ndarray | None = None,
     *,
     groups: Sequence[str] | None = None,
+    individuals: Sequence[str] | None = None,
     permutations: int = PERMUTATIONS,
     seed: int = 0,
 ) -> ShapeAgreement:
@@ -240,6 +251,9 @@ def compare_shapes(
         Landmarks that another person has placed, or the same person again.
     groups : sequence of str, optional
         Group of each specimen, such as its species or sex; empty if unknown.
+    individuals : sequence of str, optional
+        Individual of each specimen. Specimens of one are not independent: confidence intervals, the standard error of
+        the mean and the test of the means are those of individuals. By default each is of its own.
     permutations : int
         Random changes of sign for the test of the means.
     seed : int
@@ -248,27 +262,32 @@ def compare_shapes(
     Raises
     ------
     LiaamError
-        If fewer than 5 specimens have all landmarks, the arrays differ in shape, the labels of all are copies of the
+        If fewer than 5 individuals have all landmarks, the arrays differ in shape, the labels of all are copies of the
         automatic landmarks, or fewer than two groups have two specimens.
     """
     sets = _checked_sets(automatic, labels, second)
     if groups is not None and len(groups) != len(sets[0]):
         raise LiaamError(f"{len(groups)} groups of {len(sets[0])} specimens: give one for each specimen")
-    choice = _chosen(sets)
-    codes = None if groups is None else _codes(np.asarray(groups)[choice.used])
+    if individuals is not None and len(individuals) != len(sets[0]):
+        raise LiaamError(f"{len(individuals)} individuals of {len(sets[0])} specimens: give one for each specimen")
+    owners = np.arange(len(sets[0])) if individuals is None else _numbered(individuals)
+    choice = _chosen(sets, owners)
+    owners = _numbered(owners[choice.used].tolist())
+    codes = None if groups is None else _codes(np.asarray(groups)[choice.used], owners)
     used = [each[choice.used] for each in sets]
     shapes = _superimposed(used)
-    slope, slope_interval = _with_interval(lambda kept: _slope(*shapes.of(kept)), shapes.n)
-    attenuation, attenuation_interval = _attenuation(shapes, codes)
+    slope, slope_interval = _with_interval(lambda kept: _slope(*shapes.of(kept)), owners)
+    attenuation, attenuation_interval = _attenuation(shapes, codes, owners)
     components, scores = _components(shapes.ours, shapes.first, shapes.other)
     differences = shapes.positions[0] - shapes.positions[1]
     bias = differences.mean(axis=0)
     random = (differences - bias).reshape(shapes.n, -1, 2)
-    standard_error = np.sqrt(_product(shapes.first, shapes.first) / (shapes.n - 1) / shapes.n)
+    standard_error = _error_of_mean(shapes.first, owners)
     sizes = [np.linalg.norm(each - each.mean(axis=1, keepdims=True), axis=(1, 2)) for each in used]
     between_people = np.nan if second is None else _repeatability(shapes.positions[1], shapes.positions[2])
     return ShapeAgreement(
         n_specimens=shapes.n,
+        n_individuals=int(owners.max()) + 1,
         n_left_out=int((~choice.complete).sum()),
         n_copied=int(choice.copied.sum()),
         slope=slope,
@@ -277,7 +296,7 @@ def compare_shapes(
         attenuation_interval=attenuation_interval,
         variance_ratio=_product(shapes.ours, shapes.ours) / _product(shapes.first, shapes.other),
         mean_distance=float(np.linalg.norm(bias) / standard_error),
-        p_of_means=_probability_of(differences, permutations, seed),
+        p_of_means=_probability_of(differences, owners, permutations, seed),
         size_correlation=float(np.corrcoef(np.log(sizes[0]), np.log(sizes[1]))[0, 1]),
         size_ratio=float(np.exp(np.mean(np.log(sizes[0] / sizes[1])))),
         repeatability=_repeatability(shapes.positions[0], shapes.positions[1]),
@@ -337,12 +356,12 @@ def _checked_sets(automatic: np.ndarray, labels: np.ndarray, second: np.ndarray 
     return sets
 
 
-def _chosen(sets: Sequence[np.ndarray]) -> _Choice:
-    """Return which specimens can be compared; raise LiaamError if they are too few."""
+def _chosen(sets: Sequence[np.ndarray], owners: np.ndarray) -> _Choice:
+    """Return which specimens can be compared, given the individual (m,) of each; raise LiaamError if too few."""
     complete = np.all([_have_a_shape(each) for each in sets], axis=0)
     copied = complete & np.any([_are_copies(sets[0], other) for other in sets[1:]], axis=0)
     choice = _Choice(complete, copied)
-    n = int(choice.used.sum())
+    n = len(np.unique(owners[choice.used]))
     if n >= FEWEST:
         return choice
     if copied.any():
@@ -351,8 +370,9 @@ def _chosen(sets: Sequence[np.ndarray]) -> _Choice:
             f"{count_of(len(complete), 'specimen')}), and cannot be compared with them: give landmarks that people "
             "have placed"
         )
+    what = "specimen" if len(np.unique(owners)) == len(owners) else "individual"
     raise LiaamError(
-        f"{count_of(n, 'specimen')} with all landmarks: variances of shape are compared from {FEWEST} specimens on"
+        f"{count_of(n, what)} with all landmarks: variances of shape are compared from {FEWEST} {what}s on"
     )
 
 
@@ -369,7 +389,9 @@ def _superimposed(sets: Sequence[np.ndarray]) -> _Superimposed:
     return _Superimposed(positions, ours=deviations[0], first=first, other=deviations[-1])
 
 
-def _attenuation(shapes: _Superimposed, codes: np.ndarray | None) -> tuple[float, tuple[float, float]]:
+def _attenuation(
+    shapes: _Superimposed, codes: np.ndarray | None, owners: np.ndarray
+) -> tuple[float, tuple[float, float]]:
     """Return the slope of group means and its confidence interval; NaN without groups."""
     if codes is None:
         return np.nan, (np.nan, np.nan)
@@ -377,7 +399,7 @@ def _attenuation(shapes: _Superimposed, codes: np.ndarray | None) -> tuple[float
     def slope_of_groups(kept: np.ndarray) -> float:
         return _slope(*(_group_means(each, codes[kept]) for each in shapes.of(kept)))
 
-    return _with_interval(slope_of_groups, shapes.n)
+    return _with_interval(slope_of_groups, owners)
 
 
 def _have_a_shape(points: np.ndarray) -> np.ndarray:
@@ -394,9 +416,9 @@ def _are_copies(automatic: np.ndarray, labels: np.ndarray) -> np.ndarray:
         return half | (distances <= NEARLY_COPIED).all(axis=1)
 
 
-def _codes(groups: np.ndarray) -> np.ndarray:
-    """Return the group of each specimen as a number, (m,) int; -1 where it is unknown, or of too few specimens."""
-    numbers = {name: i for i, name in enumerate(large_groups(groups.tolist()))}
+def _codes(groups: np.ndarray, owners: np.ndarray) -> np.ndarray:
+    """Return the group of each specimen as a number, (m,) int; -1 where it is unknown, or of too few individuals."""
+    numbers = {name: i for i, name in enumerate(large_groups(groups.tolist(), owners.tolist()))}
     return np.array([numbers.get(group, -1) for group in groups.tolist()])
 
 
@@ -421,16 +443,39 @@ def _slope(ours: np.ndarray, first: np.ndarray, other: np.ndarray) -> float:
     return _product(ours, other) / _product(first, other)
 
 
-def _with_interval(statistic: Callable[[np.ndarray], float], n: int) -> tuple[float, tuple[float, float]]:
-    """Return a statistic of n specimens and its confidence interval by the jackknife (Efron & Tibshirani 1993, 11)."""
+def _numbered(individuals: Sequence[str] | Sequence[int]) -> np.ndarray:
+    """Return individuals as numbers from 0 in the order of their first specimens, (m,) int."""
+    numbers = {individual: i for i, individual in enumerate(dict.fromkeys(individuals))}
+    return np.array([numbers[individual] for individual in individuals], int)
+
+
+def _with_interval(statistic: Callable[[np.ndarray], float], owners: np.ndarray) -> tuple[float, tuple[float, float]]:
+    """Return a statistic of specimens and its confidence interval by the jackknife (Efron & Tibshirani 1993, 11).
+
+    All specimens of an individual, given by its number (m,), are left out together.
+    """
     from scipy.stats import t
 
-    everyone = np.arange(n)
-    value = statistic(everyone)
-    left_out = np.array([statistic(np.delete(everyone, i)) for i in range(n)])
+    n = int(owners.max()) + 1
+    value = statistic(np.arange(len(owners)))
+    left_out = np.array([statistic(np.flatnonzero(owners != i)) for i in range(n)])
     error = float(np.sqrt((n - 1) / n * np.square(left_out - left_out.mean()).sum()))
     half = float(t.ppf(0.5 + INTERVAL / 2, n - 1)) * error
     return value, (value - half, value + half)
+
+
+def _sums(values: np.ndarray, owners: np.ndarray) -> np.ndarray:
+    """Return the sums (n, d) of the values (m, d) of each individual, given by its number (m,)."""
+    sums = np.zeros((int(owners.max()) + 1, values.shape[1]))
+    np.add.at(sums, owners, values)
+    return sums
+
+
+def _error_of_mean(deviations: np.ndarray, owners: np.ndarray) -> float:
+    """Return the standard error of the mean shape, from deviations (m, d) of specimens of individuals (m,)."""
+    sums = _sums(deviations, owners)
+    n = len(sums)
+    return float(np.sqrt(_product(sums, sums) * n / (n - 1))) / len(deviations)
 
 
 def _repeatability(first: np.ndarray, second: np.ndarray) -> float:
@@ -443,12 +488,16 @@ def _range(interval: tuple[float, float]) -> str:
     return f"{interval[0]:.2f} to {interval[1]:.2f}"
 
 
-def _probability_of(differences: np.ndarray, permutations: int, seed: int) -> float:
-    """Return the probability of a mean difference as large by random changes of sign of differences (m, n)."""
+def _probability_of(differences: np.ndarray, owners: np.ndarray, permutations: int, seed: int) -> float:
+    """Return the probability of a mean difference as large by random changes of sign of differences (m, d).
+
+    Those of an individual, given by its number (m,), change together.
+    """
     rng = np.random.default_rng(seed)
-    observed = np.linalg.norm(differences.mean(axis=0))
-    signs = rng.choice([-1.0, 1.0], (permutations, len(differences)))
-    by_chance = np.linalg.norm(signs @ differences, axis=1) / len(differences)
+    sums = _sums(differences, owners)
+    observed = np.linalg.norm(sums.sum(axis=0))
+    signs = rng.choice([-1.0, 1.0], (permutations, len(sums)))
+    by_chance = np.linalg.norm(signs @ sums, axis=1)
     return permutation_probability(by_chance, float(observed))
 
 

@@ -1,7 +1,7 @@
 """Fit a model to landmarked images that were not used for training, and compare."""
 
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import repeat
 from pathlib import Path
 from typing import Any
@@ -16,7 +16,7 @@ from liaam.fitting import FitResult, Fitter, Method, fit_each
 from liaam.fitting.many import starts_for
 from liaam.fitting.methods import DEFAULT_METHOD, get_method
 from liaam.io import Landmarks, read_landmarks
-from liaam.io.files import some_names
+from liaam.io.files import fingerprint_of, some_names
 from liaam.model import AAM
 from liaam.model.contours import Contours
 from liaam.model.shape import diagonal_of
@@ -115,7 +115,16 @@ def evaluate(
     n_images = len({_key(sample.image) for sample in samples})
     starts = _starts(init, cases, n_images)
     results = _fits(fitter, cases, starts, workers, progress)
-    return _evaluation(zip(cases, results, strict=True), protocol, left_out)
+    found = _evaluation(zip(cases, results, strict=True), protocol, left_out)
+    return replace(found, in_training=_in_training(model, found.images))
+
+
+def _in_training(model: AAM, images: Sequence[Any]) -> tuple[bool, ...]:
+    """Return whether the model was trained on the files of images; nothing if it or an image has no file."""
+    if not model.fingerprints or not all(isinstance(image, Path) for image in images):
+        return ()
+    known = frozenset(model.fingerprints)
+    return tuple(fingerprint_of(image) in known for image in images)
 
 
 def cross_validate(
@@ -220,7 +229,8 @@ def evaluation_by_parts(
         results |= zip(part.tolist(), _fits(fitter, tested, None, task.workers, task.progress), strict=True)
         done()
     fits = ((case, results[i]) for i, case in enumerate(task.cases) if i in results)
-    return _evaluation(fits, task.protocol, task.left_out)
+    found = _evaluation(fits, task.protocol, task.left_out)
+    return replace(found, in_training=(False,) * len(found))
 
 
 def _samples(samples: Iterable) -> list[Sample]:

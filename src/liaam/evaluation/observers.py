@@ -9,7 +9,7 @@ from liaam.evaluation.agreement import ShapeAgreement, compare_shapes
 from liaam.io.files import some_names
 from liaam.model.shape import align
 from liaam.morphometry import Specimen
-from liaam.morphometry.sides import reflected
+from liaam.morphometry.sides import individuals_of, reflected
 
 MOST_OBSERVERS = 2  # People whose landmarks automatic ones are compared with
 
@@ -86,6 +86,8 @@ def compare_specimens(
     automatic: Sequence[Specimen],
     labels: Sequence[Sequence[Specimen]],
     groups: Sequence[str] | None = None,
+    *,
+    individuals: Sequence[str] | None = None,
     **options,
 ) -> ShapeAgreement:
     """Compare specimens with automatic landmarks with the same ones with landmarks that one or two people placed.
@@ -97,6 +99,8 @@ def compare_specimens(
         Those of one or two people; specimens go by their names.
     groups : sequence of str, optional
         Group of each automatic specimen; empty if unknown.
+    individuals : sequence of str, optional
+        Individual of each automatic specimen; by default :func:`liaam.morphometry.individuals_of` tells.
     **options
         As of :func:`compare_shapes`.
 
@@ -116,4 +120,5 @@ def compare_specimens(
     sets = [own, *(points_by_name(each, landmark_names) for each in labels)]
     whats = ["automatic landmarks", "labels", "labels of the second person"]
     points = [points_of(names, each, n, what) for each, what in zip(sets, whats, strict=False)]
-    return compare_shapes(*points, groups=groups, **options)
+    who = individuals_of(automatic) if individuals is None else individuals
+    return compare_shapes(*points, groups=groups, individuals=who, **options)

@@ -62,6 +62,8 @@ class Evaluation:
         Side of the object by each fit (:attr:`liaam.FitResult.side`); empty if the model has one side only.
     at_start : tuple of bool
         Whether each fit failed and has the landmarks of its start (:attr:`liaam.FitResult.at_start`); empty if none.
+    in_training : tuple of bool
+        Whether the model was trained on the file of each image, by its content; empty if the model does not say.
     """
 
     names: tuple[str, ...]
@@ -81,6 +83,7 @@ class Evaluation:
     groups: tuple[str, ...] = ()
     sides: tuple[str, ...] = ()
     at_start: tuple[bool, ...] = ()
+    in_training: tuple[bool, ...] = ()
 
     def __repr__(self) -> str:
         return f"Evaluation({count_of(len(self), 'image')}, median error {_percentile(self.errors, 50):.2%})"
@@ -204,6 +207,8 @@ class Evaluation:
     def by_image(self) -> Columns:
         """Return one row per image: its mean error in pixels and in per cent of the normaliser, and the outcome.
 
+        Also whether the model was trained on it, if it was on any.
+
         With contours also both by outline.
         """
         columns: Columns = {
@@ -215,6 +220,8 @@ class Evaluation:
             "status": [str(status) for status in self.statuses],
             "outcome": self.outcomes,
         }
+        if any(self.in_training):
+            columns["in_training"] = list(self.in_training)
         if self.sides:
             columns["side"] = list(self.sides)
             columns["wrong_side"] = self.on_wrong_side.tolist()
@@ -303,6 +310,8 @@ class Evaluation:
             f"{self.outcomes.count('refused')}",
             f"landmarks inside their 95 % ellipses, in fits that may be used: {held}",
         ]
+        if doubt := self.doubt_about_training():
+            lines.insert(1, doubt)
         if self.sides:
             counts = ", ".join(f"{self.sides.count(side)} {side}" for side in sorted(set(self.sides)))
             lines.append(f"sides: {counts}; fits of the wrong side: {int(self.on_wrong_side.sum())}")
@@ -325,6 +334,22 @@ class Evaluation:
         if self.left_out:
             lines.append(f"left out {len(self.left_out)}: {some_names(self.left_out, 3, '; ')}")
         return "\n".join(lines)
+
+    def doubt_about_training(self) -> str:
+        """Say which images the model was trained on, or that it does not say; empty if it was trained on none."""
+        if not self.in_training:
+            return (
+                "the model does not say which images it was trained on: these figures hold only if these are others "
+                "(--folds 5 trains on other images in turn)"
+            )
+        names = [name for name, is_known in zip(self.names, self.in_training, strict=True) if is_known]
+        if not names:
+            return ""
+        return (
+            f"the model was trained on {len(names)} of these {count_of(len(self), 'image')} ({some_names(names, 3)}), "
+            "whose errors are smaller than those of new images: evaluate others, or give --folds 5 to train on other "
+            "images in turn"
+        )
 
     def worst(self, count: int = 10) -> np.ndarray:
         """Return the indices of the images with the largest errors, (min(k, count),) int64, the largest first."""

@@ -101,6 +101,9 @@ class AAM:
     sides : Sides, optional
         The sides of the training images, of which those of one were reflected, so that fits try both; None if the
         objects have one side as far as is known.
+    fingerprints : tuple of str
+        Those of the files of the training images (:func:`liaam.io.files.fingerprint_of`), sorted, by which
+        :func:`liaam.evaluate` knows these; empty in older files, and for images that were given as arrays.
     """
 
     views: Mapping[str, View]
@@ -131,6 +134,7 @@ class AAM:
     in_box: np.ndarray | None = None
     rotations: str = UPRIGHT
     sides: Sides | None = None
+    fingerprints: tuple[str, ...] = ()
 
     def __getstate__(self) -> dict:
         """Leave out the fitters that :func:`liaam.fit` keeps with a model."""

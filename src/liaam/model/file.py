@@ -145,6 +145,7 @@ def _fields(header: dict, tensors: dict[str, np.ndarray]) -> dict[str, Any]:
         "card": _card(header),
         "scale": _scale(header["scale"]) if "scale" in header else None,
         "sides": _sides(header) if "sides" in header else None,
+        "fingerprints": _fingerprints(header),
         "failing_methods": _failing_methods(header),
         "same_images": bool(header.get("same_images", False)),
         "rotations": _rotations(header),
@@ -283,6 +284,8 @@ def _mirror_order(header: dict, n: int) -> np.ndarray:
     return order
 
 
+FINGERPRINT = re.compile(r"[a-p]{16}")  # of a file, as liaam.io.files.fingerprint_of makes it
+
 MOST_METHODS = 100  # Largest number of methods that a header names
 
 
@@ -292,6 +295,16 @@ def _failing_methods(header: dict) -> tuple[str, ...]:
     if not isinstance(methods, list) or len(methods) > MOST_METHODS:
         raise ValueError("failing_methods is not a list of methods")
     return tuple(text_of(method) for method in methods)
+
+
+def _fingerprints(header: dict) -> tuple[str, ...]:
+    """Return those of the files of the training images; older files have none."""
+    prints = header.get("fingerprints", [])
+    if not isinstance(prints, list) or not all(
+        isinstance(each, str) and FINGERPRINT.fullmatch(each) for each in prints
+    ):
+        raise ValueError("fingerprints are not a list of 16 letters each")
+    return tuple(prints)
 
 
 def _rotations(header: dict) -> str:

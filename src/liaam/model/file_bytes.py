@@ -95,6 +95,8 @@ def _header(model: "AAM") -> dict[str, Any]:
         header["scale"] = {"value": model.scale.value, "unit": model.scale.unit}
     if model.sides is not None:
         header["sides"] = vars(model.sides)
+    if model.fingerprints:
+        header["fingerprints"] = list(model.fingerprints)
     if model.failing_methods:
         header["failing_methods"] = list(model.failing_methods)
     if model.same_images:

@@ -17,6 +17,7 @@ from liaam.formatting import short_repr
 from liaam.io.files import natural_key, some_names
 from liaam.model.shape import align
 from liaam.morphometry.pairs import checked_twins, parse_pairs
+from liaam.morphometry.replicates import REPEATED
 from liaam.morphometry.sides import are_unreflected, individual_name, refuse_uneven, structure_name
 from liaam.morphometry.specimens import Specimen
 from liaam.morphometry.symmetry import (
@@ -35,6 +36,9 @@ from liaam.tables import Columns
 OBJECT = "object"
 MATCHING = "matching"
 KINDS = (OBJECT, MATCHING)
+
+BY_COVARIANCES = "error by covariances"
+"""Row of the table of the second error term."""
 
 _SHOWN = 3  # individuals that a message describes
 
@@ -69,6 +73,10 @@ class AsymmetryResult:
     estimated : tuple of str
         Of each individual, the landmarks that are estimated on either side, by name or number, with blanks between
         them. The differences between its sides include the error of these estimates.
+    by_covariances : liaam.morphometry.symmetry.Asymmetry, optional
+        The analysis of the means of replicates with the error that the landmarks' covariances state, if there are
+        replicates and covariances; None otherwise. Replicates of fits repeat each other's errors, which covariances
+        include.
     """
 
     analysis: Asymmetry
@@ -82,8 +90,29 @@ class AsymmetryResult:
     left_out: tuple[str, ...]
     n_estimated: int = 0
     estimated: tuple[str, ...] = ()
+    by_covariances: Asymmetry | None = None
 
     __repr__ = short_repr
+
+    @property
+    def error_by_covariances(self) -> dict[str, float] | None:
+        """The second error term: its mean square ``MS``, and by it ``F`` and ``P`` of fluctuating asymmetry.
+
+        None unless there are replicates and covariances. The mean square is that of a record, as that of replicates.
+        """
+        if self.by_covariances is None:
+            return None
+        anova = self.by_covariances.shape_anova
+        return {"MS": anova["MS"][ERROR], "F": anova["F"][INTERACTION], "P": anova["P"][INTERACTION]}
+
+    @property
+    def replicates_repeat_errors(self) -> bool:
+        """Whether replicates differ by far less than the covariances of their landmarks state.
+
+        So do fits to several images of one specimen: each has nearly the same error, which replicates do not show.
+        """
+        other = self.error_by_covariances
+        return other is not None and bool(other["MS"] > REPEATED * self.analysis.shape_anova["MS"][ERROR])
 
     @property
     def error_exceeds_differences(self) -> bool:
@@ -104,6 +133,9 @@ class AsymmetryResult:
         analysis = self.analysis
         parts = [("shape", analysis.shape_anova), ("centroid_size", analysis.size_anova)]
         parts = [(trait, part) for trait, part in parts if part]
+        if self.error_by_covariances is not None:
+            empty = {name: [math.nan] for name in analysis.shape_anova}
+            parts.insert(1, ("shape", empty | {"effect": [BY_COVARIANCES], "MS": [self.error_by_covariances["MS"]]}))
         traits = [trait for trait, part in parts for _ in part["effect"]]
         return {"trait": traits} | {name: [each for _, part in parts for each in part[name]] for name in parts[0][1]}
 
@@ -154,6 +186,9 @@ class AsymmetryResult:
             "twins": list(self.twins) if analysis.kind == OBJECT else None,
             "error_term": analysis.error or None,
             "error_exceeds_differences": self.error_exceeds_differences,
+            "error_by_covariances": self.error_by_covariances
+            and {name: _known(value) for name, value in self.error_by_covariances.items()},
+            "replicates_repeat_errors": self.replicates_repeat_errors,
             "without_estimated": self.n_estimated,
             "permutations": self.permutations,
             "seed": self.seed,
@@ -258,7 +293,8 @@ def asymmetry(
         for matching symmetry, those with landmarks that contradict the stated side (`Specimen.stated_side`), unless
         the side is that of a fit. The error
         term comes from replicates, or without any from the covariances of the landmarks, if all have them; records with
-        estimated landmarks do not count in it. Individuals
+        estimated landmarks do not count in it. If there are both, there is a second error term
+        (`AsymmetryResult.error_by_covariances`). Individuals
         without a scale, where others have one, are left out of the analysis of centroid sizes alone.
 
     Raises
@@ -288,14 +324,25 @@ def asymmetry(
     covariances = np.nan_to_num(spread[order]) if spread is not None and has_error else None
     options: dict[str, Any] = {"permutations": permutations, "seed": seed, "progress": progress}
     twins: tuple[int, ...] = ()
+    by_covariances = None
+    # Errors that replicates have in common remain in their means.
+    means = shapes[order].mean(axis=2, keepdims=True)
+    of_means = None if covariances is None or order.shape[2] == 1 else covariances.mean(axis=2, keepdims=True)
+    are_estimated = np.logical_or.reduce(estimated, axis=2)[..., None]
     if kind == OBJECT:
         twins = _twins(specimens, numbers, pairs, shapes)
         of_object = None if covariances is None else covariances[:, 0]
         analysis = object_asymmetry(shapes[order[:, 0]], twins, of_object, estimated=estimated[:, 0], **options)
+        if of_means is not None:
+            by_covariances = object_asymmetry(
+                means[:, 0], twins, of_means[:, 0], estimated=are_estimated[:, 0], **options
+            )
         sides = ("original", "mirrored")
     else:
         sizes = comparable(columns, size_column(columns))[order]
         analysis = matching_asymmetry(shapes[order], covariances, estimated=estimated, sizes=sizes, **options)
+        if of_means is not None:
+            by_covariances = matching_asymmetry(means, of_means, estimated=are_estimated, **options)
     return AsymmetryResult(
         analysis,
         tuple(chosen),
@@ -308,6 +355,7 @@ def asymmetry(
         left_out=left_out,
         n_estimated=int(estimated.sum()),
         estimated=tuple(_labels_of_estimates([specimens[i] for i in each.flat]) for each in order),
+        by_covariances=by_covariances,
     )
 
 
@@ -363,7 +411,7 @@ def _doubts_about_sides(specimens: Sequence[Specimen], by: str | None) -> dict[s
     for specimen in sorted(specimens, key=lambda each: bool(each.status)):
         if specimen.stated_side:
             is_of_fit = bool(specimen.status)
-            found = f"{specimen.side} by its {'fit' if is_of_fit else 'shape'}"
+            found = f"{specimen.side} by its landmarks"
             if specimen.side == specimen.stated_side:
                 found = "mirrored, unlike most others"
             why = f"{specimen.name} is stated {specimen.stated_side}, and is {found}"
@@ -408,7 +456,7 @@ def _labels_of_estimates(specimens: Sequence[Specimen]) -> str:
 
 _STATE_INDIVIDUALS = (
     "if both sides of an individual are there, name their images alike but for the side (fly1_left and fly1_right, or "
-    "left/fly1 and right/fly1), or state it in a column 'individual' of the table of landmarks or of 'liaam batch'"
+    "left/fly1 and right/fly1), or state it in a column 'individual' of a table of your own (--specimens)"
 )
 
 

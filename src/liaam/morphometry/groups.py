@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Hashable, Mapping, Sequence
 
 from liaam.errors import LiaamError
 from liaam.io.files import AnyPath
@@ -15,7 +15,7 @@ NAMES = ("specimen", "image")
 
 
 FEWEST_OF_GROUP = 2
-"""Specimens from which the mean of a group can be compared with others, and has a standard error."""
+"""Individuals from which the mean of a group can be compared with others, and has a standard error."""
 
 
 def read_groups(path: AnyPath) -> dict[str, str]:
@@ -49,20 +49,29 @@ def _groups_of_rows(rows: Sequence[NamedRow], path: str) -> dict[str, str]:
     return groups
 
 
-def large_groups(groups: Sequence[str]) -> list[str]:
-    """Return the groups of specimens that are large enough to be compared, sorted; specimens in none have the group "".
+def large_groups(groups: Sequence[str], individuals: Sequence[Hashable]) -> list[str]:
+    """Return the groups that have enough individuals to be compared, sorted.
+
+    Parameters
+    ----------
+    groups : sequence of str
+        Group of each specimen; empty if it is in none.
+    individuals : sequence of hashable
+        Individual of each specimen.
 
     Raises
     ------
     LiaamError
         If there are not two.
     """
-    counts = Counter(group for group in groups if group)
+    pairs = {pair for pair in zip(groups, individuals, strict=True) if pair[0]}
+    counts = Counter(group for group, _ in pairs)
     compared = sorted(name for name, count in counts.items() if count >= FEWEST_OF_GROUP)
     if len(compared) < 2:
         known = ", ".join(f"{name} ({counts[name]})" for name in sorted(counts))
+        what = "specimens" if len(set(individuals)) == len(individuals) else "individuals"
         raise LiaamError(
-            f"differences between groups need two groups of {FEWEST_OF_GROUP} specimens or more that can be compared: "
+            f"differences between groups need two groups of {FEWEST_OF_GROUP} {what} or more that can be compared: "
             f"there are {known or 'none'}"
         )
     return compared

@@ -68,6 +68,7 @@ def with_estimated_landmarks(
     See Also
     --------
     far_estimates : Which estimates cannot be right.
+    estimated_on_a_side : Which landmarks are estimated in all specimens of one side.
 
     Raises
     ------
@@ -155,6 +156,41 @@ def far_estimates(specimens: Sequence[Specimen], scale: str | float | ScaleBar |
         ]
         if far:
             lines.append(f"{specimen.name}: {', '.join(far)}")
+    return tuple(lines)
+
+
+def estimated_on_a_side(specimens: Sequence[Specimen]) -> tuple[str, ...]:
+    """Report landmarks that are estimated in all specimens of one side, and not in all of the other.
+
+    Estimates follow the other landmarks, so that differences between the sides there are those of the estimates.
+
+    Parameters
+    ----------
+    specimens : sequence of Specimen
+        As :func:`with_estimated_landmarks` gives them.
+
+    Returns
+    -------
+    tuple of str
+        A sentence for each side.
+    """
+    used = [each for each in specimens if each.is_usable and each.side and np.isfinite(each.points).all()]
+    sides = sorted({each.side for each in used})
+    always = {side: set.intersection(*(set(each.estimated) for each in used if each.side == side)) for side in sides}
+    if len(sides) != 2:
+        return ()
+    lines = []
+    for side, other in (sides, sides[::-1]):
+        only = sorted(always[side] - always[other])
+        if only:
+            labels = next(each.labels for each in used)
+            named = some_names([labels[i] for i in only])
+            what, it = ("landmark", "it") if len(only) == 1 else ("landmarks", "them")
+            are = "is" if len(only) == 1 else "are"
+            lines.append(
+                f"{what} {named} {are} estimated in all {side} specimens: differences between the sides there are "
+                f"those of the estimates. Place {it} in some of these, or remove {it} from all"
+            )
     return tuple(lines)
 
 

@@ -124,8 +124,15 @@ def _of_files(
 
 
 def _of_first_files(records: Iterable[Record], complain: Callable[[str], object]) -> list[Specimen]:
-    """Return the specimens of each image in the first file that has it, and tell of others that differ."""
+    """Return the specimens of each image in the first file that has it, and tell of others that differ.
+
+    Files whose fits to an image may not be used come last: another file may have it fitted again, in another way.
+    """
+    records = tuple(records)
     first_file: dict[str, str] = {}
+    for record in records:
+        if record.specimen.is_usable:
+            first_file.setdefault(record.image, record.specimen.file)
     used: list[Record] = []
     by_name: dict[str, Specimen] = {}
     others: dict[tuple[str, str], list[str]] = defaultdict(list)
@@ -135,6 +142,8 @@ def _of_first_files(records: Iterable[Record], complain: Callable[[str], object]
         if specimen.file == file:
             used.append(record)
             by_name.setdefault(specimen.name, specimen)
+        elif not specimen.is_usable:
+            continue
         elif specimen.name not in by_name or _differ(by_name[specimen.name].points, specimen.points):
             others[specimen.file, file].append(specimen.name)
     for (file, first), names in others.items():

@@ -198,3 +198,46 @@ def doubts_about(records: Sequence[Record]) -> list[str]:
         places = ", ".join(f"{folder} in {file}" for file, folder in folders.items())
         lines.append(f"images of one name in different folders are taken for the same: {places}")
     return lines
+
+
+def without_copies(specimens: Sequence[Specimen]) -> tuple[tuple[Specimen, ...], tuple[str, ...]]:
+    """Leave out fits to copies of a picture, and say of which: they are no specimens or replicates of their own.
+
+    Files of equal content have equal fingerprints (`Specimen.fingerprint`). Fits to two of these are of one object if
+    they lie on each other. Landmarks that a person has placed on a copy are observations of their own.
+
+    Parameters
+    ----------
+    specimens : sequence of Specimen
+
+    Returns
+    -------
+    kept : tuple of Specimen
+    left_out : tuple of str
+        A sentence for each specimen that is left out.
+    """
+    of_picture: dict[str, list[Specimen]] = defaultdict(list)
+    kept = []
+    left_out = []
+    for specimen in specimens:
+        if not specimen.fingerprint or not specimen.is_usable or not specimen.status:
+            kept.append(specimen)
+            continue
+        first = next((each for each in of_picture[specimen.fingerprint] if _is_copied(each, specimen)), None)
+        if first is None:
+            of_picture[specimen.fingerprint].append(specimen)
+            kept.append(specimen)
+        else:
+            left_out.append(
+                f"{specimen.name}: its file is a copy of that of {first.name}, under another name; it is left out"
+            )
+    return tuple(kept), tuple(left_out)
+
+
+def _is_copied(first: Specimen, other: Specimen) -> bool:
+    """Return whether fits to files of equal content are of one object, but not of one file."""
+    if first.image == other.image or len(first.points) != len(other.points):
+        return False
+    place = _Place.of(other)
+    own = _Place.of(first)
+    return bool(_are_near(place, own.centre[None], np.array([own.radius]))[0])

@@ -3,7 +3,7 @@
 import math
 import re
 import warnings
-from collections import defaultdict
+from collections import Counter, defaultdict
 from collections.abc import Sequence
 from typing import Any
 
@@ -20,6 +20,13 @@ from liaam.tables import Columns
 
 _FEWEST_PAIRS = 2  # objects that two files share, to compare the orders of their landmarks: one may be an outlier
 _CLEARLY = 4.0  # least factor by which another order must bring landmarks closer together, so that no error is one
+
+REPEATED = 2.0
+"""Ratio of the variance of errors that fits state to that between their replicates above which replicates repeat each
+other's errors. Covariances are right to about a factor of two."""
+
+BY_COVARIANCES = "sd_by_covariances"
+"""Column of the standard deviation of a replicate that its covariances state."""
 
 _COMPARING = ("df_among", "df_within", "ms_among", "ms_within", "F", "P", "repeatability")
 """Columns that compare specimens with replicates; the others are of replicates only."""
@@ -38,7 +45,8 @@ def measurement_error(specimens: Sequence[Specimen], columns: Columns, by: str, 
     by : str
         ``"image"``: records of one object of an image are replicates, as :func:`liaam.read_specimens` found
         (`Specimen.replicate_of`); where that is unknown, those of one name before a ``#`` (``wing1``, ``wing1#2``).
-        ``"code"``: specimens of one code are. Otherwise the text before the number of a replicate in names, such as
+        ``"code"``: specimens of one code are. ``"individual"``: those of one individual and side are.
+        Otherwise the text before the number of a replicate in names, such as
         ``"_"`` in ``wing1_1`` and ``wing1_2``; of objects ``tray_1#3`` and ``tray_2#3`` of images, those of one number.
         Then, where specimens state their individual, those of one individual and side are replicates, unless their
         names state two sides, as of an image that was flipped.
@@ -50,7 +58,9 @@ def measurement_error(specimens: Sequence[Specimen], columns: Columns, by: str, 
     dict of str to list
         Rows: ``shape``, the measures, ``centroid_size``, and landmarks, without mean squares. ``sd`` is the standard
         deviation of replicates from their specimen's mean (of landmarks in pixels, x and y together), ``sd_percent``
-        that in percent of the mean value or centroid size. NaN where there are too few replicates.
+        that in percent of the mean value or centroid size. NaN where there are too few replicates. If standard errors
+        of the replicates are known, ``sd_by_covariances`` is the root mean square of these. Fits to several images of
+        a specimen repeat each other's errors, so that ``sd`` is then smaller (:func:`replicates_repeat_errors`).
 
     Raises
     ------
@@ -79,23 +89,76 @@ def measurement_error(specimens: Sequence[Specimen], columns: Columns, by: str, 
     n_sliding = _count_semilandmarks(specimens) if slid else 0
     freedom = 2 * len(numbers) - 4 - n_sliding  # without position, size and angle
     flat = shapes.reshape(len(specimens), -1)
-    rows: list[dict[str, Any]] = [{"measure": "shape"} | anova(observed(flat), groups, np.ones(1), freedom)]
+    errors = _errors_of_shapes(columns, numbers)
+    counts = Counter(groups)
+    is_repeated = ~is_estimated & np.array([counts[group] > 1 for group in groups])
+
+    def stated(errors: np.ndarray) -> dict[str, float]:
+        """Return the root mean square of the standard errors (m,) of replicates."""
+        known = errors[is_repeated & np.isfinite(errors)]
+        return {BY_COVARIANCES: float(np.sqrt(np.square(known).mean())) if len(known) else math.nan}
+
+    rows: list[dict[str, Any]] = [
+        {"measure": "shape"} | anova(observed(flat), groups, np.ones(1), freedom) | stated(_joint(errors))
+    ]
 
     for name in _measures_in(columns):
         values = comparable(columns, name)
-        rows.append({"measure": name} | anova(observed(values[:, None]), groups, values))
+        unknown = np.full(len(specimens), math.nan)
+        of_measure = comparable(columns, f"{name}_se") if f"{name}_se" in columns else unknown
+        rows.append({"measure": name} | anova(observed(values[:, None]), groups, values) | stated(of_measure))
 
     sizes_px = _sizes_in_pixels(columns)
     names = next((specimen.names for specimen in specimens if specimen.names), ())
     for i, number in enumerate(numbers):
         points = shapes[:, i] * sizes_px[:, None]
+        of_landmark = _joint(errors[:, i]) * sizes_px
         if by == "image" and not slid:  # records of one image share its coordinates
             points = _positions(specimens, number)
+            of_landmark = np.array([_error_of_landmark(specimen, number) for specimen in specimens])
         row = {"measure": f"landmark {names[number - 1] if names else number}"}
         row |= anova(observed(points), groups, sizes_px)
         row |= dict.fromkeys(_COMPARING, math.nan)  # positions in different images do not compare
-        rows.append(row)
-    return {name: [row[name] for row in rows] for name in rows[0]}
+        rows.append(row | stated(of_landmark))
+    table = {name: [row[name] for row in rows] for name in rows[0]}
+    if np.isnan(table[BY_COVARIANCES]).all():
+        del table[BY_COVARIANCES]
+    return table
+
+
+def replicates_repeat_errors(error: Columns) -> bool:
+    """Return whether replicates of shapes differ by far less than the covariances of their landmarks state.
+
+    So do fits to several images of one specimen: each has nearly the same error, which replicates do not show. The
+    repeatability is then that of taking the image, and not the reliability of the shapes.
+
+    Parameters
+    ----------
+    error : dict of str to list
+        What :func:`measurement_error` returns.
+    """
+    if BY_COVARIANCES not in error:
+        return False
+    return bool(error[BY_COVARIANCES][0] ** 2 > REPEATED * error["sd"][0] ** 2)
+
+
+def _errors_of_shapes(columns: Columns, numbers: Sequence[int]) -> np.ndarray:
+    """Return the standard errors of Procrustes coordinates, (m, k, 2) float64; NaN where unknown."""
+    unknown = [math.nan] * len(columns["specimen"])
+    errors = [[columns.get(f"{axis}{number}_se", unknown) for axis in "XY"] for number in numbers]
+    return np.array(errors, np.float64).reshape(len(numbers), 2, -1).transpose(2, 0, 1)
+
+
+def _joint(errors: np.ndarray) -> np.ndarray:
+    """Return the root of the sum of squares of the standard errors (m, ...) of each record, (m,)."""
+    return np.sqrt(np.square(errors.reshape(len(errors), -1)).sum(axis=1))
+
+
+def _error_of_landmark(specimen: Specimen, number: int) -> float:
+    """Return the standard error of x and y together of a landmark, counted from 1, in pixels; NaN if unknown."""
+    if specimen.covariances is None or not specimen.is_usable:
+        return math.nan
+    return float(np.sqrt(max(0.0, np.trace(specimen.covariances[number - 1]))))
 
 
 def _count_semilandmarks(specimens: Sequence[Specimen]) -> int:

@@ -21,16 +21,33 @@ TYPED = "the table of scales"
 """Source of the lengths whose row does not say how they were found, as a person puts them into the table."""
 
 
-def read_lengths(path: AnyPath) -> dict[str, Length | None]:
-    """Read the table of ``liaam scale``: the length of a pixel by the name of the image.
+def read_lengths(*paths: AnyPath) -> dict[str, Length | None]:
+    """Read tables of ``liaam scale``: the length of a pixel by the name of the image.
 
-    That of images whose scale was refused, and so is empty, is None.
+    That of images whose scale was refused, and so is empty, is None. Tables complete each other.
 
     Raises
     ------
     LiaamError
-        If the file or a column is missing, a cell is not a number, or an image occurs twice.
+        If a file or a column is missing, a cell is not a number, or an image occurs twice in a table, or has a length
+        in several.
     """
+    joined: dict[str, Length | None] = {}
+    table_of: dict[str, AnyPath] = {}
+    for path in paths:
+        for image, length in _lengths_in(path).items():
+            if length is not None and joined.get(image) is not None:
+                raise LiaamError(
+                    f"{table_of[image]} and {path} both have a scale of '{image[:60]}': keep one line for each image"
+                )
+            if length is not None or image not in joined:
+                joined[image] = length
+                table_of[image] = path
+    return joined
+
+
+def _lengths_in(path: AnyPath) -> dict[str, Length | None]:
+    """Read one table of ``liaam scale``, as :func:`read_lengths`."""
     rows = read_named_rows(path, "table of scales")
     if not rows or not {*COLUMNS[:3]} <= rows[0][1].keys():
         raise LiaamError(f"{path} has no columns {', '.join(COLUMNS[:3])}: give a table of 'liaam scale'")
@@ -139,15 +156,17 @@ def images_of(
     by_key: dict[Key, list[str]] = defaultdict(list)
     by_end: dict[Key, list[str]] = defaultdict(list)
     for image in images:
-        key = _key_of(image)
-        by_key[key].append(image)
-        for end in _ends_of(key):
-            by_end[end].append(image)
+        # With its ending, which tells images of one name apart, and without it
+        for key in dict.fromkeys((_file_key_of(image), _key_of(image))):
+            by_key[key].append(image)
+            for end in _ends_of(key):
+                by_end[end].append(image)
 
     def image_of(i: int, specimen: str, own_image: str | None) -> str | None:
         *folders, name = _key_of(own_image or f"{specimen}.png")
+        *_, file = _file_key_of(own_image or specimen)
         of_name = (name.rpartition("#")[0], name.rpartition("_")[0])
-        for own in (name,) if own_image else (name, *of_name):
+        for own in (file, name) if own_image else (name, *of_name):
             key = (*folders, own)
             named = by_end.get(key) or next((by_key[end] for end in _ends_of(key) if end in by_key), [])
             found = [image for image in named if not is_other(i, image)]
@@ -174,6 +193,11 @@ def images_of(
 def _key_of(image: str) -> Key:
     path = PureWindowsPath(image)
     return tuple(name_key(part) for part in (*path.parent.parts, stem_of(path.name)))
+
+
+def _file_key_of(image: str) -> Key:
+    """Return folders and name of an image with its ending, to be compared."""
+    return tuple(name_key(part) for part in PureWindowsPath(image).parts)
 
 
 def _ends_of(key: Key) -> list[Key]:

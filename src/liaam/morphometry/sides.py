@@ -8,7 +8,13 @@ from dataclasses import replace
 
 import numpy as np
 
-from liaam.datasets.sides import FEWEST_COMMON, others_by_shape, refuse_many_against
+from liaam.datasets.sides import (
+    FEWEST_COMMON,
+    are_upside_down,
+    mirrored_shapes,
+    others_by_shape,
+    refuse_many_against,
+)
 from liaam.errors import LiaamError
 from liaam.fitting.result import USABLE
 from liaam.io.files import count_of, some_names
@@ -25,6 +31,7 @@ _ADJECTIVES = (LEFT, RIGHT, ORIGINAL, MIRRORED)
 SIDES = (AUTO, "left", "right", REFLECTED, IGNORED)
 """Choices of :func:`of_one_side` for sides that are left and right."""
 
+SHOWN = 6  # specimens that a message names
 _CLEARLY = 1.5  # least factor by which mean shapes must be nearer to each other as they are than reflected
 
 
@@ -42,6 +49,11 @@ def of_one_side(
     training (:func:`liaam.datasets.sides.sides_of_shapes`). If a fit or a shape clearly contradicts the side that is
     stated, its own side is taken, and `Specimen.stated_side` keeps the stated one. By it,
     :func:`liaam.morphometry.asymmetry` leaves individuals out.
+
+    Where nothing states sides, shapes that are clearly mirrored against most others are reflected, too: they cannot be
+    compared otherwise. Their side is then ``mirrored``, and that of the others ``original``.
+
+    Two specimens of one image, one of each side, are of one individual where nothing else states individuals.
 
     Parameters
     ----------
@@ -78,7 +90,8 @@ def of_one_side(
         what = f"the specimens are of the sides {some_names(sides)}" if sides else "no specimen has a known side"
         raise LiaamError(f"--side {side}: {what}; give auto, {REFLECTED}, {IGNORED}, or one of them")
     if not sides:
-        return specimens, ""
+        found, said = _reflected_by_shape(specimens)
+        return _of_images_with_both_sides(found, by), said
     sided = tuple(
         replace(specimen, side=each.side, individual=specimen.individual or each.rest, stated_side=by_fit.get(i, ""))
         for i, (specimen, each) in enumerate(zip(specimens, named, strict=True))
@@ -108,11 +121,63 @@ def of_one_side(
         sided, against = _of_sides_by_shape(sided, kept, turned)
         done = _reflection_said([each.side for each in sided].count(turned), kept, turned)
         found = tuple(reflected(each) if each.side == turned else each for each in sided)
+    found = _of_images_with_both_sides(found, by)
     fits = {i: contradiction(stated, sided[i].side, "fit") for i, stated in by_fit.items()}
     doubts = _doubts([(sided[i].name, why) for i, why in sorted((fits | against).items())])
     if doubts and strict:
         raise LiaamError(doubts)
     return found, "; ".join(filter(None, (done, doubts)))
+
+
+def _of_images_with_both_sides(specimens: tuple[Specimen, ...], by: str | None) -> tuple[Specimen, ...]:
+    """Return specimens of which the two in one image, one of each side, are of one individual, named by the image.
+
+    So it is only if nothing states individuals, some image has both sides, and none has two of one side.
+    """
+    images = [image_and_number(each, by or "image")[0] for each in specimens]
+    in_image: dict[str, list[str]] = defaultdict(list)
+    for image, each in zip(images, specimens, strict=True):
+        in_image[image].append(each.side)
+    are_pairs = all(len(set(sides)) == len(sides) for sides in in_image.values())
+    n_most = max(map(len, in_image.values()), default=0)
+    are_named = any(each.individual not in ("", object_name(each, by)) for each in specimens)
+    if not are_pairs or n_most != 2 or are_named:
+        return specimens
+    by_number = by not in (None, "", "image", "code", "individual")
+    return tuple(
+        replace(each, individual=(by_number and image.rpartition(str(by))[0]) or image)
+        for image, each in zip(images, specimens, strict=True)
+    )
+
+
+def _reflected_by_shape(specimens: tuple[Specimen, ...]) -> tuple[tuple[Specimen, ...], str]:
+    """Reflect specimens that are clearly mirrored against most others, where nothing states sides; say which."""
+    n = max((len(each.points) for each in specimens), default=0)
+    compared = [i for i, each in enumerate(specimens) if _shows_side(each, n)]
+    if not compared:
+        return specimens, ""
+    shapes = np.array([specimens[i].measured for i in compared])
+    is_mirrored = mirrored_shapes(shapes)
+    if not is_mirrored.any():
+        return specimens, ""
+    is_upside_down = are_upside_down(shapes, is_mirrored)
+    found = list(specimens)
+    for i, mirrored in zip(compared, is_mirrored.tolist(), strict=True):
+        own = reflected(found[i]) if mirrored else found[i]
+        found[i] = own if is_upside_down else replace(own, side=MIRRORED if mirrored else ORIGINAL)
+    names = [specimens[i].name for i in np.array(compared)[is_mirrored].tolist()]
+    were = "is mirrored by its shape, and was" if len(names) == 1 else "are mirrored by their shapes, and were"
+    cause = (
+        "state the sides of left and right structures (a column 'side', folders left and right, or names such as "
+        "wing1_left), and flip back photographs that were flipped"
+    )
+    if is_upside_down:
+        cause = "y of these seems to count from the other border: correct it"
+    everyone = " (all have the side 'mirrored' in the table)" if len(names) > SHOWN + 1 and not is_upside_down else ""
+    return tuple(found), (
+        f"{len(names)} of {count_of(len(specimens), 'specimen')} {were} reflected, to be compared with the others: "
+        f"{some_names(names, SHOWN)}{everyone}; {cause}, or give --side {IGNORED} to compare all as they are"
+    )
 
 
 def _reflection_said(n: int, kept: str, turned: str) -> str:
@@ -232,6 +297,8 @@ def object_name(specimen: Specimen, by: str | None) -> str:
         return specimen.replicate_of or specimen.name.rpartition("#")[0] or specimen.name
     if by == "code":
         return specimen.code or specimen.name
+    if by == "individual":
+        return specimen.individual or specimen.name
     image, number = image_and_number(specimen, by)
     return ((by and image.rpartition(by)[0]) or image) + number
 
@@ -256,7 +323,7 @@ def refuse_uneven(specimens: Iterable[Specimen], by: str | None) -> None:
     by : str, optional
         As for :func:`liaam.morphometry.measurement_error`.
     """
-    if by in (None, "", "image", "code"):
+    if by in (None, "", "image", "code", "individual"):
         return
     numbers: dict[str, dict[str, set[str]]] = defaultdict(lambda: defaultdict(set))
     for specimen in specimens:
@@ -286,6 +353,28 @@ def structure_name(specimen: Specimen, by: str | None) -> str:
 def individual_name(specimen: Specimen, by: str | None) -> str:
     """Return the name of the individual that a specimen is of; if none is stated, its own without the replicate."""
     return specimen.individual or object_name(specimen, by)
+
+
+def individuals_of(specimens: Iterable[Specimen], by: str | None = None) -> tuple[str, ...]:
+    """Return the individual that each specimen is a record of: records of one individual are not independent.
+
+    It is stated, or follows from what tells sides and replicates (:func:`of_one_side`), as do the objects of an image
+    that has several records. A specimen of which nothing is known is its own individual.
+
+    Parameters
+    ----------
+    specimens : iterable of Specimen
+        As :func:`of_one_side` gives them.
+    by : str, optional
+        What tells replicates, as in :func:`liaam.morphometry.measurement_error`.
+    """
+
+    def individual_of(specimen: Specimen) -> str:
+        if by is None and not specimen.individual:
+            return specimen.replicate_of or specimen.name
+        return individual_name(specimen, by)
+
+    return tuple(map(individual_of, specimens))
 
 
 def _sides_of(specimens: Sequence[Specimen], by: str | None) -> tuple[list[Named], dict[int, str]]:

@@ -18,6 +18,7 @@ from __future__ import annotations
 
 import json
 import re
+from collections import Counter, defaultdict
 from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import combinations
@@ -26,8 +27,9 @@ import numpy as np
 
 from liaam.errors import LiaamError
 from liaam.formatting import json_value, short_repr
-from liaam.io.files import count_of
+from liaam.io.files import count_of, some_names
 from liaam.morphometry.groups import large_groups
+from liaam.morphometry.sides import individuals_of
 from liaam.morphometry.specimens import Specimen
 from liaam.morphometry.superimposition import superimpose, tangent_covariances
 from liaam.tables import Columns
@@ -49,6 +51,9 @@ class ShapeVariation:
         The m specimens that have a shape.
     groups : tuple of str
         Group of each, or empty.
+    individuals : tuple of str
+        Individual of each, if any has several specimens (sides, replicates), or empty. Groups are then compared by the
+        means of individuals.
     n_left_out : int
         Specimens without a shape.
     landmarks : tuple of int
@@ -64,14 +69,15 @@ class ShapeVariation:
     means : dict of str to (k, 2) float64
         Mean shape of each group, y upwards.
     means_se, means_se_by_measuring : dict of str to (k, 2) float64
-        Standard errors of these, by differences of specimens and by measuring; and the part by measuring.
+        Standard errors of these, by differences of individuals and by measuring; and the part by measuring.
     tests : list of dict
-        For all groups and for each two of several: ``groups``, ``specimens``, ``distance`` (Procrustes distance between
-        two means), ``R2`` (share of the groups in the variance) and ``P``.
+        For all groups and for each two of several: ``groups``, ``specimens``, ``individuals``, ``distance`` (Procrustes
+        distance between two means), ``R2`` (share of the groups in the variance between individuals) and ``P``.
     """
 
     names: tuple[str, ...]
     groups: tuple[str, ...]
+    individuals: tuple[str, ...]
     n_left_out: int
     landmarks: tuple[int, ...]
     total: float
@@ -100,8 +106,10 @@ class ShapeVariation:
         return np.array([_reliability(total, measuring) for total, measuring in pairs])
 
     def by_specimen(self) -> Columns:
-        """Return one row per specimen: its group, if known, and scores ``PC1``, ``PC1_se``, ``PC2``, ..."""
+        """Return one row per specimen: its individual and group, if known, and scores ``PC1``, ``PC1_se``, ..."""
         columns: Columns = {"specimen": list(self.names)}
+        if self.individuals:
+            columns["individual"] = list(self.individuals)
         if self.groups:
             columns["group"] = list(self.groups)
         for i in range(self.scores.shape[1]):
@@ -122,11 +130,15 @@ class ShapeVariation:
 
     def by_group(self) -> Columns:
         """Return one row per group and landmark: the mean shape, its standard errors, and their part by measuring."""
-        names = ("group", "specimens", "landmark", "x", "y", "x_se", "y_se", "x_se_by_measuring", "y_se_by_measuring")
-        columns: Columns = {name: [] for name in names}
+        counts = ("specimens", "individuals") if self.individuals else ("specimens",)
+        names = ("landmark", "x", "y", "x_se", "y_se", "x_se_by_measuring", "y_se_by_measuring")
+        columns: Columns = {name: [] for name in ("group", *counts, *names)}
         for group, mean in self.means.items():
             columns["group"] += [group] * len(mean)
             columns["specimens"] += [self.groups.count(group)] * len(mean)
+            if self.individuals:
+                of_group = {who for who, own in zip(self.individuals, self.groups, strict=True) if own == group}
+                columns["individuals"] += [len(of_group)] * len(mean)
             columns["landmark"] += list(self.landmarks)
             parts = {"": mean, "_se": self.means_se[group], "_se_by_measuring": self.means_se_by_measuring[group]}
             for end, values in parts.items():
@@ -137,7 +149,8 @@ class ShapeVariation:
     def report(self) -> str:
         """Describe the variance of shape, and the differences between groups, as text."""
         left_out = f" ({self.n_left_out} without a shape left out)" if self.n_left_out else ""
-        lines = [f"variance of shape of {count_of(len(self.names), 'specimen')}{left_out}: {self.total:.3g}"]
+        of = f" of {count_of(len(set(self.individuals)), 'individual')}" if self.individuals else ""
+        lines = [f"variance of shape of {count_of(len(self.names), 'specimen')}{of}{left_out}: {self.total:.3g}"]
         if np.isnan(self.measuring):
             lines[0] += "; that of measuring is unknown, as the landmarks have no covariances"
         elif np.isnan(self.reliability):
@@ -156,18 +169,33 @@ class ShapeVariation:
             for i, (share, ratio) in enumerate(shown, 1)
         ]
         lines.append(f"principal components: {', '.join(parts)}")
+        if self.tests and self.individuals:
+            lines.append(self._how_compared())
         for test in self.tests:
             apart = "" if np.isnan(float(test["distance"])) else f"means {test['distance']:.3g} apart, "
+            between = " between individuals" if self.individuals else ""
             lines.append(
-                f"{test['groups']}: {apart}{100 * float(test['R2']):.0f} % of the variance of shape, "
+                f"{test['groups']}: {apart}{100 * float(test['R2']):.0f} % of the variance of shape{between}, "
                 f"P = {test['P']:.3f}"
             )
         return "\n".join(lines)
+
+    def _how_compared(self) -> str:
+        """Say that groups are compared by individuals, whose records are not independent."""
+        paired = len(in_several(self.individuals, self.groups))
+        if not paired:
+            return "groups are compared by the means of individuals, since the records of one are not independent"
+        have = "individual has" if paired == 1 else "individuals have"
+        return (
+            f"{paired} {have} records in several groups: groups are compared by the means of each individual in each "
+            "group, and exchanged only within individuals"
+        )
 
     def to_json(self) -> str:
         """Return the variances, components and tests as text in JSON; what is unknown is null."""
         values = {
             "specimens": len(self.names),
+            "individuals": len(set(self.individuals or self.names)),
             "left_out": self.n_left_out,
             "variance": self.total,
             "variance_of_measuring": self.measuring,
@@ -184,11 +212,15 @@ def shape_variation(
     groups: Sequence[str] | None = None,
     permutations: int = 999,
     seed: int = 0,
+    by: str | None = None,
 ) -> ShapeVariation:
     """Split the variance of shape into that of specimens and of measuring, and compare groups.
 
     The test between groups is a permutation test of their share of the variance (Goodall 1991; Anderson 2001):
-    specimens are exchanged with their errors, so that it holds whatever these are, if they are alike in all groups.
+    individuals are exchanged with their errors, so that it holds whatever these are, if they are alike in all groups.
+    Several specimens of one individual, such as both sides or replicates, are not independent: groups are compared by
+    the means of individuals. Where the specimens of an individual are in several groups, its means in these are
+    exchanged with each other only.
 
     Parameters
     ----------
@@ -202,12 +234,14 @@ def shape_variation(
         Random permutations of the test, 0 to 100000; 0 for none.
     seed : int
         Seed of these.
+    by : str, optional
+        What tells replicates, as in :func:`liaam.morphometry.measurement_error`, where no individual is stated.
 
     Raises
     ------
     LiaamError
-        If fewer than 3 specimens have a shape, fewer than two groups have two of these, or the number of permutations
-        is out of range.
+        If fewer than 3 specimens have a shape, fewer than two groups have two individuals with one, or the number of
+        permutations is out of range.
     """
     if not 0 <= permutations <= MOST_PERMUTATIONS:
         raise LiaamError(f"{permutations} permutations: give 0 to {MOST_PERMUTATIONS}")
@@ -228,15 +262,20 @@ def shape_variation(
     total = float(np.square(flat - flat.mean(axis=0)).sum()) / (len(used) - 1)
     traces = np.trace(covariances, axis1=1, axis2=2)
     measuring = float(_known_mean(traces[:, None])[0])
+    individuals = individuals_of(used, by)
     groups_of_used: tuple[str, ...] = ()
     compared: Sequence[str] = ()
+    units = _Units.of(flat, covariances, individuals, [""] * len(used))
     if groups is not None:
         groups_of_used = tuple(group for group, is_used in zip(groups, has_shape, strict=True) if is_used)
-        compared = large_groups(groups_of_used)
-    means, means_se, by_measuring = _group_means(flat, covariances, groups_of_used, compared)
+        units = _Units.of(flat, covariances, individuals, groups_of_used)
+        compared = large_groups(groups_of_used, individuals)
+        _refuse_few_pairs(units, compared)
+    means, means_se, by_measuring = _group_means(units, compared)
     return ShapeVariation(
         names=tuple(specimen.name for specimen in used),
         groups=groups_of_used,
+        individuals=individuals if len(set(individuals)) < len(used) else (),
         n_left_out=len(specimens) - len(used),
         landmarks=tuple(numbers),
         total=total,
@@ -247,8 +286,53 @@ def shape_variation(
         means=means,
         means_se=means_se,
         means_se_by_measuring=by_measuring,
-        tests=_tests(flat, np.array(groups_of_used), compared, permutations, seed),
+        tests=_tests(units, compared, permutations, seed),
     )
+
+
+def in_several(individuals: Sequence[str], groups: Sequence[str]) -> list[str]:
+    """Return the individuals that are in several groups; specimens in none have the group ""."""
+    pairs = {(individual, group) for individual, group in zip(individuals, groups, strict=True) if group}
+    counts = Counter(individual for individual, _ in pairs)
+    return sorted(individual for individual, n in counts.items() if n > 1)
+
+
+@dataclass(frozen=True, eq=False)
+class _Units:
+    """What is compared between groups: the mean of each individual's specimens in each of its groups.
+
+    Attributes
+    ----------
+    shapes : (u, d) float64
+        Mean tangent coordinates.
+    covariances : (u, d, d) float64
+        Mean covariances. Fits to several images of an individual repeat each other's errors, which thus do not cancel.
+    individuals, groups : tuple of str
+        Individual and group of each.
+    n_specimens : (u,) int
+        Specimens of each.
+    """
+
+    shapes: np.ndarray
+    covariances: np.ndarray
+    individuals: tuple[str, ...]
+    groups: tuple[str, ...]
+    n_specimens: np.ndarray
+
+    @classmethod
+    def of(cls, flat: np.ndarray, covariances: np.ndarray, individuals: Sequence[str], groups: Sequence[str]) -> _Units:
+        """Return the units of specimens with tangent coordinates (m, d) and their covariances (m, d, d)."""
+        members: dict[tuple[str, str], list[int]] = defaultdict(list)
+        for i, key in enumerate(zip(individuals, groups, strict=True)):
+            members[key].append(i)
+        places = list(members.values())
+        return cls(
+            np.array([flat[each].mean(axis=0) for each in places]),
+            np.array([covariances[each].mean(axis=0) for each in places]),
+            tuple(individual for individual, _ in members),
+            tuple(group for _, group in members),
+            np.array([len(each) for each in places]),
+        )
 
 
 def principal_components(shapes: np.ndarray, most: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -283,55 +367,77 @@ def _tangent_covariances(
     return result
 
 
-def _group_means(
-    flat: np.ndarray, covariances: np.ndarray, groups: Sequence[str], compared: Sequence[str]
-) -> tuple[dict[str, np.ndarray], dict[str, np.ndarray], dict[str, np.ndarray]]:
-    """Return the mean shape (k, 2) of each group that is compared, its standard errors, and their part by measuring.
+def _refuse_few_pairs(units: _Units, compared: Sequence[str]) -> None:
+    """Raise if some individuals are in several groups and most are in one: either may be a mistake."""
+    members = [(who, group) for who, group in zip(units.individuals, units.groups, strict=True) if group in compared]
+    paired = in_several([who for who, _ in members], [group for _, group in members])
+    n = len({who for who, _ in members})
+    if 0 < 2 * len(paired) < n:
+        raise LiaamError(
+            f"{len(paired)} of {n} individuals have records in several groups, and others in one "
+            f"({some_names(paired)}): correct their groups or individuals, or leave them out"
+        )
 
-    Shapes are ``flat`` (m, 2 k), with their covariances (m, 2 k, 2 k), and ``groups`` (m,) the group of each.
-    """
+
+def _group_means(
+    units: _Units, compared: Sequence[str]
+) -> tuple[dict[str, np.ndarray], dict[str, np.ndarray], dict[str, np.ndarray]]:
+    """Return the mean shape (k, 2) of each group that is compared, its standard errors, and their part by measuring."""
     means = {}
     means_se = {}
     by_measuring = {}
     for name in compared:
-        members = np.array([group == name for group in groups])
+        members = np.array([group == name for group in units.groups])
         n = int(members.sum())
-        variances = np.diagonal(covariances[members], axis1=1, axis2=2)
-        means[name] = flat[members].mean(axis=0).reshape(-1, 2)
-        means_se[name] = (flat[members].std(axis=0, ddof=1) / np.sqrt(n)).reshape(-1, 2)
+        shapes = units.shapes[members]
+        variances = np.diagonal(units.covariances[members], axis1=1, axis2=2)
+        means[name] = shapes.mean(axis=0).reshape(-1, 2)
+        means_se[name] = (shapes.std(axis=0, ddof=1) / np.sqrt(n)).reshape(-1, 2)
         by_measuring[name] = (np.sqrt(variances.sum(axis=0)) / n).reshape(-1, 2)
     return means, means_se, by_measuring
 
 
-def _tests(
-    flat: np.ndarray, groups: np.ndarray, compared: Sequence[str], permutations: int, seed: int
-) -> list[dict[str, str | float]]:
+def _tests(units: _Units, compared: Sequence[str], permutations: int, seed: int) -> list[dict[str, str | float]]:
     """Test the difference of all groups, and of each two if there are more."""
     if not compared:
         return []
     pairs = list(combinations(compared, 2))
     sets = [tuple(compared), *pairs] if len(pairs) > 1 else pairs
+    groups = np.array(units.groups)
     tests = []
     for names in sets:
         members = np.isin(groups, names)
-        shapes = flat[members]
+        shapes = units.shapes[members]
         codes = np.searchsorted(sorted(names), groups[members])
+        _, individuals = np.unique(np.array(units.individuals)[members], return_inverse=True)
         rng = np.random.default_rng(seed)
         share = _share(shapes, codes)
-        by_chance = np.array([_share(shapes, rng.permutation(codes)) for _ in range(permutations)])
+        by_chance = np.array([_share(shapes, _exchanged(codes, individuals, rng)) for _ in range(permutations)])
         distance = np.nan
         if len(names) == 2:
             distance = float(np.linalg.norm(shapes[codes == 0].mean(axis=0) - shapes[codes == 1].mean(axis=0)))
         tests.append(
             {
                 "groups": " – ".join(names),
-                "specimens": int(members.sum()),
+                "specimens": int(units.n_specimens[members].sum()),
+                "individuals": int(individuals.max()) + 1,
                 "distance": distance,
                 "R2": share,
                 "P": permutation_probability(by_chance, share) if permutations else np.nan,
             }
         )
     return tests
+
+
+def _exchanged(codes: np.ndarray, individuals: np.ndarray, rng: np.random.Generator) -> np.ndarray:
+    """Exchange the groups (u,) of units at random; within individuals (u,) if any is in several groups."""
+    order = rng.permutation(len(codes))
+    if individuals.max(initial=-1) + 1 == len(codes):
+        return codes[order]
+    exchanged = np.empty_like(codes)
+    # Both lists name the units by individual: in their order, and in a random one.
+    exchanged[np.argsort(individuals, kind="stable")] = codes[order[np.argsort(individuals[order], kind="stable")]]
+    return exchanged
 
 
 def permutation_probability(by_chance: np.ndarray, observed: float) -> float:

@@ -64,6 +64,8 @@ class Entry:
         Function that returns the width of the image, pixels; of the image that is read by default.
     reflected : bool
         Whether image and landmarks are reversed left to right.
+    file : Path, optional
+        File of the image; None if the image was given as an array.
     """
 
     name: str
@@ -74,6 +76,7 @@ class Entry:
     side: str = ""
     read_width: Callable[[], int] | None = None
     reflected: bool = False
+    file: Path | None = None
 
     @property
     def width(self) -> int:
@@ -314,6 +317,7 @@ def _read_sample(item: Any, i: int, order: tuple[str, ...]) -> _Sample:
         pixel=length_of(landmarks) if isinstance(landmarks, Landmarks) else None,
         side=getattr(item, "side", "") or side_of_text(getattr(landmarks, "side", "")),
         read_width=partial(_width_of_file, image) if isinstance(image, str | os.PathLike) else None,
+        file=Path(image) if isinstance(image, str | os.PathLike) else None,
     )
     return _Sample(entry, contours, tuple(getattr(landmarks, "names", ())))
 

@@ -7,7 +7,8 @@ import numpy as np
 
 from liaam.errors import TrainingError
 from liaam.formatting import ranges_of
-from liaam.io.files import some_names
+from liaam.io.files import count_of, some_names
+from liaam.model.sides import Sides
 from liaam.training.filling import COMMON, unlinked
 
 FEWEST = 2  # Fewest images that should have a landmark, to learn how it varies
@@ -44,6 +45,24 @@ def check_known(names: Sequence[str], known: np.ndarray, landmark_names: Sequenc
             f"learnt: place {_it_or_them(rare)} in more images",
             stacklevel=6,
         )
+
+
+def missing_on_a_side(known: np.ndarray, is_other: np.ndarray, sides: Sides, landmark_names: Sequence[str]) -> str:
+    """Say which landmarks are missing in all images of one side; empty if none is.
+
+    ``known`` (m, n) bool are the landmarks of the images, and ``is_other`` (m,) bool which images are reflected.
+    """
+    said = []
+    for side, of_side in ((sides.own, ~is_other), (sides.other, is_other)):
+        absent = np.flatnonzero(~known[of_side].any(axis=0)) if of_side.any() else np.zeros(0, int)
+        if len(absent):
+            count = count_of(int(of_side.sum()), f"{side} image")
+            said.append(
+                f"{_called(absent, landmark_names)} missing in all {count}: fits of {side} objects place "
+                f"{_it_or_them(absent)} as on the other side, so that a difference between the sides there is not "
+                f"seen. Place {_it_or_them(absent)} in some {side} images"
+            )
+    return "; ".join(said)
 
 
 def _numbers_of(known: np.ndarray) -> str:

@@ -7,7 +7,8 @@ from dataclasses import replace
 from liaam.datasets.sides import SidesOfShapes, sides_of_shapes
 from liaam.errors import LiaamError, TrainingError
 from liaam.model.sides import ORIGINAL, Sides
-from liaam.training.entries import Entry, TrainingData
+from liaam.training.entries import Entry, TrainingData, known_of
+from liaam.training.incomplete import missing_on_a_side
 
 
 def on_one_side(data: TrainingData, choice: str) -> TrainingData:
@@ -35,6 +36,9 @@ def on_one_side(data: TrainingData, choice: str) -> TrainingData:
         return replace(data, sides=Sides(ORIGINAL, len(data.entries)))
     if sides is None:
         return data
+    lacking = missing_on_a_side(known_of(data.entries), found.is_other, sides, data.landmark_names)
+    if lacking:
+        warnings.warn(lacking, stacklevel=4)  # the caller of train, which is decorated
     entries = [
         entry.reflection() if is_other else entry
         for entry, is_other in zip(data.entries, found.is_other.tolist(), strict=True)

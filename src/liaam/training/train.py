@@ -11,6 +11,7 @@ import numpy as np
 
 from liaam.errors import TrainingError
 from liaam.fitting.methods import Method
+from liaam.io.files import fingerprint_of
 from liaam.model import AAM, MESH, SURROUNDINGS, VIEWS, Level, View
 from liaam.model.cost import TooLargeError, check_cost
 from liaam.model.file_format import ALL_ROTATIONS, UPRIGHT
@@ -156,7 +157,9 @@ def train(
     scale = shared_length([entry.pixel for entry in samples.entries])
     if any(model.rotations == ALL_ROTATIONS for model in models):  # all shapes are searched for in one way
         models = [replace(model, rotations=ALL_ROTATIONS) for model in models]
-    return replace(models[0], others=tuple(models[1:]), scale=scale)
+    files = [entry.file for entry in samples.entries if entry.file is not None]
+    prints = tuple(sorted({fingerprint_of(file) for file in files} - {""}))
+    return replace(models[0], others=tuple(models[1:]), scale=scale, fingerprints=prints)
 
 
 def _part_of(data: TrainingData, indices: np.ndarray, progress: Progress | bool | None) -> TrainingData:

@@ -407,7 +407,10 @@ def columns_of(header: list[str], rows: Sequence[Sequence[str]]) -> Columns:
         sizes.pop()  # width and height are those of boxes, since points lie beyond
     size = next((pair for pair in sizes if len(pair) == 2), ())
     visible = next((i for i in texts if header[i] in VISIBLE), None)
-    factors = tuple((name, i) for name, i in factors_of(header) if i not in (image, specimen, landmark))
+    # Individuals tell the objects of an image apart where no other column does, and are what these are structures of.
+    factors = tuple((name, i) for name, i in factors_of(header) if i not in (image, landmark))
+    if specimen is not None and header[specimen] not in INDIVIDUALS:
+        factors = tuple((name, i) for name, i in factors if i != specimen)
     return Columns(axes["x"], axes["y"], image, specimen, landmark, visible, size, factors)
 
 

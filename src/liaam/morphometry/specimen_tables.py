@@ -1,0 +1,116 @@
+"""Tables of what is known of specimens besides their landmarks: individual, side and groups, as people keep them."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+from liaam.errors import LiaamError
+from liaam.formatting import short_repr
+from liaam.io.files import AnyPath
+from liaam.io.landmarks.tables import IMAGES, INDIVIDUALS, SIDE, SPECIMENS
+from liaam.io.sides import side_of_text
+from liaam.io.table_reader import NamedRow, named_rows_in, read_named_rows
+from liaam.morphometry.scale_tables import images_of
+from liaam.morphometry.specimens import Specimen
+
+KIND = "table of specimens"
+
+
+@dataclass(frozen=True, eq=False)
+class SpecimenTable:
+    """A table with a row for each image or specimen.
+
+    Attributes
+    ----------
+    path : str
+        Its file, for messages.
+    columns : tuple of str
+        Names of its columns.
+    rows : dict of str to dict of str to str
+        Cells by column, by the name of the image or specimen.
+    """
+
+    path: str
+    columns: tuple[str, ...]
+    rows: dict[str, dict[str, str]]
+
+    __repr__ = short_repr
+
+    def cells_of(self, specimens: Sequence[Specimen], column: str) -> tuple[str, ...]:
+        """Return the cell of a column for each specimen; empty for those that have no row.
+
+        Images go with or without folder and ending, and all objects of an image (``tray#1``) have its row.
+
+        Raises
+        ------
+        LiaamError
+            If there is no such column, or a specimen may be of several rows.
+        """
+        if column not in self.columns:
+            raise LiaamError(f"{self.path} has no column '{column}': it has {', '.join(self.columns)}")
+        return tuple("" if row is None else row[column].strip() for row in self._rows_of(specimens))
+
+    def of(self, specimens: Sequence[Specimen]) -> tuple[tuple[Specimen, ...], tuple[str, ...]]:
+        """Return specimens with the individual and the side that the table states, and the names of those without row.
+
+        What the table leaves empty stays as it is. The side replaces that of fits, and is compared with the shapes by
+        :func:`liaam.morphometry.of_one_side`.
+
+        Raises
+        ------
+        LiaamError
+            If no specimen has a row, or one may be of several.
+        """
+        found = self._rows_of(specimens)
+        if all(row is None for row in found):
+            raise LiaamError(f"no specimen has a row in {self.path}, which has names such as {next(iter(self.rows))}")
+        individual = next((name for name in self.columns if name.lower() in INDIVIDUALS), "")
+        side = next((name for name in self.columns if name.lower() == SIDE), "")
+        stated = [
+            specimen
+            if row is None
+            else replace(
+                specimen,
+                individual=row.get(individual, "").strip() or specimen.individual,
+                side=side_of_text(row.get(side, "")) or specimen.side,
+            )
+            for specimen, row in zip(specimens, found, strict=True)
+        ]
+        return tuple(stated), tuple(each.name for each, row in zip(specimens, found, strict=True) if row is None)
+
+    def _rows_of(self, specimens: Sequence[Specimen]) -> list[dict[str, str] | None]:
+        names = [specimen.name for specimen in specimens]
+        own = [specimen.image for specimen in specimens]
+        return [None if name is None else self.rows[name] for name in images_of(names, list(self.rows), own)]
+
+
+def read_specimen_table(path: AnyPath) -> SpecimenTable:
+    """Read a table ``.csv`` with a column of images or specimens, and any of ``individual``, ``side`` and others.
+
+    Raises
+    ------
+    LiaamError
+        If the file is missing, no column names the images, or an image occurs twice.
+    """
+    return _table_of(read_named_rows(path, KIND), str(path))
+
+
+def specimen_table_in(text: str, path: str) -> SpecimenTable:
+    """Parse the text of such a table, as :func:`read_specimen_table`; ``path`` names it in messages."""
+    return _table_of(named_rows_in(text, path), path)
+
+
+def _table_of(rows: Sequence[NamedRow], path: str) -> SpecimenTable:
+    columns = tuple(rows[0][1]) if rows else ()
+    of_image = [name for name in columns if name.lower() in IMAGES]
+    named = [*of_image, *(name for name in columns if name.lower() in SPECIMENS - INDIVIDUALS)]
+    if not named:
+        raise LiaamError(f"{path} has no column image (or specimen): give a .csv file with one row for each image")
+    found: dict[str, dict[str, str]] = {}
+    for number, row in rows:
+        name = row[named[0]].strip()
+        if name in found:
+            raise LiaamError(f"{path}: line {number} has '{name[:60]}' again: keep one line for each image")
+        found[name] = row
+    return SpecimenTable(path, columns, found)

@@ -1,0 +1,75 @@
+"""Tables of what is known of specimens: individual, side and groups."""
+
+import numpy as np
+import pytest
+
+from liaam.errors import LiaamError
+from liaam.morphometry import Specimen, of_one_side, read_specimen_table, read_specimens
+from liaam.morphometry.specimen_tables import specimen_table_in
+
+WING = np.array([[0.0, 0], [9, 2], [20, 3], [24, 8], [15, 11], [3, 5]])
+
+OWN = """Photo,Individual,Side,sex
+IMG_1.JPG,F1,L,m
+IMG_2.JPG,F1,R,m
+IMG_3.JPG,F2,L,f
+"""
+
+
+def fits() -> list[Specimen]:
+    """Give fits by a model of both sides: the image is known, and the side by the fit."""
+    sides = ("original", "mirrored", "original", "mirrored")
+    return [
+        Specimen(f"IMG_{i}", WING * [1 - 2 * (side == "mirrored"), 1] + i, image=f"new/IMG_{i}.JPG", side=side)
+        for i, side in enumerate(sides, 1)
+    ]
+
+
+def test_a_table_states_individuals_sides_and_groups(tmp_path) -> None:
+    (tmp_path / "own.csv").write_text(OWN.replace(",", ";"), "utf-8-sig")
+    table = read_specimen_table(tmp_path / "own.csv")
+    found, unlisted = table.of(fits())
+    assert [each.individual for each in found] == ["F1", "F1", "F2", ""] and unlisted == ("IMG_4",)
+    assert [each.side for each in found] == ["left", "right", "left", "mirrored"]
+    assert table.cells_of(fits(), "sex") == ("m", "m", "f", "")
+    one_side, _ = of_one_side(found[:3])
+    assert [each.individual for each in one_side] == ["F1", "F1", "F2"]
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        ("wing,sex\na,m\n", "own.csv has no column image .or specimen.: give a .csv file with one row for each image"),
+        ("image,sex\na,m\na,f\n", "own.csv: line 3 has 'a' again"),
+        ("image,sex\nother,m\n", "no specimen has a row in own.csv, which has names such as other"),
+    ],
+)
+def test_tables_that_do_not_suit_are_named(text, words) -> None:
+    with pytest.raises(LiaamError, match=words):
+        specimen_table_in(text, "own.csv").of(fits())
+
+
+def test_columns_that_are_absent_are_named() -> None:
+    with pytest.raises(LiaamError, match=r"own\.csv has no column 'age': it has Photo, Individual, Side, sex"):
+        specimen_table_in(OWN, "own.csv").cells_of(fits(), "age")
+
+
+def test_both_sides_in_one_image_are_of_one_individual() -> None:
+    left = [Specimen(f"tray{i}#1", WING * [-1, 1], image=f"tray{i}.jpg", side="left") for i in range(3)]
+    right = [Specimen(f"tray{i}#2", WING, image=f"tray{i}.jpg", side="right") for i in range(2)]
+    found, _ = of_one_side([*left, *right])
+    assert [each.individual for each in found] == ["tray0", "tray1", "tray2", "tray0", "tray1"]
+    two_of_a_side = Specimen("tray0#3", WING, image="tray0.jpg", side="right")
+    found, _ = of_one_side([*left, *right, two_of_a_side])
+    assert [each.individual for each in found][:2] == ["tray0#1", "tray1#1"]
+
+
+def test_columns_of_a_batch_may_be_written_with_capitals(tmp_path) -> None:
+    header = "path,status,quality,x1,y1,x2,y2,x3,y3"
+    rows = ["new/a.jpg,converged,1,0,0,9,2,20,3,Left,F1", "new/b.jpg,converged,1,0,0,9,2,20,3,Right,F1"]
+    (tmp_path / "b.csv").write_text("\n".join([f"{header},Side,Ind", *rows]))
+    found = read_specimens(tmp_path / "b.csv")
+    assert [(each.side, each.individual) for each in found] == [("Left", "F1"), ("Right", "F1")]
+    (tmp_path / "b.csv").write_text("\n".join([f"{header},Side,side", *rows]))
+    with pytest.raises(LiaamError, match="the columns Side and side both are of the side: keep one of them"):
+        read_specimens(tmp_path / "b.csv")
