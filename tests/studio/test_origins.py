@@ -36,21 +36,12 @@ def test_origins_are_stored_with_the_landmarks_and_survive_a_restart(small):
     assert origins(small)[1] == "confirmed" and by_name(small)["p1.png"]["unconfirmed"] == 0
 
 
-def test_a_picture_is_done_once_its_points_are_a_persons_own_or_accepted(small):
+def test_a_picture_with_proposed_points_keeps_its_place_by_quality(small):
     small.add_proposals({"p1.png": proposal(), "p2.png": proposal()})
-    save(small, "p1.png", origins=["moved", "proposed", "proposed"])  # one was dragged, and nothing accepted
-    for project in (small, Project(small.root)):
-        picture = by_name(project)["p1.png"]
-        assert (picture["state"], picture["proposed"], picture["placed"]) == ("partial", 2, 3)
-        assert picture["quality"] == 0.9  # it keeps its place in the list
-        assert project.annotated() == []
-    answer = small.review({"pictures": ["p1.png"], "did": "checked"})
-    assert "accept them first" in answer["refused"]["p1.png"]
-    save(small, "p1.png", origins=["moved", "confirmed", "proposed"])
-    assert states(small)["p1.png"] == "partial"
+    save(small, "p1.png", origins=["moved", "proposed", "proposed"])
+    assert by_name(small)["p1.png"]["quality"] == 0.9
     save(small, "p1.png", origins=["moved", "confirmed", "accepted"])
-    assert states(small)["p1.png"] == "done"
-    assert by_name(small)["p1.png"]["proposed"] == 0
+    assert by_name(small)["p1.png"]["quality"] is None
 
 
 def test_a_request_without_origins_places_what_it_changes(small):

@@ -36,7 +36,7 @@ def entries(project):
 def test_a_check_holds_for_the_landmarks_that_were_checked(placed):
     answer = act(placed, "checked", "p1.png", "p10.png")
     assert answer["changed"] == ["p1.png"]
-    assert answer["refused"] == {"p10.png": "not all points are placed or accepted: place or accept them first"}
+    assert answer["refused"] == {"p10.png": "not all points are placed: place them first"}
     before = placed.marks("p1.png")["revision"]
     assert by_name(Project(placed.root))["p1.png"]["checked"] == "Ann"
     put(placed, "p1.png", MOVED, before)
