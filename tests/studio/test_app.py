@@ -68,7 +68,7 @@ def test_the_project_is_described(folder, serve):
     }  # fmt: skip
     assert answer["default_method"] in {method["name"] for method in answer["methods"]}
     assert answer["default_ambient"] == AMBIENT
-    assert answer["limits"] == {"upload_bytes": 64_000_000, "pixels": 200_000_000}
+    assert answer["limits"] == {"upload_bytes": 64_000_000, "pixels": 200_000_000, "relit_pixels": 16_000_000}
 
 
 def test_an_empty_folder_has_an_empty_page(folder, serve):

@@ -91,6 +91,16 @@ def test_in_a_folder_of_faces_the_face_model_proposes(faces, begin):
     assert states(again.project) == {"a.png": "done", "b.png": "proposed", "c.png": "proposed"}
 
 
+def test_the_page_knows_while_faces_are_looked_for(faces, begin, monkeypatch):
+    background, _ = begin(faces)
+    looking = []
+    monkeypatch.setattr(background, "_publish", lambda *event: looking.append(background.looking))
+    assert background.looking is False
+    background.fit_new()
+    assert looking[0] is True or looking[1] is True
+    assert background.looking is looking[-1] is False
+
+
 def test_faces_can_be_declined_for_good(faces, begin):
     background, _ = begin(faces)
     background.fit_new()
@@ -116,7 +126,7 @@ def test_without_faces_nothing_is_proposed(small, begin):
     background.fit_new()
     assert background.project.templates.current is None
     assert background.models.current is None  # the face model, which was lent before, would fit nothing here
-    assert told == 2 * [("project", {})]
+    assert told == 4 * [("project", {})]  # it is lent, it looks for faces, it is not lent, it looks no longer
 
 
 def test_exchanged_points_are_a_slip_until_a_person_checks_them(folder, begin):

@@ -30,7 +30,8 @@ from liaam.relighting import Lamp
 from liaam.relighting.lamp import AMBIENT
 from liaam.studio import contract, layers
 from liaam.studio.app import Studio, make_app
-from liaam.studio.fits import FILES, Fits, error_of, example, numbers, truth_of
+from liaam.studio.background import proposal_of
+from liaam.studio.fits import FILES, Fits, error_of, example, found_nothing, numbers, truth_of
 from liaam.studio.model_store import ModelInUse, ModelStore
 from liaam.studio.pictures import Kept, Pictures, averaged, fitted_size, source_of
 from liaam.studio.project import Project
@@ -98,6 +99,15 @@ def fitted(fits):
     return fit(fits)
 
 
+@pytest.fixture(scope="session")
+def lit(fits, fitted, head_model, tmp_path_factory):
+    """Give the service of a picture of the same head under a lamp from the left, and the fit to it."""
+    folder = tmp_path_factory.mktemp("lit")
+    write_image(folder / "lit.png", fits.draw(fitted, "relit", None, ([Lamp((-1.0, 0.0, 0.3))], 0.1))[0])
+    of_lit = make_fits(folder, head_model)
+    return of_lit, fit(of_lit, "lit.png")
+
+
 class TestFit:
     def test_is_what_the_library_gives(self, fits, scene, head_model):
         expected = Fitter(head_model).fit(scene.image)
@@ -130,6 +140,29 @@ class TestFit:
         for what in ("ljson", "csv"):
             assert fits.export(damaged, what, (FRONT, 0.3))[2] != fits.export(fitted, what, (FRONT, 0.3))[2]
         assert b"nan nan" in fits.export(damaged, "pts", (FRONT, 0.3))[2].lower()
+
+    def test_says_that_nothing_was_found_if_neither_search_nor_fit_are_sure(self, fitted):
+        assert fitted.as_json()["nothing_found"] is False
+        bad = replace(fitted.result, status=FitStatus.DOUBTFUL, quality=0.1)
+        unsure = replace(bad.found, score=0.3)
+        for result, expected in (
+            (replace(bad, found=unsure), True),
+            (bad, False),  # of an object that was found
+            (replace(bad, found=None), False),  # where a person said that it is
+            (replace(bad, found=unsure, status=FitStatus.TOO_DARK), False),  # its message says more
+        ):
+            assert found_nothing(result) is expected
+            assert replace(fitted, result=result).as_json()["nothing_found"] is expected
+            assert proposal_of(result)["nothing_found"] is expected
+
+    def test_has_the_verdict_of_the_proposal_also_on_a_small_object(self, head_model, scene, tmp_path):
+        picture = np.full((500, 500, 3), 90, np.uint8)
+        picture[170:330, 190:310] = scene.image
+        write_image(tmp_path / "far.png", picture)
+        fits = make_fits(tmp_path, head_model)
+        seen = fit(fits, "far.png").as_json()
+        expected = Fitter(head_model).fit(picture)  # which weighs that there are many small places
+        assert (seen["status"], seen["quality"]) == (str(expected.status), pytest.approx(expected.quality, abs=1e-5))
 
     def test_says_where_further_objects_are(self, fitted):
         result = fitted.result
@@ -327,9 +360,9 @@ class TestFit:
         monkeypatch.setattr("liaam.studio.pictures.COPY_SIDE", 40 * factor)
         large = cv2.resize(scene.image, None, fx=factor, fy=factor, interpolation=cv2.INTER_CUBIC)
         write_image(tmp_path / "large.jpg", large)
-        seen, fit_image = [], Fitter.fit
+        seen, fit_image = [], Fitter.fit_where_found
         remember = lambda self, image, *more: seen.append(image.shape[:2]) or fit_image(self, image, *more)  # noqa: E731
-        monkeypatch.setattr(Fitter, "fit", remember)
+        monkeypatch.setattr(Fitter, "fit_where_found", remember)
         fits = make_fits(tmp_path, head_model)
         seen.clear()
         fitted = fit(fits, "large.jpg")
@@ -451,15 +484,35 @@ class TestLayers:
 
 
 class TestLight:
-    def test_large_pictures_are_not_taken_apart_in_full_size(self, folder, head_model):
-        fits = make_fits(folder, head_model, replace(SETTINGS, whole_pixels=120 * 160 - 1))
+    def test_a_very_large_picture_is_saved_with_fewer_pixels(self, folder, head_model):
+        fits = make_fits(folder, head_model, replace(SETTINGS, whole_pixels=120 * 160 // 4))
         fitted = fit(fits)
         for what in ("flat", "shading", "relit"):
-            with pytest.raises(Refusal, match=r"face\.png has 120 x 160 pixels, .* use 'liaam relight'") as caught:
-                fits.export(fitted, what, (FRONT, 0.25))
-            assert caught.value.status == 422
-        assert fits.export(fitted, "overlay", (FRONT, 0.25))[2]
+            assert decode_image(fits.export(fitted, what, (FRONT, 0.25))[2]).shape[:2] == (80, 60), what
         assert fits.draw(fitted, "flat", 100)[0].shape == (100, 75, 3)  # to look at it is still there
+
+    def test_says_whether_there_is_anything_to_take_off(self, fits, fitted, lit):
+        of_lit, fitted_lit = lit
+        for what in ("flat", "shading"):
+            assert (fits.layer(fitted, what, 320)[1] or {}).get("even") is True, what  # the light is that of training
+            assert (of_lit.layer(fitted_lit, what, 320)[1] or {}).get("even") is False, what
+        light, _ = fits._relighter(fitted, None)
+        assert layers.is_even(light, light.picture)
+        assert layers.is_even(light, np.minimum(light.picture, 252) + np.uint8(3))  # nobody sees that
+        assert not layers.is_even(light, np.minimum(light.picture, 240) + np.uint8(15))
+
+    @pytest.mark.parametrize("what", ["flat", "relit"])
+    def test_a_saved_picture_has_the_strength_that_is_shown(self, lit, what):
+        fits, fitted = lit
+
+        def saved(opacity: float) -> np.ndarray:
+            light = [Lamp((1.0, 0.0, 0.5))], 0.2
+            return decode_image(fits.export(fitted, what, light, opacity=opacity)[2]).astype(float)
+
+        whole, picture = saved(1.0), saved(0.0)
+        assert np.array_equal(picture, decode_image((fits.project.root / "lit.png").read_bytes()))
+        assert np.abs(whole - picture).max() > 20
+        assert np.abs(saved(0.35) - (picture + 0.35 * (whole - picture))).max() <= 0.5
 
     def test_from_the_front_is_flat(self, fits, fitted):
         flat = decode_image(fits.layer(fitted, "flat", 320)[0]).astype(int)

@@ -29,7 +29,7 @@ def test_pictures_come_in_natural_order_without_hidden_files_and_folders(small):
         "name": "p1.png", "state": "new", "placed": 0, "error": None, "width": 40, "height": 30,
         "uncertainty": None, "doubtful": False, "rank": None, "checked": None, "left_out": None,
         "quality": None, "slip": None, "slip_points": [], "revision": None, "tag": small.marks("p1.png")["tag"],
-        "absent": 0, "unconfirmed": 0, "side": "",
+        "absent": 0, "unconfirmed": 0, "proposed": 0, "nothing_found": False, "side": "",
     }  # fmt: skip
 
 

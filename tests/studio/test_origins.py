@@ -8,9 +8,11 @@ import pytest
 from small_projects import POINTS, TRIANGLE, by_name, proposal, put, refused, states
 
 from liaam.io import Landmarks, read_landmarks, write_landmarks
+from liaam.studio.contract import ShapesQuery
 from liaam.studio.origins import ORIGINS
 from liaam.studio.project import Project
 from liaam.studio.sets import agreement, make_set
+from liaam.studio.shapes import shapes
 
 ACCEPTED = ["accepted"] * 3
 
@@ -32,6 +34,14 @@ def test_origins_are_stored_with_the_landmarks_and_survive_a_restart(small):
     assert by_name(small)["p2.png"]["unconfirmed"] == 0
     save(small, "p1.png", origins=["moved", "confirmed", "placed"])  # the same points
     assert origins(small)[1] == "confirmed" and by_name(small)["p1.png"]["unconfirmed"] == 0
+
+
+def test_a_picture_with_proposed_points_keeps_its_place_by_quality(small):
+    small.add_proposals({"p1.png": proposal(), "p2.png": proposal()})
+    save(small, "p1.png", origins=["moved", "proposed", "proposed"])
+    assert by_name(small)["p1.png"]["quality"] == 0.9
+    save(small, "p1.png", origins=["moved", "confirmed", "accepted"])
+    assert by_name(small)["p1.png"]["quality"] is None
 
 
 def test_a_request_without_origins_places_what_it_changes(small):
@@ -184,3 +194,33 @@ def test_points_that_the_model_finds_absent_are_proposed_as_absent(small):
     there = {"points": POINTS, "revision": None, "absent": [], "base": base}
     small.save_marks("p10.png", there)  # a person has found and placed it
     assert small.marks("p10.png")["absent"] == [] and small.marks("p10.png")["points"] == POINTS
+
+
+@pytest.mark.parametrize(
+    ("points", "more", "state"),
+    [
+        (POINTS, {"origins": ["moved", "proposed", "proposed"]}, "partial"),  # one point of a proposal was dragged
+        ([None, *POINTS[1:]], {"origins": [None, "proposed", "proposed"], "absent": [0]}, "partial"),
+        (POINTS, {"origins": ["moved", "confirmed", "proposed"]}, "partial"),
+        (POINTS, {"origins": ["moved", "accepted", "accepted"]}, "done"),
+        ([None, *POINTS[1:]], {"origins": [None, "placed", "confirmed"], "absent": [0]}, "done"),
+    ],
+)
+def test_a_picture_is_done_once_a_person_said_so_of_all_points(small, points, more, state):
+    save(small, "p1.png", points, **more)
+    assert states(small)["p1.png"] == state == states(Project(small.root))["p1.png"]
+    assert by_name(small)["p1.png"]["proposed"] == more["origins"].count("proposed")
+    if state == "partial":
+        assert small.annotated() == []
+        refusals = small.review({"pictures": ["p1.png"], "did": "checked"})["refused"]
+        assert "some points are only proposed" in refusals["p1.png"]
+
+
+def test_points_that_are_only_proposed_are_not_measured(small):
+    save(small, "p1.png", origins=["moved", "placed", "proposed"])
+    save(small, "p2.png", origins=["proposed"] * 3)
+    found = shapes(small, ShapesQuery(measures="distance:1-2 distance:1-3"))
+    assert found["pictures"] == ["p1.png"]
+    assert [column["values"][0] is None for column in found["columns"][:2]] == [False, True]
+    save(small, "p1.png", origins=["proposed"] * 3)
+    assert "accept those of a picture" in str(refused(shapes, small, ShapesQuery()))

@@ -4,9 +4,11 @@ import pytest
 from small_projects import POINTS, by_name, proposal, put, refused, states
 
 from liaam.io import Landmarks, write_collection
+from liaam.studio.contract import ShapesQuery
 from liaam.studio.picture_files import remove, rename, restore
 from liaam.studio.project import Project
 from liaam.studio.sets import make_set
+from liaam.studio.shapes import save_groups, shapes
 
 
 @pytest.fixture
@@ -108,3 +110,15 @@ def test_wrong_requests_are_refused(two):
     assert refused(remove, two, {"pictures": ["../x.png"]}).status == 404
     for data in ({"token": "x"}, {"token": 1}, {}):
         assert refused(restore, two, data).status == 404
+
+
+def test_a_renamed_picture_stays_in_its_group(two):
+    put(two, "p2.png", POINTS)
+    save_groups(two, {"text": "specimen,group\np1,x\np2.png,y\n", "name": "groups.csv"})
+    rename(two, {"picture": "p1.png", "to": "lisa"})
+    rename(two, {"picture": "p2.png", "to": "fly five"})
+    found = shapes(two, ShapesQuery(by="table"))
+    assert dict(zip(found["pictures"], found["groups"], strict=True)) == {"lisa.png": "x", "fly five.png": "y"}
+    token = remove(two, {"pictures": ["lisa.png"]})["token"]
+    restore(two, {"token": token})
+    assert shapes(two, ShapesQuery(by="table"))["groups"] == found["groups"]

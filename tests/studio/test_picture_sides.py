@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 from small_projects import put
 
+from liaam.datasets.sides import sides_of_shapes
 from liaam.io import Landmarks, write_image, write_landmarks
 from liaam.studio.background import slips_in
 from liaam.studio.contract import ShapesQuery
@@ -148,13 +149,17 @@ def test_shapes_are_measured_reflected_whether_or_not_a_side_is_stated(sided):
     assert max(stated["space"]["distances"]) == pytest.approx(max(by_shape["space"]["distances"]))
 
 
-def test_two_mirrored_shapes_of_many_may_be_mistakes_and_are_measured_as_they_are(rng):
-    which = np.arange(20) < 2
-    names = [f"{i}" for i in range(20)]
-    assert for_measuring([""] * 20, names, shapes_of(rng, which)) == [""] * 20
+@pytest.mark.parametrize("mirrored", [1, 2, 3])
+def test_a_few_mirrored_shapes_are_measured_reflected_as_they_are_trained(rng, mirrored):
+    which = np.arange(30) < mirrored
+    names = [f"{i}" for i in range(30)]
+    expected = ["mirrored" if each else "original" for each in which]
+    found = shapes_of(rng, which)
+    assert for_measuring([""] * 30, names, found) == expected
+    assert (sides_of_shapes(found, [""] * 30, names).is_other == which).all()  # by which training goes
 
 
-def test_mirrored_objects_are_no_slips_where_there_are_several_or_their_side_is_said(rng):
+def test_mirrored_objects_are_no_slips_however_few_they_are(rng):
     def found(which, sides):
         items = [
             Annotated(f"wing-{i}.png", None, points, np.ones(8, bool), "1", side=side)
@@ -165,8 +170,17 @@ def test_mirrored_objects_are_no_slips_where_there_are_several_or_their_side_is_
     several = np.arange(12) < 4
     assert found(several, [""] * 12) == {}
     one = np.arange(12) < 1
-    assert [*found(one, [""] * 12)] == ["wing-0.png"]  # which may be a mistake
+    assert found(one, [""] * 12) == {}
     assert found(one, ["left"] + [""] * 11) == {}
+
+
+def test_exchanged_points_of_a_mirrored_object_are_a_slip(rng):
+    points = shapes_of(rng, np.arange(12) < 1)
+    points[0][[1, 3]] = points[0][[3, 1]]
+    items = [Annotated(f"wing-{i}.png", None, each, np.ones(8, bool), "1") for i, each in enumerate(points)]
+    assert [*slips_in(items)] == ["wing-0.png"]
+    _, said, points_of_slip = slips_in(items, tuple("abcdefgh"))["wing-0.png"]
+    assert points_of_slip == [1, 2, 3] and said.startswith("points b, c, d are in reverse order")
 
 
 def test_the_page_says_sides_by_a_request(sided, serve):

@@ -62,9 +62,17 @@ def test_the_scale_of_a_file_stays(small):
     write_landmarks(small.root / "p1.tps", Landmarks(np.array(POINTS), scale=0.1, image_name="p1.png"))
     put(small, "p1.png", [[5.0, 5.0], *POINTS[1:]])
     assert read_landmarks(small.root / "p1.ljson").scale == pytest.approx(0.1)
+    assert small.marks("p1.png")["pixel"] is None  # the file states no unit
     for did in ("deleted", "undeleted"):
         assert small.review({"pictures": ["p1.png"], "did": did})["changed"]
     assert read_landmarks(small.root / "p1.ljson").scale == pytest.approx(0.1)
+
+
+def test_a_scale_in_a_file_is_known_where_its_measures_are_drawn(small):
+    write_landmarks(small.root / "p1.ljson", Landmarks(np.array(POINTS), scale=0.1, unit="mm"))
+    assert small.marks("p1.png")["pixel"] == {"length": 0.1, "unit": "mm"}
+    put(small, "p1.png", bar=BAR)
+    assert small.marks("p1.png")["pixel"] is None  # the bar says it
 
 
 def test_a_pts_file_has_no_room_for_it_but_the_studio_knows_it(small):
@@ -110,6 +118,7 @@ def test_one_bar_for_all_is_written_exported_and_taken_back(small):
     assert answer["revisions"]["p2.png"] == small.marks("p2.png")["revision"]
     assert read_landmarks(small.root / "p2.ljson").scale == pytest.approx(0.25)
     assert small.marks("q.jpg")["bar"] == BAR and small.marks("q.jpg")["source"] == "proposal"
+    assert [small.marks(name)["bar_shared"] for name in ("p1.png", "q.jpg")] == [False, True]
     assert small.export("tps")[1].count(b"SCALE=0.25") == 3
     assert by_name(small)["p2.png"]["checked"] == "Ada"  # its points are as before,
     assert [item.revision for item in small.annotated()] == [item.revision for item in done]  # for training, too

@@ -209,6 +209,10 @@ def test_agreement_of_two_observers(first):
     assert 0 < found["repeatability"] < 1
     assert found["file"] == "small-anna-agreement.csv"
     assert "landmark c" in found["table"] and "repeatability" in found["table"]
+    assert found["pixel"] is None
+    bar = {"ends": [[0.0, 0.0], [20.0, 0.0]], "length": 10.0, "unit": "mm"}
+    first.review({"pictures": [*shapes], "did": "scaled", "bar": bar, "of": "p1.png", "anyway": True})
+    assert agreement(anna)["pixel"] == {"length": 0.5, "unit": "mm"}
 
 
 def _all(first, anna, names):

@@ -92,7 +92,7 @@ def test_groups_come_from_a_table_that_is_kept(sample):
     name, data = table(sample, ShapesQuery(by="table", measures="area:1-2-3-4"))
     rows = list(csv.DictReader(data.decode().splitlines()))
     assert name.endswith("-measurements.csv")
-    assert rows[4]["group"] == "y" and float(rows[4]["area_1_2_3_4"]) > 0
+    assert rows[4]["group"] == "y" and float(rows[4]["area_a_b_c_d"]) > 0
     assert rows[5]["PC1"] == "" or rows[5]["PC1"] == "nan"
 
 
@@ -124,3 +124,29 @@ def test_shapes_that_are_all_alike_have_a_space_of_no_extent(sample):
         put(sample, name, BASE.tolist(), picture["revision"])
     space = shapes(sample, ShapesQuery(by="folder"))["space"]
     assert space["limit"] == 0 and set(space["distances"]) == {0.0} and not np.isnan(space["scores"]).any()
+
+
+@pytest.mark.parametrize(
+    ("names", "groups"),
+    [
+        (("male_01", "male_02", "female_01", "female_02"), ("male", "male", "female", "female")),
+        (("wing01_A", "wing02_A", "wing16_B", "wing17_B"), ("A", "A", "B", "B")),
+        (("fly five", "wing02_A", "wing01_A", "wing16_B", "wing17_B"), ("five", "A", "A", "B", "B")),
+        (("a1", "a2", "a3"), ("a", "a", "a")),
+    ],
+)
+def test_pictures_are_grouped_by_the_letters_in_which_their_names_differ(tmp_path, names, groups):
+    project = project_of(tmp_path, names)
+    for name in by_name(project):
+        put(project, name, BASE.tolist())
+    found = shapes(project, ShapesQuery(by="name"))
+    by_picture = dict(zip(found["pictures"], found["groups"], strict=True))
+    assert by_picture == {f"{name}.png": group for name, group in zip(names, groups, strict=True)}
+
+
+def test_pictures_without_a_scale_are_named_where_others_have_one(sample):
+    assert shapes(sample, ShapesQuery())["unscaled"] == []
+    first, *_ = by_name(sample)
+    bar = {"ends": [[0.0, 0.0], [20.0, 0.0]], "length": 10.0, "unit": "mm"}
+    sample.review({"pictures": [first], "did": "scaled", "bar": bar, "of": first})
+    assert shapes(sample, ShapesQuery())["unscaled"] == [1, 2, 3, 4, 5, 6]

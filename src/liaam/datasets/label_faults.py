@@ -33,6 +33,7 @@ RUN_ENDS = 2  # Number of landmarks that a run may have at each end beyond those
 # Median distance, in usual deviations, above which other orders of all landmarks are tried, and the least factor by
 # which such an order must reduce it. A reflection must reduce the upper quartile by this factor
 ALL_OFF = 3.0
+MOST_NAMED = 4  # Largest number of landmarks that a description names
 MEANS = 5  # Number of times that the mean and the reflections are computed from each other
 UPRIGHT = np.pi / 4  # Largest rotation, radians, of a record that is upright once its y is reversed
 ALIGNED = 0.8  # Least mean resultant length of the other records' orientations for UPRIGHT to be judged
@@ -88,7 +89,13 @@ class LabelFault:
     @property
     def message(self) -> str:
         """Description of the error; landmarks are counted from 1."""
+        return self.describe()
+
+    def describe(self, names: Sequence[str] = ()) -> str:
+        """Describe the error; a few landmarks by these names, if they are given, others by numbers from 1."""
         numbers = ranges_of([point + 1 for point in self.points], most=len(self.points))
+        if names and len(self.points) <= MOST_NAMED:
+            numbers = ", ".join(names[point] for point in self.points)
         several = len(self.points) > 1
         which = f"{'one of ' if self.one_of else ''}{'points' if several else 'point'} {numbers}"
         fault = {

@@ -280,6 +280,23 @@ class Fitter(OneShapeFitter):
             return replace(self._begun(image, init, name).completed(), image=path)
         return replace(self._likeliest_of_sides(*load_picture(image, name), init), image=path)
 
+    def fit_where_found(self, image, detection: Detection, name: str = "image") -> FitResult:
+        """Fit an image as :meth:`fit` does without a start, after a search in it that was made before.
+
+        It is for a search that several methods share. If a side is chosen, the detection is a start.
+
+        Parameters
+        ----------
+        image : (h, w, 3) uint8, uint16 or float array
+        detection : Detection
+            The best place that the search found in the whole image.
+        name : str
+            Name of the image in errors.
+        """
+        if self._sides is not None:
+            return self.fit(image, detection, name)
+        return self._completed(self._first_fit(image, None, name, detection), None)
+
     def _likeliest_of_sides(self, image: np.ndarray, name: str, init) -> FitResult:
         """Fit an image as it is and reversed left to right, unless the start says of which side the object is."""
         width = image.shape[1]
@@ -401,10 +418,10 @@ class Fitter(OneShapeFitter):
         only_first_has_light = part.model.light is None and first.model.light is not None
         return first if only_first_has_light else part
 
-    def _first_fit(self, image, init, name: str) -> PlacedFit:
-        """Fit from the first start; see :meth:`fit`."""
+    def _first_fit(self, image, init, name: str, found: Detection | None = None) -> PlacedFit:
+        """Fit from the first start; see :meth:`fit`. Without a start, it is searched for, or was ``found`` before."""
         image, name = load_picture(image, name)  # once for all parts
-        target, detection = self.target(image, init, name)
+        target, detection = self.target(image, init if found is None else found, name)
         if self._starts_from_poses(init):
             result = fit_from_poses(self, target, self.searched_rotations)
             return PlacedFit(result, target._replace(start=result.history[0].landmarks), detection)

@@ -11,12 +11,11 @@ What low quality is, says :meth:`liaam.fitting.quality.Judge.falls_short`.
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import partial
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
 from liaam.fitting.damaged import PLACES, without_absent
-from liaam.fitting.detection import Detection
 from liaam.fitting.fallback import is_in_box, shape_without_fit, start_if_failed_far
 from liaam.fitting.one_shape_fitter import Blurred, OneShapeFitter
 from liaam.fitting.result import LEAST_QUALITY, FitResult, FitStatus, odds_of, with_prior
@@ -26,9 +25,6 @@ from liaam.fitting.search.parts import HOPEFUL
 from liaam.fitting.search.restarts import fit_again
 from liaam.fitting.search.starts import region_in
 from liaam.model.shape import diagonal_of
-
-if TYPE_CHECKING:
-    from liaam.fitting.fitter import Fitter
 
 # Margin searched around a box given as a start, as a fraction of its sides. A box, as of a detector, is approximate; a
 # shape given as a start is not searched for.
@@ -139,17 +135,6 @@ def fit_elsewhere(
     if fit.detection is None or not fit.detection.doubtful:  # the start is near the object
         result = _with_prior_near(fitter, result)
     return replace(result, found=fit.detection, part=fit.part)
-
-
-def fit_where_found(fitter: "Fitter", image: Any, detection: Detection, name: str) -> FitResult:
-    """Fit the place that a search found, and search for others if that fit has low quality; keep the better fit.
-
-    It is for a search that several methods share; :meth:`liaam.fitting.Fitter.fit` without a start searches by itself.
-    """
-    there = fitter.fit(image, detection, name)
-    if not there.quality < there.least_quality:
-        return there
-    return max(there, fitter.fit(image, None, name), key=lambda fit: fit.quality)
 
 
 def searched_region(init: Any, image: np.ndarray, *, restarts: bool) -> Region | None:

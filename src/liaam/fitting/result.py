@@ -128,7 +128,7 @@ _MOSTLY_ABSENT = (
 
 _GREY = "The image is grey, unlike those of training, so that its landmarks are less certain."
 
-_AT_START = "It ended far from its start, so that the landmarks are those of the start."
+_AT_START = "It ended far from its start, so it was discarded: the landmarks are those of the start."
 
 
 @dataclass(frozen=True, eq=False)

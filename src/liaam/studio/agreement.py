@@ -11,9 +11,9 @@ from liaam.errors import LiaamError
 from liaam.formatting import finite_or_none
 from liaam.morphometry import groups_of
 from liaam.studio import contract
+from liaam.studio.measuring import GROUPS
 from liaam.studio.project import Project
 from liaam.studio.refusal import Refusal, refusing
-from liaam.studio.shapes import GROUPS
 from liaam.studio.training import HELD_OUT
 
 Points = Mapping[str, np.ndarray]

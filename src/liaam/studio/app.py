@@ -36,6 +36,7 @@ from liaam.studio.fits import LAYER_SIZE, Fit, Fits, truth_of
 from liaam.studio.folder import Folder, checked_folder, plain_name, status_of
 from liaam.studio.found_scale import found_scale
 from liaam.studio.live import LiveVideos
+from liaam.studio.measuring import kept_in
 from liaam.studio.model_store import ModelStore, load_dropped_model, load_studio_model, model_json
 from liaam.studio.pictures import Pictures, PictureSource, Uploads, jpeg_bytes
 from liaam.studio.project import Project
@@ -46,6 +47,7 @@ from liaam.studio.routes import (
     checked_size,
     light_of,
     maybe_json,
+    opacity_of,
     parse_side,
     parse_start,
     read_json,
@@ -174,6 +176,8 @@ class Studio:
             route("GET", "/api/measurements", self._measurements),
             route("GET", "/api/shapes", self._shapes),
             route("PUT", "/api/groups", self._save_groups, read_json),
+            route("PUT", "/api/measuring", self._save_measuring, read_json),
+            route("PUT", "/api/who", self._save_who, read_json),
             route("GET", of_picture + "scale", self._found_scale, limiter=fits),
             route("GET", of_picture + "others", self._others_points),
             route("POST", "/api/sets", self._make_set, read_json, status=201),
@@ -225,6 +229,7 @@ class Studio:
             "pictures": overview.pictures,
             "template": project.templates.as_json(),
             "offered": project.templates.is_offered,
+            "looking": self.background.looking,
             "model": model_json(self.models.current, overview.done, overview.unread, overview.sides),
             "checked": self.background.has_checked(overview.done),
             "training": training.state.as_json(),
@@ -234,8 +239,14 @@ class Studio:
             "default_ambient": AMBIENT,
             "fitting": self.background.progress,
             "formats": FORMATS,
-            "limits": {"upload_bytes": self.settings.upload_bytes, "pixels": self.settings.pixels},
+            "limits": {
+                "upload_bytes": self.settings.upload_bytes,
+                "pixels": self.settings.pixels,
+                "relit_pixels": self.settings.whole_pixels,
+            },
             "problems": project.problems,
+            "measuring": kept_in(project.store),
+            "who": project.store.get("who") or "",
         }
 
     def _landmarks(self, request: Request) -> contract.Marks:
@@ -324,6 +335,16 @@ class Studio:
 
     def _save_groups(self, request: Request, data: Any) -> contract.Grouped:
         answer = shapes.save_groups(self.project, data)
+        self.events.publish("project", {})
+        return answer
+
+    def _save_measuring(self, request: Request, data: Any) -> contract.Measuring:
+        answer = self.project.save_measuring(data)
+        self.events.publish("project", {})
+        return answer
+
+    def _save_who(self, request: Request, data: Any) -> contract.Who:
+        answer = self.project.save_who(data)
         self.events.publish("project", {})
         return answer
 
@@ -447,7 +468,8 @@ class Studio:
 
     def _export_fit(self, request: Request, asked: contract.FitFileQuery) -> Response:
         fit = self.fits.get(request.path_params["id"])
-        name, kind, data = self.fits.export(fit, asked.what, light_of(asked.light), self._pixel_of(fit))
+        light = light_of(asked.light)
+        name, kind, data = self.fits.export(fit, asked.what, light, self._pixel_of(fit), opacity_of(asked.opacity))
         return attachment(name, data, kind)
 
     def _fit(self, request: Request, data: Any) -> contract.Fit:

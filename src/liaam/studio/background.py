@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 
 from liaam.datasets.label_faults import LEAST_PICTURES, find_label_faults
-from liaam.datasets.sides import reflected_shapes, sides_for_check
+from liaam.datasets.sides import reflected_shapes, sides_of_shapes
 from liaam.errors import LiaamError
 from liaam.fitting import FitResult, Fitter
 from liaam.io import Contour, Landmarks
@@ -24,7 +24,7 @@ from liaam.model import AAM, load_model
 from liaam.model.shape import diagonal_of
 from liaam.models import FACE
 from liaam.studio import contract
-from liaam.studio.fits import WARM_UP, example
+from liaam.studio.fits import WARM_UP, example, found_nothing
 from liaam.studio.layers import fit_file
 from liaam.studio.model_store import ModelInUse, ModelStore
 from liaam.studio.pictures import file_tag
@@ -55,6 +55,7 @@ class Background:
         self.models = models
         self.trainer = trainer
         self.progress: contract.Counted | None = None  # of the pictures that are being fitted
+        self.looking = False  # for faces, before the points of the face model are offered
         self._publish = publish
         self.woken = threading.Event()  # set to have the folder looked at now
         self._stopped = threading.Event()
@@ -153,11 +154,18 @@ class Background:
         if not waiting or not self._may_use_face():
             return None
         has_faces = templates.current is not None
+        fresh = []
         if not has_faces:  # it finds a face in half of the first few pictures that it has not been tried on
             tagged = [(name, file_tag(path), path) for name, path in waiting]
             fresh = [each for each in tagged if each[:2] not in self._without_faces][:TRIED]
+            if fresh:
+                self.looking = True
+                self._publish("project", {})
             trial = partial(propose, self._fitter_of(self._face))
-            proposals = list(in_order(trial, [path for *_, path in fresh], THREADS))
+            try:
+                proposals = list(in_order(trial, [path for *_, path in fresh], THREADS))
+            finally:
+                self.looking = False
             has_faces = bool(fresh) and 2 * sum(not proposal["doubtful"] for proposal in proposals) >= len(fresh)
             self._without_faces.update(each[:2] for each in fresh)
         if has_faces:
@@ -165,6 +173,8 @@ class Background:
         self._lend()
         if has_faces:
             templates.offer(template_of_model(self._face), FACE)
+        elif fresh:
+            self._publish("project", {})
         return self.models.spare
 
     def _propose(self, model: ModelInUse, waiting: list[tuple[str, Path]]) -> None:
@@ -202,7 +212,9 @@ class Background:
         revisions = {item.name: item.revision for item in done}
         if revisions == self._checked:
             return True
-        self.project.set_slips(slips_in([item for item in done if item.placed.all()]))
+        template = self.project.templates.current
+        names = () if template is None else template.names
+        self.project.set_slips(slips_in([item for item in done if item.placed.all()], names))
         self._checked = revisions
         self.checks += 1
         self._next_check = time.monotonic() + 9 * (time.monotonic() - began)
@@ -214,10 +226,10 @@ class Background:
         return self._thread.ident is None or self._checked == done
 
 
-def slips_in(whole: Sequence[Annotated]) -> dict[str, tuple[str, str, list[int]]]:
+def slips_in(whole: Sequence[Annotated], names_of_points: Sequence[str] = ()) -> dict[str, tuple[str, str, list[int]]]:
     """Return the revision, the slip and its points of pictures that have all points, by name of those with a slip.
 
-    Objects of the other side are compared reflected.
+    Objects of the other side are compared reflected: what training reflects is no slip.
     """
     if len(whole) < LEAST_PICTURES:
         return {}
@@ -225,11 +237,12 @@ def slips_in(whole: Sequence[Annotated]) -> dict[str, tuple[str, str, list[int]]
     names = [str(PurePosixPath(item.name).with_suffix("")) for item in whole]
     sides = completed([item.side for item in whole], names, shapes)
     with suppress(LiaamError):  # many shapes contradict their sides; training will say so
-        shapes = reflected_shapes(shapes, sides_for_check(shapes, sides, names).is_other)
+        shapes = reflected_shapes(shapes, sides_of_shapes(shapes, sides, names).is_other)
     slips: dict[str, tuple[str, str, list[int]]] = {}
     for fault in find_label_faults([*shapes]):
         item = whole[fault.picture]
-        slips.setdefault(item.name, (item.revision, fault.message, [int(index) for index in fault.points]))
+        described = fault.describe(names_of_points)
+        slips.setdefault(item.name, (item.revision, described, [int(index) for index in fault.points]))
     return slips
 
 
@@ -271,6 +284,7 @@ def proposal_of(result: FitResult) -> dict[str, Any]:
         "quality": None if np.isnan(result.quality) else round(float(result.quality), 4),
         "ok": result.status.ok,
         "found": is_certain,
+        "nothing_found": found_nothing(result),
         "doubtful": not is_certain or not result.status.ok,
         "uncertainty": round(float(result.sd.mean()) / size, 5) if has_covariances else None,
         "absent": np.flatnonzero(result.absent).tolist() if result.status.ok else [],

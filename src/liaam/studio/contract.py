@@ -77,12 +77,14 @@ class Picture(TypedDict):
     uncertainty: Annotated[NotRequired[float | None], "Of its proposal, as the next one."]
     quality: NotRequired[float | None]
     rank: Annotated[NotRequired[int | None], "1 is the most useful to annotate."]
+    nothing_found: Annotated[NotRequired[bool], "Whether its proposal is a guess: the model finds no object in it."]
     checked: Annotated[NotRequired[str | None], "Who checked its landmarks."]
     slip: Annotated[NotRequired[str | None], "What looks wrong with its landmarks."]
     slip_points: Annotated[NotRequired[list[int]], "Indices of these points."]
     left_out: Annotated[NotRequired[str | None], "Who left it out of training."]
     absent: Annotated[NotRequired[int], "Number of points that the object lacks."]
     unconfirmed: Annotated[NotRequired[int], "Number of points that no person placed, moved or confirmed one by one."]
+    proposed: Annotated[NotRequired[int], "Number of these that no person accepted either, so that it is not done."]
     revision: Annotated[NotRequired[str | None], "Of the landmark file; null if there is none."]
     side: Annotated[NotRequired[str], "left or right, as a person or the landmark file says; empty if none does."]
 
@@ -128,6 +130,13 @@ class FoundScale(TypedDict):
     ticks: Annotated[int | None, "Number of ticks; null of a scale bar."]
 
 
+class Pixel(TypedDict):
+    """The length of a pixel."""
+
+    length: float
+    unit: str
+
+
 class Marks(TypedDict):
     """The landmarks of a picture."""
 
@@ -147,6 +156,8 @@ class Marks(TypedDict):
     width: int
     height: int
     bar: Bar | None
+    bar_shared: Annotated[bool, "Whether it was drawn on another picture, so that its place here means nothing."]
+    pixel: Annotated[Pixel | None, "By the scale of the landmark file, where there is no bar."]
     beside: Annotated[str, "Changes with the absent points and the origins, which the file does not hold."]
 
 
@@ -335,8 +346,9 @@ class Version(TypedDict):
 
     time: str | None
     pictures: int
-    error: float
+    error: Annotated[float, "Median of the fits that have not failed; if all have, of these."]
     held_out: int
+    failed: Annotated[int, "Number of held-out pictures whose fits failed, and said so."]
     same: Annotated[bool, "Whether it was measured on the pictures of the newest."]
 
 
@@ -360,6 +372,40 @@ class Limits(TypedDict):
 
     upload_bytes: int
     pixels: int
+    relit_pixels: Annotated[int, "Of flat and relit pictures that are saved; larger ones are reduced to it."]
+
+
+class Measuring(TypedDict):
+    """What is measured of the pictures, as it is kept with the folder."""
+
+    measures: Annotated[list[str], "Such as distance:1-5, with numbers of points."]
+    scale: Annotated[str, "Of pictures that have none, such as 11-12=5 mm; empty if none is given."]
+    by: Annotated[str, "What groups pictures: folder, name or table; empty if nothing."]
+    gone: Annotated[list[str], "What a change of the template has removed with its points, in words."]
+
+
+@dataclass(frozen=True, kw_only=True)
+class SaveMeasuring(Request):
+    """A request to change what is measured."""
+
+    add: Annotated[list[str] | Omitted, "Measures, with numbers or names of points."] = OMITTED
+    remove: Annotated[list[str] | Omitted, "Measures as they are kept."] = OMITTED
+    scale: str | Omitted = OMITTED
+    by: str | Omitted = OMITTED
+    seen: Annotated[bool, "Whether what is gone was seen, and need not be said again."] = False
+
+
+@dataclass(frozen=True, kw_only=True)
+class SaveWho(Request):
+    """A request to keep the name of the person who works in the page."""
+
+    who: str
+
+
+class Who(TypedDict):
+    """The name of the person who works in the page."""
+
+    who: str
 
 
 class Project(TypedDict):
@@ -376,6 +422,7 @@ class Project(TypedDict):
     pictures: list[Picture]
     template: Template | None
     offered: Annotated[bool, "Whether a model offers the template, and it was not accepted yet."]
+    looking: Annotated[bool, "Whether faces are being looked for: then the face model offers its points."]
     model: Model | None
     checked: Annotated[bool, "Whether slips were looked for in the landmarks as they are."]
     training: Training
@@ -387,6 +434,8 @@ class Project(TypedDict):
     formats: Formats
     limits: Limits
     problems: list[str]
+    measuring: Measuring
+    who: Annotated[str, "The name that a person last gave in this set of landmarks; empty if none did."]
 
 
 class Unchanged(TypedDict):
@@ -459,6 +508,7 @@ class Shapes(TypedDict):
     pictures: list[str]
     groups: Annotated[list[str], "Group of each; empty if it has none."]
     estimated: Annotated[list[int], "Number of points of each that were estimated."]
+    unscaled: Annotated[list[int], "Indices of pictures without a scale, where others have one."]
     columns: list[Column]
     space: Space | None
     why_not: Annotated[str, "Why there is no space."]
@@ -503,6 +553,7 @@ class Agreement(TypedDict):
     """How far observers are apart."""
 
     observers: list[str]
+    pixel: Annotated[Pixel | None, "Of all these pictures; null if some have no scale, or another one."]
     sd: float
     percent: float
     repeatability: float | None
@@ -596,6 +647,7 @@ class Fit(TypedDict):
     covariances: list[list[list[float | None]]]
     deviations: Annotated[list[float | None], "Standard deviations of the landmarks."]
     found: Annotated[Found | None, "null: the fit had a start."]
+    nothing_found: Annotated[bool, "Whether neither the search nor the fit has found an object: the fit is a guess."]
     objects: Annotated[list[list[float]], "Boxes of several objects, the one that was fitted first."]
     iterations: list[Iteration]
     trained_on: Annotated[bool, "Whether the model was trained on this picture."]
@@ -633,6 +685,13 @@ class ColourScale(TypedDict):
 
     limit: Annotated[float, "The value of the last colour; that of the first is its negative."]
     what: str
+    even: Annotated[NotRequired[bool], "Of the shading: as LayerChange has it."]
+
+
+class LayerChange(TypedDict):
+    """What the flat picture changes, sent beside it."""
+
+    even: Annotated[bool, "Whether the light is so much as in training that nothing that can be seen is taken off."]
 
 
 class LayerPlace(TypedDict):
@@ -771,6 +830,7 @@ class FitFileQuery(Query):
 
     what: str = ""
     light: Annotated[str | None, "A SentLight as JSON, for a relit picture."] = None
+    opacity: Annotated[str | None, "Of a flat or relit picture over the picture, 0 to 1; null: 1."] = None
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -829,6 +889,8 @@ ROUTES = {
     "GET measurements": Endpoint(bytes, ShapesQuery),
     "GET shapes": Endpoint(Shapes, ShapesQuery),
     "PUT groups": Endpoint(Grouped, body=SaveGroups),
+    "PUT measuring": Endpoint(Measuring, body=SaveMeasuring),
+    "PUT who": Endpoint(Who, body=SaveWho),
     "POST training": Endpoint(Training, body=StartTraining),
     "DELETE training": Endpoint(Training, body=StopTraining),
     "GET model/file": Endpoint(bytes),
@@ -842,7 +904,8 @@ ROUTES = {
     "POST fits": Endpoint(Fit, body=FitOne),
     "POST fits/all": Endpoint(Fits, body=FitAll),
     "GET fits/table": Endpoint(bytes, FitsQuery),
-    "GET fits/{id}/layers/{layer}": Endpoint(bytes, ImageQuery),  # the header x-scale has a ColourScale or LayerPlace
+    # The header x-scale has a ColourScale, a LayerChange or a LayerPlace.
+    "GET fits/{id}/layers/{layer}": Endpoint(bytes, ImageQuery),
     "GET fits/{id}/relit": Endpoint(bytes, LightQuery),
     "GET fits/{id}/export": Endpoint(bytes, FitFileQuery),
     "POST recordings": Endpoint(bytes, body=bytes),

@@ -18,9 +18,8 @@ from liaam.error_measures import point_error
 from liaam.errors import LiaamError, MethodError, StartError
 from liaam.fitting.detection import Detection
 from liaam.fitting.fitter import Fitter
-from liaam.fitting.low_quality import fit_where_found
 from liaam.fitting.methods import DEFAULT_METHOD, methods_of
-from liaam.fitting.result import FitResult, Iteration
+from liaam.fitting.result import FitResult, FitStatus, Iteration
 from liaam.fitting.sides import AUTO
 from liaam.fitting.specimens import fit_specimens
 from liaam.formatting import finite_list, finite_or_none
@@ -45,13 +44,13 @@ from liaam.trays.naming import Named, in_sentences
 LAYER_SIZE = 1280  # default longest side of a layer in pixels
 LIGHT_SIZE = 2048
 """Longest side in pixels of a relit picture on the page. Splitting a picture into appearance and shading takes about a
-second per megapixel. Exported files have the full size."""
+second per megapixel. Exported files have the full size, or as many pixels as the settings allow."""
 
 LAYER_BYTES = 30_000_000  # maximum bytes of encoded layers in the cache
 LIGHT_BYTES = 200_000_000  # maximum bytes of relighters in the cache: a few at 1280 pixels, one at 2048
 MODELS_KEPT = 2  # models whose fits are cached: the current and the previous one, each with tens of megabytes
 FITTERS_KEPT = 16  # fitters in the cache, one for each model, method, kind of picture (RAW or not), and side
-LayerFacts = contract.ColourScale | contract.LayerPlace | None  # sent beside a layer
+LayerFacts = contract.ColourScale | contract.LayerChange | contract.LayerPlace | None  # sent beside a layer
 Lighting = tuple[Sequence[Lamp], float]  # lamps, and the fraction of ambient light
 SHARP = 2.0
 """Diagonal of the object on the copy of a large picture, relative to the model's, from which its fit is kept. The
@@ -119,6 +118,7 @@ class Fit:
             "covariances": numbers(result.landmark_covariances, 4),
             "deviations": numbers(result.sd, 3),
             "found": self._detection_json(),
+            "nothing_found": found_nothing(result),
             "objects": self._boxes(),
             "iterations": [_iteration_json(step) for step in result.history],
             "trained_on": self.trained_on,
@@ -377,7 +377,7 @@ class Fits:
                 begin = self._detection(source, image, current)
             searched = time.perf_counter()
             if isinstance(begin, Detection):
-                result = fit_where_found(fitter, image, begin, source.name)
+                result = fitter.fit_where_found(image, begin, source.name)
             else:
                 result = fitter.fit(image, begin, source.name)
             fitted = time.perf_counter()
@@ -415,11 +415,12 @@ class Fits:
         return self._layers.get((fit.id, what, size), make)
 
     def draw(
-        self, fit: Fit, what: str, size: int | None, light: Lighting | None = None
+        self, fit: Fit, what: str, size: int | None, light: Lighting | None = None, opacity: float = 1.0
     ) -> tuple[np.ndarray, LayerFacts]:
         """Draw a layer of the whole picture as (h, w, 4) or (h, w, 3) uint8, its longest side at most ``size``.
 
-        Also return its colours, or its place. The ``light`` is for ``relit``.
+        Also return its colours, or its place. The ``light`` is for ``relit``; the ``opacity``, over the picture itself,
+        for ``relit`` and ``flat``.
         """
         if what == "overlay":
             from liaam.plotting import overlay_of_fit  # heavy: imported when first needed
@@ -436,17 +437,25 @@ class Fits:
             layer, box = layers.normals_layer(relighter)
             return layer, {"box": box}
         if what == "shading":
-            return layers.shading_layer(relighter, to), {"limit": layers.SHADING_LIMIT, "what": "light"}
+            even = layers.is_even(relighter, relighter.flat())
+            return layers.shading_layer(relighter, to), {"limit": layers.SHADING_LIMIT, "what": "light", "even": even}
+        facts: LayerFacts = None
         if what == "relit" and light:
-            return averaged(relighter.under(*light), to), None
-        return averaged(relighter.flat(), to), None
+            image = relighter.under(*light)
+        else:
+            image = relighter.flat()
+            facts = {"even": layers.is_even(relighter, image)}
+        if opacity < 1.0:  # as the page draws it: in stored values
+            image = np.rint(relighter.picture + opacity * (image - np.float32(relighter.picture))).astype(np.uint8)
+        return averaged(image, to), facts
 
     def export(
-        self, fit: Fit, what: str, light: Lighting, pixel: tuple[float, str] | None = None
+        self, fit: Fit, what: str, light: Lighting, pixel: tuple[float, str] | None = None, opacity: float = 1.0
     ) -> tuple[str, str, bytes]:
-        """Return the name, media type and content of a file, one of :data:`FILES`; the light is for ``relit``.
+        """Return the name, media type and content of a file, one of :data:`FILES`.
 
-        With the length of a ``pixel`` and its unit, the overlay has a scale bar.
+        The light is for ``relit``, and the opacity for ``relit`` and ``flat``. With the length of a ``pixel`` and its
+        unit, the overlay has a scale bar.
         """
         if what not in FILES:
             raise Refusal(422, f"a fit cannot be exported as '{what[:40]}': choose one of {', '.join(FILES)}")
@@ -455,7 +464,7 @@ class Fits:
         if what == "crop":
             return f"{stem}_crop.png", media_type, png_bytes(self.crop(fit))
         if media_type == "image/png":
-            image, _ = self.draw(fit, what, None, light)
+            image, _ = self.draw(fit, what, None, light, opacity)
             if what == "overlay" and pixel is not None:
                 length, unit = pixel
                 image = with_scale_bar(image, length * fit.source.size[0] / image.shape[1], unit)
@@ -472,8 +481,9 @@ class Fits:
     def _relighter(self, fit: Fit, size: int | None) -> tuple[Relighter, tuple[int, int]]:
         """Return a relighter of a fit, and the (width, height) to draw.
 
-        The longest side is ``size``, at most :data:`LIGHT_SIZE`, or if None that of the picture. A relighter that is
-        cached has at least :data:`LAYER_SIZE`, so that smaller layers share it.
+        The longest side is ``size``, at most :data:`LIGHT_SIZE`, or if None that of the picture, or less for one of
+        more pixels than the settings allow. A relighter that is cached has at least :data:`LAYER_SIZE`, so that smaller
+        layers share it.
         """
         whole = fit.source.size
 
@@ -484,15 +494,14 @@ class Fits:
             with self.pictures.at_work(fit.source) as image:
                 return layers.taken_apart(fit.fitter, image, fit.at_work, to, fit.source.raw)
 
-        if size is None and prod(whole) > self.settings.whole_pixels:
-            text = f"{fit.source.name} has {whole[0]} x {whole[1]} pixels, more than the {self.settings.whole_pixels:,}"
-            raise Refusal(
-                422, f"{text} that the studio relights in full size: use 'liaam relight', or a smaller picture"
-            )
-        if size is None and max(whole) > LIGHT_SIZE:  # not cached: it takes 100 bytes per pixel
-            with self._large:
-                return make(whole), whole
-        size = min(size or LIGHT_SIZE, LIGHT_SIZE)
+        if size is None:
+            share = min(1.0, (self.settings.whole_pixels / prod(whole)) ** 0.5)
+            most = fitted_size(*whole, int(share * max(whole)))
+            if max(most) > LIGHT_SIZE:  # not cached: it takes 100 bytes per pixel
+                with self._large:
+                    return make(most), most
+            size = max(most)
+        size = min(size, LIGHT_SIZE)
         at = fitted_size(*whole, max(size, LAYER_SIZE))
         return self._lights.get((fit.id, at), partial(make, at)), fitted_size(*whole, size)
 
@@ -519,6 +528,15 @@ class _Computed:
     fit_seconds: float
     no_flat: str | None  # why its shading cannot be computed
     is_sharp: bool  # whether the object is so large on the image that was fitted that a larger one adds no accuracy
+
+
+MAY_BE_ELSEWHERE = (FitStatus.DOUBTFUL, FitStatus.MAX_ITERATIONS, FitStatus.DIVERGED)
+"""Statuses that may be due to the place of a fit. Others name a fault of the picture, such as too dark."""
+
+
+def found_nothing(result: FitResult) -> bool:
+    """Whether neither the search nor the fit has found an object, so that the landmarks are a guess."""
+    return result.detection_doubtful and result.status in MAY_BE_ELSEWHERE
 
 
 def example(model: AAM, size: tuple[int, int]) -> np.ndarray:

@@ -32,6 +32,11 @@ SHADING_COLOURS = ((38, 36, 92), (148, 148, 148), (255, 214, 92))  # of shadow, 
 SHADING_LIMIT = float(np.log(4.0))
 """Limit of the colour scale: 1/4 and 4 times the training light. It is the same for all pictures, to compare them."""
 
+UNSEEN = 4
+"""Change of stored values, of 255, that nobody sees."""
+
+CHANGED_SHARE = 99.0  # percentile of the changes inside the object that is compared with it
+
 RESIDUAL_SHARE = 98.0  # percentile of the absolute residual that limits the colour scale
 
 _CHANNELS = {
@@ -149,6 +154,15 @@ def taken_apart(
         small = linear_to_srgb(stored_values(small)).astype(np.float32)
         fitter = replace(fitter, camera=replace(fitter.camera or fitter.model.camera, response="srgb"))
     return Relighter.of(fitter, small, scaled(result, (image.shape[1], image.shape[0]), to))
+
+
+def is_even(light: Relighter, flat: np.ndarray) -> bool:
+    """Whether the light of a picture is so much as in training that, ``flat`` (h, w, 3), it looks the same."""
+    if not light.inside.any():
+        return True
+    before = light.picture[light.region.box].astype(np.int16)
+    changes = np.abs(flat[light.region.box] - before).max(axis=2)[light.covered]
+    return not changes.size or bool(np.percentile(changes, CHANGED_SHARE) <= UNSEEN)
 
 
 def shading_layer(light: Relighter, to: tuple[int, int]) -> np.ndarray:

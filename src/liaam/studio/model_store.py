@@ -1,7 +1,7 @@
 """The current model: its metadata, its files in the project's folder, and when it becomes invalid."""
 
 import tempfile
-from collections.abc import Callable, Collection, Mapping
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import count
 from pathlib import Path
@@ -75,17 +75,24 @@ class ModelStore:
 class Versions:
     """The trained models of a folder.
 
-    Each has errors by name of a held-out picture: of another model, trained without these pictures.
+    Each has errors by name of a held-out picture: of another model, trained without these pictures. Fits that failed,
+    and say so, have errors of any size; they are counted apart.
     """
 
     def __init__(self, store: Store) -> None:
         self._store = store
         self._all: list[dict[str, Any]] = store.lines("version")
 
-    def add(self, facts: Mapping[str, Any], errors: Mapping[str, float]) -> None:
-        """Append a trained model."""
+    def add(self, facts: Mapping[str, Any], errors: Mapping[str, float], failed: Sequence[str] = ()) -> None:
+        """Append a trained model, with the errors of its fits by picture, and the pictures whose fits failed."""
         n_used = len(facts["pictures"]) - len(facts["left_out"])
-        version = {"time": facts["trained"], "pictures": n_used, "order": facts["order"], "errors": dict(errors)}
+        version = {
+            "time": facts["trained"],
+            "pictures": n_used,
+            "order": facts["order"],
+            "errors": dict(errors),
+            "failed": [*failed],
+        }
         self._store.append("version", [version])
         self._all.append(version)
 
@@ -106,12 +113,20 @@ class Versions:
             {
                 "time": version["time"],
                 "pictures": version["pictures"],
-                "error": float(np.median(list(version["errors"].values()))),
+                "error": _usual_error(version),
                 "held_out": len(version["errors"]),
+                "failed": len(version.get("failed", ())),
                 "same": set(version["errors"]) == set(versions[-1]["errors"]),
             }
             for version in versions[-SHOWN_VERSIONS:]
         ]
+
+
+def _usual_error(version: Mapping[str, Any]) -> float:
+    """Return the median error of the fits of a version that have not failed; if all have, of these."""
+    failed = version.get("failed", ())  # earlier versions of the studio did not note them
+    errors = [error for name, error in version["errors"].items() if name not in failed]
+    return float(np.median(errors or list(version["errors"].values())))
 
 
 def load_studio_model(project: Project, models: ModelStore) -> None:

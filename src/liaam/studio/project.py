@@ -17,7 +17,7 @@ from collections.abc import Container, Iterator, Mapping, Sequence
 from contextlib import contextmanager, nullcontext, suppress
 from dataclasses import dataclass, replace
 from itertools import zip_longest
-from pathlib import Path
+from pathlib import Path, PurePosixPath
 from typing import Any, TypeVar
 
 import numpy as np
@@ -25,10 +25,12 @@ import numpy as np
 from liaam.errors import ImageError, LiaamError
 from liaam.io.images import PICTURE_SUFFIXES
 from liaam.io.landmarks import Landmarks, collection_text, parse_landmark_data
+from liaam.morphometry.scale_tables import images_of
 from liaam.studio import contract
 from liaam.studio.contract import OMITTED
 from liaam.studio.folder import OWN_SUFFIXES, File, Folder, Listing, checked_folder, plain_name, revision_of, sets_in
 from liaam.studio.landmark_files import LandmarkFiles, parse_bar
+from liaam.studio.measuring import GROUPS, MEASURING, changed, kept_in
 from liaam.studio.origins import Origin, Origins, origins_after, own_points, parse_origins
 from liaam.studio.pictures import PictureSource, source_of
 from liaam.studio.refusal import Refusal
@@ -518,8 +520,18 @@ class Project:
                 for table in (*tables, *shared) if each == "" else tables:
                     table.rename({name: new})
                 project._landmarks.rename_invisible(moves)
+                project._rename_in_groups(name, new)
                 project._log.rename(name, new)
                 project._states.slips.pop(name, None)
+
+    def _rename_in_groups(self, name: str, new: str) -> None:
+        """Let a picture that has another name stay in its group."""
+        groups: dict[str, str] = self.store.get(GROUPS) or {}
+        before, after = (str(PurePosixPath(each).with_suffix("")) for each in (name, new))
+        with suppress(LiaamError):  # a name that may mean several
+            (key,) = images_of([before], [*groups])
+            if key is not None:
+                self.store.put(GROUPS, {"": {after if each == key else each: group for each, group in groups.items()}})
 
     def set_slips(self, slips: dict[str, tuple[str, str, list[int]]]) -> None:
         """Set the revision of the landmarks, the slip in them and its points, by picture."""
@@ -660,6 +672,24 @@ class Project:
             before = {name: table.get(name, "") for name in names}
             table.save({name: sides[name] or None for name in names})
             return {"before": before}
+
+    def save_measuring(self, data: Any) -> contract.Measuring:
+        """Change what is measured of the pictures (:class:`liaam.studio.contract.SaveMeasuring`); return it."""
+        asked = self.checked(contract.SaveMeasuring, data, "add, remove, scale or by")
+        with self._lock:
+            self.templates.finish()
+            template = self.templates.current
+            measuring = changed(kept_in(self.store), asked, () if template is None else template.names)
+            if template is not None and measuring["measures"] and not self.templates.is_offered:
+                self.templates.keep()  # measures belong to its points
+            self.store.put(MEASURING, {"": measuring})
+            return measuring
+
+    def save_who(self, data: Any) -> contract.Who:
+        """Keep the name of the person who works here, in this set of landmarks."""
+        who = parse_who(self.checked(contract.SaveWho, data, "who, your name").who)
+        self.store.put("who", {"": who})
+        return {"who": who}
 
     def history(self, name: str) -> list[contract.HistoryEntry]:
         """Return the newest entries of a picture in the log."""

@@ -134,11 +134,15 @@ class Done(contract.Reviewed):
 
 @dataclass(frozen=True, eq=False)
 class _Count:
-    """How many points of a picture are unconfirmed, of its landmarks and what is stored of their origins."""
+    """How many points of a picture are unconfirmed, of its landmarks and what is stored of their origins.
+
+    ``proposed`` counts those that are still as they were proposed.
+    """
 
     marks: Marks
     origins: Mapping[str, Any] | None
-    number: int
+    unconfirmed: int
+    proposed: int
 
     def holds(self, marks: Marks, origins: Mapping[str, Any] | None) -> bool:
         """Whether landmarks and origins are still those that were counted: both are replaced when they change."""
@@ -163,8 +167,8 @@ class PictureStates:
     slips: dict[str, tuple[str, str, list[int]]] = field(default_factory=dict)
     """:meth:`version_of` the landmarks in which a slip was found, its description, and its points, by picture."""
 
-    _unconfirmed: dict[str, "_Count"] = field(default_factory=dict)
-    """The last count of :meth:`unconfirmed` by picture."""
+    _counts: dict[str, "_Count"] = field(default_factory=dict)
+    """The last :meth:`_count` by picture."""
 
     def ranks(self) -> dict[str, int]:
         """Rank the pictures that have only a proposal; 1 is the most useful to annotate (:func:`teaching_order`)."""
@@ -190,7 +194,9 @@ class PictureStates:
             fault = None
             width, height = size
         proposal = None
-        if fault is None and not marks.n_placed:
+        count = self._count(file, marks)
+        n_proposed = count.proposed if count else 0
+        if fault is None and (n_proposed or not marks.n_placed):
             proposal = self.proposal_of(file)
         state: contract.Progress = "broken" if fault is not None else self._state_of(file, marks, proposal)
         checked_by = slip = None
@@ -209,13 +215,15 @@ class PictureStates:
             "uncertainty": proposal["uncertainty"] if proposal else None,
             "quality": proposal["quality"] if proposal else None,
             "doubtful": bool(proposal and proposal["doubtful"]),
+            "nothing_found": bool(proposal and proposal.get("nothing_found")),  # of earlier versions: not known
             "rank": ranks.get(file.name) if proposal else None,
             "checked": checked_by,
             "slip": slip,
             "slip_points": wrong_points,
             "left_out": self.log.who("left out", file.name),
             "absent": len(self.absent_of(file, marks)),
-            "unconfirmed": self.unconfirmed(file, marks),
+            "unconfirmed": count.unconfirmed if count else 0,
+            "proposed": n_proposed,
             "revision": marks.revision,
             "side": self.landmarks.side_of(file),
         }
@@ -236,6 +244,7 @@ class PictureStates:
         template = self.templates.current
         marks = self.landmarks.of(file)
         n_points = 0 if template is None else len(template)
+        scale_bar = self.landmarks.scale_bar(file)
         answer: contract.Marks = {
             "points": [None] * n_points,
             "invisible": [],
@@ -250,7 +259,9 @@ class PictureStates:
             "error": marks.error,
             "width": width,
             "height": height,
-            "bar": self.landmarks.scale_bar(file)["bar"],
+            "bar": scale_bar["bar"],
+            "bar_shared": "before" in scale_bar,
+            "pixel": None if scale_bar["bar"] else self._pixel_of(file),
             "absent": self.absent_of(file, marks),
             "origins": None,
             "beside": self.beside(file, marks),
@@ -267,6 +278,12 @@ class PictureStates:
             answer["absent"] = self._absent_with(file, proposal)
             answer["points"] = [None if i in answer["absent"] else point for i, point in enumerate(answer["points"])]
         return answer
+
+    def _pixel_of(self, file: File) -> contract.Pixel | None:
+        """Return the length of a pixel of a picture; None if it has no scale, or none with a unit."""
+        length = self.landmarks.scale_of(file)
+        unit = self.landmarks.unit_of(file)
+        return {"length": length, "unit": unit} if length and unit else None
 
     def _absent_with(self, file: File, proposal: Mapping[str, Any]) -> list[int]:
         """Return the points that a person said to be absent in a picture, and those that the model found absent.
@@ -300,17 +317,18 @@ class PictureStates:
         """Whether all points were accepted together by an earlier version, which stored no origins."""
         return file.name not in self.origins and self.log.last_change(file.name) == "accepted"
 
-    def unconfirmed(self, file: File, marks: Marks) -> int:
-        """Count the points of a picture that no person has placed, moved or confirmed one by one."""
+    def _count(self, file: File, marks: Marks) -> _Count | None:
+        """Count the points of a picture that no person has placed, moved or confirmed one by one; None if all were."""
         if file.name not in self.origins and not self._were_accepted(file):
-            return 0
+            return None
         entry = self.origins.entry(file.name)
-        count = self._unconfirmed.get(file.name)
+        count = self._counts.get(file.name)
         if count is None or not count.holds(marks, entry):
-            number = sum(origin not in (None, *OWN) for origin in self.origins_of(file, marks))
-            count = _Count(marks, entry, number)
-            self._unconfirmed[file.name] = count
-        return count.number
+            origins = self.origins_of(file, marks)
+            unconfirmed = sum(origin not in (None, *OWN) for origin in origins)
+            count = _Count(marks, entry, unconfirmed, origins.count("proposed"))
+            self._counts[file.name] = count
+        return count
 
     def proposal_of(self, file: File) -> dict[str, Any] | None:
         """Return the proposal for a picture, unless it does not fit the template or was discarded."""
@@ -345,12 +363,18 @@ class PictureStates:
         return f"{version}-{side}" if side else version
 
     def is_done(self, file: File) -> bool:
-        """Whether all points of a picture are placed, most of them inside it, but for absent ones."""
+        """Whether a person said of all points where they are, most of them inside the picture, or that they are absent.
+
+        If a few points of a proposal were moved, the picture is not done until the others are accepted.
+        """
         template = self.templates.current
         marks = self.landmarks.of(file)
         if template is None or not marks.fits(template):
             return False
         if marks.n_placed + len(self.absent_of(file, marks)) < len(template):
+            return False
+        count = self._count(file, marks)
+        if count is not None and count.proposed:
             return False
         return self._misplaced(file, marks) is None
 
@@ -482,9 +506,13 @@ class PictureStates:
 
     def _revision_to_check(self, file: File) -> str | None:
         """Return the placement of the landmarks of a picture. Refuse if it is not complete, or checked already."""
+        marks = self.landmarks.of(file)
         if not self.is_done(file):
+            count = self._count(file, marks)
+            if count is not None and count.proposed:
+                raise Refusal(409, "some points are only proposed: open it, and press Enter if they are right")
             raise Refusal(409, "not all points are placed: place them first")
-        placement = self.landmarks.of(file).placement
+        placement = marks.placement
         if self.log.who("checked", file.name, placement):
             raise Refusal(409, "checked already")
         return placement

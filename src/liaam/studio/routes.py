@@ -154,6 +154,17 @@ def light_of(text: str | None) -> tuple[list[Lamp], float]:
     return lamps, ambient
 
 
+def opacity_of(text: str | None) -> float:
+    """Return the opacity of a request, by default 1."""
+    try:
+        opacity = 1.0 if text is None else float(text)
+    except ValueError:
+        opacity = np.nan
+    if not 0.0 <= opacity <= 1.0:
+        raise Refusal(422, "the opacity is not a number: send one from 0 to 1")
+    return opacity
+
+
 def _lamp_of(lamp: contract.SentLamp) -> Lamp:
     """Return a lamp of a request, with linear colours."""
     if lamp.direction is None:

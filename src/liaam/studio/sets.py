@@ -4,6 +4,7 @@ The landmarks of the first set, "", lie beside the pictures, those of a further 
 is a :class:`Project`, with a template, proposals, reviews and a model of its own.
 """
 
+from collections.abc import Sequence
 from functools import partial
 from typing import Any
 
@@ -17,6 +18,7 @@ from liaam.morphometry import Specimen, measure, measurement_error
 from liaam.studio import contract
 from liaam.studio.agreement import shape_agreement
 from liaam.studio.folder import ADDED, SET_NAME, disk_errors, plain_name
+from liaam.studio.measuring import MEASURING, kept_in
 from liaam.studio.project import Project
 from liaam.studio.refusal import Refusal
 from liaam.studio.store import DATABASE, Store
@@ -47,6 +49,7 @@ def make_set(project: Project, data: Any) -> contract.MadeSet:
     made.store.put("declined", {"": True})  # the points of the face model are the first set's, or of no use here
     if template is not None and made.templates.current is None:
         made.save_template({**template.as_json(), "points": None})  # they may be where the other placed them
+        made.store.put(MEASURING, {"": {**kept_in(project.store), "gone": []}})  # they measure the same
     return {"name": name}
 
 
@@ -65,6 +68,21 @@ def others(project: Project, picture: str) -> dict[str, list[contract.Point]]:
     if done.pop(project.set_name, None) is None:
         raise Refusal(409, "the points of other observers are shown once all points are placed")
     return done
+
+
+SAME_SCALE = 0.01
+"""Largest relative difference of the lengths of a pixel at which pictures have one scale."""
+
+
+def _common_pixel(project: Project, pictures: Sequence[str]) -> contract.Pixel | None:
+    """Return the length of a pixel that pictures have in common, if they do."""
+    known = [pixel for name in pictures if (pixel := project.pixel_length(name))]
+    lengths = [length for length, _ in known]
+    if len(known) < len(pictures) or len({unit for _, unit in known}) != 1:
+        return None
+    if max(lengths) > (1 + SAME_SCALE) * min(lengths):
+        return None
+    return {"length": float(np.median(lengths)), "unit": known[0][1]}
 
 
 def agreement(project: Project) -> contract.Agreement:
@@ -100,6 +118,7 @@ def agreement(project: Project) -> contract.Agreement:
     spread = {picture: float(np.sqrt(values.sum(axis=1).mean())) for picture, values in variance.items()}
     return {
         "observers": sorted({observer for values in pictures.values() for observer in values}),
+        "pixel": _common_pixel(project, [*pictures]),
         "sd": float(np.sqrt(np.square(sd).mean())),
         "percent": float(np.sqrt(np.square(percent).mean())),
         "repeatability": finite_or_none(table["repeatability"][0]),

@@ -24,7 +24,8 @@ class StudioSettings:
     upload_bytes: int = 64_000_000  # maximum body of an upload
     pixels: int = 200_000_000  # maximum width times height of a picture, checked in its header before it is decoded
     whole_pixels: int = 16_000_000
-    """Maximum pixels of a picture relit in full size, which takes 100 bytes per pixel and a second per megapixel."""
+    """Most pixels of a relit picture that is saved, which takes 100 bytes per pixel and a second per megapixel. Larger
+    pictures are reduced to it."""
     uploads_kept: int = 8  # number of uploads in memory
     uploads_bytes: int = 130_000_000  # maximum total size of the uploads in memory
     uploads_at_once: int = 8  # maximum number of concurrent uploads; the client of a further one is asked to retry

@@ -1,6 +1,7 @@
 """Measures of all pictures, and the space of their shapes, for the page and as a table."""
 
 import re
+from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import PurePosixPath
@@ -25,21 +26,16 @@ from liaam.morphometry import (
     with_estimated_landmarks,
 )
 from liaam.morphometry.sides import IGNORED
-from liaam.morphometry.table import comparable, in_unit, size_column, unit_of_table
+from liaam.morphometry.table import comparable, in_unit, scales_in, size_column, unit_of_table
 from liaam.scale.lengths import unit_of
 from liaam.studio import contract
 from liaam.studio.contract import ShapesQuery
 from liaam.studio.folder import plain_name
+from liaam.studio.measuring import GROUPED_BY, GROUPS, columns_of
 from liaam.studio.project import Placed, Project
 from liaam.studio.refusal import Refusal
 from liaam.studio.sides import for_measuring
 from liaam.tables import Columns
-
-GROUPS = "groups"
-"""Kind of the table of groups in the store."""
-
-GROUPED_BY = ("", "folder", "name", "table")
-"""What pictures are grouped by: nothing, their subfolder, the letters that names begin with, or a table."""
 
 SHOWN = 500
 """Shapes that are sent at most, to be drawn over each other."""
@@ -75,8 +71,10 @@ class Sample:
 
 
 def sample_of(project: Project, asked: ShapesQuery) -> Sample:
-    """Measure all pictures of a project, as a request asks."""
-    placed = project.placed("measure")
+    """Measure all pictures of a project, as a request asks. Points that are only proposed count as missing."""
+    placed = [picture for picture in project.placed("measure") if _accepted(picture).any()]
+    if not placed:
+        raise Refusal(422, "all points are as they were proposed: accept those of a picture, then measure")
     specimens, sides = _of_one_side(_with_sides([_specimen(picture) for picture in placed]))
     scale = asked.scale or _unit_of_files(specimens)
     if asked.estimate:
@@ -107,6 +105,7 @@ def shapes(project: Project, asked: ShapesQuery) -> contract.Shapes:
         "pictures": [*sample.pictures],
         "groups": [*sample.groups],
         "estimated": [*sample.estimated],
+        "unscaled": _unscaled(sample.columns),
         "columns": _columns_json(sample),
         "space": space,
         "why_not": why_not,
@@ -117,12 +116,15 @@ def shapes(project: Project, asked: ShapesQuery) -> contract.Shapes:
 
 
 def table(project: Project, asked: ShapesQuery) -> tuple[str, bytes]:
-    """Return the name and the content of a table of measurements, with groups and scores of shapes."""
+    """Return the name and the content of a table of measurements, with groups and scores of shapes.
+
+    Columns of measures have the names of their landmarks.
+    """
     sample = sample_of(project, asked)
     columns: Columns = {"specimen": sample.columns["specimen"]}
     if any(sample.groups):
         columns["group"] = [*sample.groups]
-    columns |= sample.columns
+    columns |= _named_columns(sample)
     try:
         space = _space(sample)
     except LiaamError:
@@ -132,6 +134,18 @@ def table(project: Project, asked: ShapesQuery) -> tuple[str, bytes]:
         for number, scores in enumerate(space.scores.T, 1):
             columns[f"PC{number}"] = _spread(space, scores, len(sample.pictures))
     return f"{plain_name(project.title)}-measurements.csv", columns_text(columns).encode()
+
+
+def _named_columns(sample: Sample) -> Columns:
+    """Return the columns of a sample, with the names of landmarks in those of measures and their errors."""
+    named = columns_of(sample.measures, sample.specimens[0].names)
+
+    def name_of(column: str) -> str:
+        measures = [measure for measure in named if column == measure or column.startswith(f"{measure}_")]
+        longest = max(measures, key=len, default="")
+        return named.get(longest, "") + column.removeprefix(longest)
+
+    return {name_of(column): values for column, values in sample.columns.items()}
 
 
 def save_groups(project: Project, data: Any) -> contract.Grouped:
@@ -145,11 +159,16 @@ def save_groups(project: Project, data: Any) -> contract.Grouped:
     return {"specimens": len(groups)}
 
 
+def _accepted(picture: Placed) -> np.ndarray:
+    """Return which points have a position that a person has at least accepted, (n,) bool."""
+    return np.array([origin not in (None, "proposed") for origin in picture.origins], bool)
+
+
 def _specimen(picture: Placed) -> Specimen:
     landmarks = picture.landmarks
     return Specimen(
         picture.file.stem,
-        landmarks.points,
+        np.where(_accepted(picture)[:, None], landmarks.points, np.nan),
         names=landmarks.names,
         scale=landmarks.scale,
         unit=unit_of(landmarks.unit),
@@ -187,9 +206,28 @@ def _groups(project: Project, pictures: Sequence[str], by: str) -> tuple[str, ..
     if by == "folder":
         return tuple(str(PurePosixPath(picture).parent) for picture in pictures)
     if by == "name":
-        return tuple(re.match(r"[^\W\d_]*", PurePosixPath(picture).name)[0] for picture in pictures)  # type: ignore[index]
+        return _groups_by_name([PurePosixPath(picture).name for picture in pictures])
     kept = project.store.get(GROUPS) if by == "table" else None
     return ("",) * len(pictures) if kept is None else groups_of(pictures, kept)
+
+
+def _groups_by_name(names: Sequence[str]) -> tuple[str, ...]:
+    """Return the letters that tell groups in names, such as ``male`` in ``male_07`` and ``B`` in ``wing16_B``.
+
+    They are the first letters that are not the same in all names, and are shared by at least two names of two groups.
+    """
+    letters = [re.findall(r"[^\W\d_]+", name) for name in names]
+    for place in range(max(map(len, letters), default=0)):
+        groups = tuple(each[place] if place < len(each) else "" for each in letters)
+        if sum(count > 1 for group, count in Counter(groups).items() if group) > 1:
+            return groups
+    return tuple(each[0] if each else "" for each in letters)
+
+
+def _unscaled(columns: Columns) -> list[int]:
+    """Return the indices of specimens without a scale; none where no specimen has one."""
+    scales = scales_in(columns)
+    return [] if scales is None else np.flatnonzero(~np.isfinite(np.array(scales, np.float64))).tolist()
 
 
 def _columns_json(sample: Sample) -> list[contract.Column]:

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from liaam.datasets.sides import sides_for_check, sides_of_shapes
+from liaam.datasets.sides import sides_of_shapes
 from liaam.io.sides import LEFT, OTHER_SIDE, RIGHT, sides_by_place_or_name
 from liaam.studio.refusal import Refusal
 
@@ -58,11 +58,10 @@ def completed(stated: Sequence[str], names: Sequence[str], shapes: np.ndarray) -
 def for_measuring(stated: Sequence[str], names: Sequence[str], shapes: np.ndarray) -> list[str]:
     """Return the side of each picture as :func:`completed` does, and ``original`` or ``mirrored`` if none is known.
 
-    If none is known, a few that are mirrored may be mistakes, and are left as they are
-    (:func:`liaam.datasets.sides.sides_for_check`).
+    Which are mirrored then follows from the shapes, as in training, even if they are few.
     """
     sides = completed(stated, names, shapes)
-    found = sides_for_check(shapes, sides, names) if not any(sides) else None
+    found = sides_of_shapes(shapes, sides, names) if not any(sides) else None
     if found is None or found.sides is None:
         return sides
     return [found.sides.of(is_other) for is_other in found.is_other.tolist()]

@@ -26,6 +26,7 @@ from liaam.morphometry.pairs import twins_by_names, twins_by_place
 from liaam.studio import contract
 from liaam.studio.contract import OMITTED, given
 from liaam.studio.folder import Folder, Listing, revision_of, status_of
+from liaam.studio.measuring import MEASURING, followed, kept_in
 from liaam.studio.refusal import Refusal, refusing
 from liaam.studio.store import Store, StoredTable
 
@@ -342,6 +343,9 @@ class Templates:
         files = [] if old is None else self._rewritten(template, len(old), mapping, moved)
         # Applying it twice has no further effect, since the mapping is applied as it is removed.
         change = {"template": stored, "files": files, "moved": moved, "mapping": None if old is None else mapping}
+        if moved:
+            names = () if self.current is None else self.current.names
+            change["measuring"] = followed(kept_in(self._store), mapping, names)
         self.is_pending = True
         self._store.put("change", {"": change})  # from here on the change will be finished, even after a crash
         self.finish()
@@ -358,6 +362,7 @@ class Templates:
                     if change["moved"]:
                         self._proposals.forget()
                         self._map_absent(change.get("mapping"))
+                        self._store.put(MEASURING, {"": change.get("measuring")})
                     self._store.put("template", {"": change["template"]})
                     self._store.put("change", {"": None})
                 self._take(change["template"])

@@ -223,7 +223,7 @@ class Trainer:
             self.is_measuring = True
             self._publish("project", {})
         elif kind == "measured" and self.is_measuring and self.models.own is not None:
-            self.versions.add(self.models.own.facts, data["errors"])
+            self.versions.add(self.models.own.facts, data["errors"], data["failed"])
             self.project.store.put(HELD_OUT, {"": {"order": job.order, "fits": data["fits"]}})
             self._publish("project", {})
         elif kind == "failed":
@@ -291,17 +291,22 @@ def _work(job: TrainingJob, pipe: Any) -> None:
                 rest, _ = _train(job, pipe.send, dict(left_out), job.held_out, "measuring", leave_out=False, lamps=None)
                 fitter = Fitter(rest)
                 errors = {}  # relative to the diagonal of the points
+                failed = []  # those whose fit says so
                 fits = {}
                 for item in job.done:
                     if item.name in job.held_out:
                         with suppress(LiaamError, MemoryError):
-                            landmarks = fit_file(fitter, item.path).landmarks
+                            result = fit_file(fitter, item.path)
+                            landmarks = result.landmarks
                             size = diagonal_of(item.points[item.placed])
                             error = point_error(landmarks[item.own], item.points[item.own]) / size
                             if np.isfinite(error):
                                 errors[item.name] = round(error, 5)
-                                fits[item.name] = np.round(landmarks, 3).tolist()
-                pipe.send(("measured", {"errors": errors, "fits": fits}))
+                                if result.status.ok:
+                                    fits[item.name] = np.round(landmarks, 3).tolist()
+                                else:
+                                    failed.append(item.name)
+                pipe.send(("measured", {"errors": errors, "failed": failed, "fits": fits}))
             pipe.send(("done", summary))
         except (LiaamError, MemoryError) as fault:
             pipe.send(("failed", str(fault) or "the training ran out of memory: train on smaller pictures"))

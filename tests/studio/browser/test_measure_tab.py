@@ -172,3 +172,25 @@ def test_without_landmarks_the_tab_says_what_to_do(serve, page, folder):
     page.locator("[data-testid=tab-measure]").click()
     page.get_by_role("button", name="Place landmarks").click()
     page.locator("[data-testid=tab-annotate][aria-selected=true]").wait_for()
+
+
+def test_a_server_at_another_port_has_the_same_measures_groups_and_name(serve, open_page, wings):
+    server = serve(wings)
+    page = open_page()
+    open_measures(page, server.address)
+    add(page, "distance", 0, 4)
+    page.locator("[data-testid=measure-by]").select_option("name")
+    page.locator("[data-testid=measure-legend]", has_text="female").wait_for()
+    page.locator("[data-testid=tab-annotate]").click()
+    page.get_by_title("Your name in the history").click()
+    page.locator("[data-testid=who]").fill("Anna")
+    page.locator("[data-testid=who-save]").click()
+    wait_for(page, "() => window.liaamStudio.state.project.who === 'Anna'")
+    server.kill()
+    other = open_page()
+    open_measures(other, serve(wings).address)
+    assert len(column(other, "distance:1-5")) == 24
+    other.locator("[data-testid=measure-legend]", has_text="female").wait_for()
+    assert other.locator("[data-testid=measure-list] li").all_inner_texts() == ["distance: base – tip"]
+    other.locator("[data-testid=tab-annotate]").click()
+    assert other.get_by_title("Your name in the history").inner_text() == "Anna"

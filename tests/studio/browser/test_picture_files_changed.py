@@ -78,6 +78,22 @@ def test_a_picture_is_renamed_with_its_landmarks(listed, marked):
     wait_until(listed, lambda: not list(marked.glob("lisa.*")))
 
 
+def test_a_name_that_is_refused_is_said_in_the_dialog_which_stays(listed, marked):
+    listed.keyboard.press("F2")
+    field = listed.locator("[data-testid=rename]")
+    field.fill("portrait-02")
+    listed.keyboard.press("Enter")
+    listed.locator("[data-testid=dialog-fault]", has_text="portrait-02.png already: choose another name").wait_for()
+    listed.keyboard.type("v")  # would let points be invisible, if the dialog had closed
+    assert field.input_value() == "portrait-02v"
+    field.fill("lisa")
+    listed.keyboard.press("Enter")
+    listed.locator(".toast", has_text="portrait-01.png is now lisa.png").wait_for()
+    opened(listed, "lisa.png")
+    assert listed.locator("dialog").count() == 0 and listed.locator(".toast.bad").count() == 0
+    assert not listed.evaluate("() => window.liaamStudio.annotate.invisible()")
+
+
 def test_several_are_removed_from_the_menu_and_come_back(listed, marked):
     for name in NAMES[1:]:
         listed.locator(f"[data-testid=strip] [data-name='{name}']").click(modifiers=["Control"])

@@ -786,7 +786,9 @@ test("deleting keeps paths, twins and origins right", () => {
 
 test("before points change, what is lost is named: files, the model, checks", () => {
   const draft = template.deletePoints(template.draftOf({ names: ["a", "b", "c", "d"], contours: [], points: FACE }), [3]);
-  const said = (pictures, model = null) => template.consequences(draft, 4, { pictures, model });
+  const known = { measuring: { measures: [], scale: "", by: "", gone: [] }, observers: [], set: "" };
+  const said = (pictures, model = null, more = {}) =>
+    template.consequences(draft, ["a", "b", "c", "d"], { ...known, pictures, model, ...more });
   assert.equal(said([{ placed: 0, state: "new" }]), "");
   assert.equal(
     said([{ placed: 4, state: "done", checked: "Ann" }], { source: "studio" }),
@@ -794,6 +796,19 @@ test("before points change, what is lost is named: files, the model, checks", ()
       "points will be removed. A copy of the model stays in .liaam-studio/kept. The checks of 1 picture will be withdrawn.",
   );
   assert.equal(said([{ placed: 0, state: "new" }], { source: "file" }), ""); // a model given by the user stays
+  const measuring = { ...known.measuring, measures: ["distance:1-2", "distance:1-4"] };
+  const gone = said([], null, { measuring, observers: ["", "bob"] });
+  assert.match(gone, /^1 measure will be removed: distance: a – d\. bob keeps its points as they are, /);
+});
+
+test("new names are confirmed only where another observer would be left behind", () => {
+  const project = { pictures: [], model: null, measuring: { measures: [], scale: "", by: "", gone: [] }, observers: ["", "bob"], set: "bob" };
+  const names = ["a", "b", "c"];
+  const draft = template.draftOf({ names, kinds: null, contours: [], mirror: null, points: null });
+  assert.equal(template.consequences(draft, names, project), "");
+  const renamed = { ...draft, names: ["a", "b", "tip"] };
+  assert.match(template.consequences(renamed, names, project), /^Main set keeps its points/);
+  assert.equal(template.consequences(renamed, names, { ...project, observers: [] }), "");
 });
 
 test("reordering carries everything along", () => {
@@ -934,6 +949,9 @@ test("next is the picture of the best rank, else the next in the folder, round",
   const { pictures } = project(["new", "done", "new", "broken", "new"]);
   assert.equal(assist.nextToTeach(pictures, "2").name, "4");
   assert.equal(assist.nextToTeach(pictures, "4").name, "0");
+  const without = pictures.map((picture) => (picture.name === "4" ? { ...picture, nothing_found: true, rank: 1 } : picture));
+  assert.notEqual(assist.nextToTeach(without, "2").name, "4"); // there is nothing to correct
+  assert.equal(assist.nextToTeach(without.filter(({ name, state }) => name === "4" || state === "done"), "2").name, "4");
   pictures[2].rank = 2;
   pictures[4].rank = 1;
   assert.equal(assist.nextToTeach(pictures, "0").name, "4");
@@ -945,6 +963,8 @@ test("the reason is the uncertainty, in words", () => {
   const others = [picture, { uncertainty: 0.01 }, { uncertainty: 0.008 }];
   assert.match(assist.reason(picture, others, {}), /least certain.*3\.1\s% of the object's size.*median 1\.0\s%/);
   assert.match(assist.reason({ ...picture, doubtful: true }, others, {}), /low confidence/);
+  const nothing = assist.reason({ ...picture, doubtful: true, nothing_found: true }, others, { source: "face" });
+  assert.match(nothing, /^No face was found in this picture\. If there is none, skip it/);
   assert.match(assist.reason(picture, others, null), /Next in the folder/);
   assert.equal(assist.reason({ ...picture, slip: "a point lies outside" }, others, {}), "Possible slip: a point lies outside.");
 });

@@ -24,6 +24,8 @@ interface Picture {
   quality?: number | null;
   /** 1 is the most useful to annotate. */
   rank?: number | null;
+  /** Whether its proposal is a guess: the model finds no object in it. */
+  nothing_found?: boolean;
   /** Who checked its landmarks. */
   checked?: string | null;
   /** What looks wrong with its landmarks. */
@@ -36,6 +38,8 @@ interface Picture {
   absent?: number;
   /** Number of points that no person placed, moved or confirmed one by one. */
   unconfirmed?: number;
+  /** Number of these that no person accepted either, so that it is not done. */
+  proposed?: number;
   /** Of the landmark file; null if there is none. */
   revision?: string | null;
   /** left or right, as a person or the landmark file says; empty if none does. */
@@ -88,6 +92,12 @@ interface FoundScale {
   ticks: number | null;
 }
 
+/** The length of a pixel. */
+interface Pixel {
+  length: number;
+  unit: string;
+}
+
 /** The landmarks of a picture. */
 interface Marks {
   points: (number[] | null)[];
@@ -108,6 +118,10 @@ interface Marks {
   width: number;
   height: number;
   bar: Bar | null;
+  /** Whether it was drawn on another picture, so that its place here means nothing. */
+  bar_shared: boolean;
+  /** By the scale of the landmark file, where there is no bar. */
+  pixel: Pixel | null;
   /** Changes with the absent points and the origins, which the file does not hold. */
   beside: string;
 }
@@ -308,8 +322,11 @@ interface Method {
 interface Version {
   time: string | null;
   pictures: number;
+  /** Median of the fits that have not failed; if all have, of these. */
   error: number;
   held_out: number;
+  /** Number of held-out pictures whose fits failed, and said so. */
+  failed: number;
   /** Whether it was measured on the pictures of the newest. */
   same: boolean;
 }
@@ -331,6 +348,46 @@ interface Formats {
 interface Limits {
   upload_bytes: number;
   pixels: number;
+  /** Of flat and relit pictures that are saved; larger ones are reduced to it. */
+  relit_pixels: number;
+}
+
+/** What is measured of the pictures, as it is kept with the folder. */
+interface Measuring {
+  /** Such as distance:1-5, with numbers of points. */
+  measures: string[];
+  /** Of pictures that have none, such as 11-12=5 mm; empty if none is given. */
+  scale: string;
+  /** What groups pictures: folder, name or table; empty if nothing. */
+  by: string;
+  /** What a change of the template has removed with its points, in words. */
+  gone: string[];
+}
+
+/** A request to change what is measured. */
+interface SaveMeasuring {
+  /** Id of the folder that the page shows. */
+  folder?: string;
+  /** Measures, with numbers or names of points. */
+  add?: string[];
+  /** Measures as they are kept. */
+  remove?: string[];
+  scale?: string;
+  by?: string;
+  /** Whether what is gone was seen, and need not be said again. */
+  seen?: boolean;
+}
+
+/** A request to keep the name of the person who works in the page. */
+interface SaveWho {
+  /** Id of the folder that the page shows. */
+  folder?: string;
+  who: string;
+}
+
+/** The name of the person who works in the page. */
+interface Who {
+  who: string;
 }
 
 /** The folder, as the page shows it. */
@@ -351,6 +408,8 @@ interface Project {
   template: Template | null;
   /** Whether a model offers the template, and it was not accepted yet. */
   offered: boolean;
+  /** Whether faces are being looked for: then the face model offers its points. */
+  looking: boolean;
   model: Model | null;
   /** Whether slips were looked for in the landmarks as they are. */
   checked: boolean;
@@ -365,6 +424,9 @@ interface Project {
   formats: Formats;
   limits: Limits;
   problems: string[];
+  measuring: Measuring;
+  /** The name that a person last gave in this set of landmarks; empty if none did. */
+  who: string;
 }
 
 /** The answer if nothing has changed since a stamp. */
@@ -449,6 +511,8 @@ interface Shapes {
   groups: string[];
   /** Number of points of each that were estimated. */
   estimated: number[];
+  /** Indices of pictures without a scale, where others have one. */
+  unscaled: number[];
   columns: Column[];
   space: Space | null;
   /** Why there is no space. */
@@ -501,6 +565,8 @@ interface ShapeAgreement {
 /** How far observers are apart. */
 interface Agreement {
   observers: string[];
+  /** Of all these pictures; null if some have no scale, or another one. */
+  pixel: Pixel | null;
   sd: number;
   percent: number;
   repeatability: number | null;
@@ -610,6 +676,8 @@ interface Fit {
   deviations: (number | null)[];
   /** null: the fit had a start. */
   found: Found | null;
+  /** Whether neither the search nor the fit has found an object: the fit is a guess. */
+  nothing_found: boolean;
   /** Boxes of several objects, the one that was fitted first. */
   objects: number[][];
   iterations: Iteration[];
@@ -654,6 +722,14 @@ interface ColourScale {
   /** The value of the last colour; that of the first is its negative. */
   limit: number;
   what: string;
+  /** Of the shading: as LayerChange has it. */
+  even?: boolean;
+}
+
+/** What the flat picture changes, sent beside it. */
+interface LayerChange {
+  /** Whether the light is so much as in training that nothing that can be seen is taken off. */
+  even: boolean;
 }
 
 /** The part of the picture that a layer covers, sent beside it. */
@@ -789,6 +865,8 @@ interface FitFileQuery {
   what?: string | number;
   /** A SentLight as JSON, for a relit picture. */
   light?: string | number;
+  /** Of a flat or relit picture over the picture, 0 to 1; null: 1. */
+  opacity?: string | number;
 }
 
 /** Says which fits are in a table. */
@@ -919,6 +997,14 @@ interface Routes {
   "groups": {
     fields: {};
     PUT: { body: SaveGroups; answer: Grouped };
+  };
+  "measuring": {
+    fields: {};
+    PUT: { body: SaveMeasuring; answer: Measuring };
+  };
+  "who": {
+    fields: {};
+    PUT: { body: SaveWho; answer: Who };
   };
   "training": {
     fields: {};

@@ -207,6 +207,16 @@ test("a flip exchanges origins as it does points, and by keys a point is placed 
   assert.equal(made.origins[2], "proposed");
 });
 
+test("a click after the last missing point was marked as absent does not place it", () => {
+  const { made } = marking({ points: TRIANGLE });
+  made.select([1]);
+  assert.equal(made.toggleAbsent(), true);
+  assert.equal(made.adding([7, 7]), null);
+  assert.deepEqual([made.placing, made.chosen], [false, [1]]);
+  assert.equal(made.toggleAbsent(), false); // it is still selected, to be taken back
+  assert.equal(made.placing, true);
+});
+
 test("an absent point is not waited for, until it is placed after all", () => {
   const { made } = marking({ points: [TRIANGLE[0], null, null] });
   made.select([1]);
@@ -221,6 +231,40 @@ test("an absent point is not waited for, until it is placed after all", () => {
   made.select([1]);
   assert.equal(made.toggleAbsent(), false);
   assert.deepEqual(made.missing, [1, 2]);
+});
+
+test("ellipses stay around the points that are still as the model proposed them", () => {
+  const { made } = marking();
+  const seen = { points: TRIANGLE, invisible: [], source: "proposal" };
+  made.open({ history: new History(seen), doubtful: false, seen });
+  assert.deepEqual(made.uncertain, TRIANGLE);
+  made.select([1]);
+  made.commit(TRIANGLE.map((point, i) => (i === 1 ? [31, 21] : point)), "move");
+  assert.deepEqual(made.uncertain, [TRIANGLE[0], null, TRIANGLE[2]]);
+  made.accept();
+  assert.deepEqual(made.uncertain, [null, null, null]);
+});
+
+test("a scale bar of another picture is known as such until another is drawn", () => {
+  const bar = { ends: [[0, 0], [9, 0]], length: 1, unit: "cm" };
+  const { made } = marking();
+  const state = { points: TRIANGLE, invisible: [], source: "file", bar };
+  made.open({ history: new History(state), doubtful: false, sharedBar: { ...bar } });
+  const ruler = new ScaleBar(made, { onchange() {}, onpreview() {} });
+  assert.equal(ruler.isShared, true);
+  made.change({ bar: { ...bar, length: 2 } }, "scale bar");
+  assert.equal(ruler.isShared, false);
+});
+
+test("with the box, either button sets the scale in all pictures", () => {
+  const { made } = marking();
+  const shared = [];
+  const ruler = new ScaleBar(made, { onchange() {}, onpreview() {}, onshare: (bar, anyway) => shared.push([bar.length, anyway]) });
+  const bar = { ends: [[0, 0], [9, 0]], length: 1, unit: "cm" };
+  ruler.settle("save", { ...bar, anyway: false }, "scale bar");
+  assert.deepEqual(shared, []);
+  ruler.settle("save", { ...bar, length: 2, anyway: true }, "scale bar");
+  assert.deepEqual(shared, [[2, true]]);
 });
 
 test("an end of a scale bar that is being drawn is undone first, then drawing ends", () => {
@@ -492,6 +536,12 @@ test("where a point is, what comes next, and what is missing", () => {
   assert.equal(words.placeOf(made, 2, 1), "tip, 20.0, 30.0, invisible. Next: right");
   assert.equal(words.placeOf(made, 1), "right, missing");
   assert.equal(words.tallyOf(made), "2 of 3, 1 invisible");
+  assert.equal(words.outsideText(made, { width: 40, height: 40 }), "");
+  assert.match(words.outsideText(made, { width: 40, height: 30 }), /^tip lies outside the picture: drag it back/);
+  assert.equal(words.tallyOf(marking({ points: TRIANGLE, source: "layout" }).made), "mean shape");
+  const proposal = marking({ points: [...TRIANGLE.slice(0, 2), null], source: "proposal", absent: [2] }).made;
+  assert.equal(words.tallyOf(proposal), "2 of 3 proposed, 1 absent");
+  assert.match(words.promptOf(proposal), /^Placed by the model \(tip absent: U if not\)/);
   assert.match(words.promptOf(made), /^1 point is missing/);
   made.select([1]);
   assert.equal(words.promptOf(made), "Click right");

@@ -7,7 +7,7 @@ import { test } from "node:test";
 import { fileNameIn } from "./modules/api.js";
 import { shareAfterKey } from "./modules/divider.js";
 import {
-  betterOf, cleaned, comparison, duration, factsOf, FitStore, kindOf, meanDistance, significant, verdictOf,
+  betterOf, cleaned, comparison, duration, factsOf, FitStore, kindOf, meanDistance, objectOf, significant, verdictOf,
 } from "./modules/fit-run.js";
 import { relativeCosts } from "./modules/fit-iterations.js";
 import { FrameMeter } from "./modules/ui.js";
@@ -16,7 +16,7 @@ import { createSideList, sidesInWords } from "./modules/sides.js";
 import { Sources } from "./modules/fit-source.js";
 import { boxAfterKey, boxBetween, boxMoved, BoxTool, isDrawn, MeanTool } from "./modules/fit-start.js";
 import * as inv from "./modules/fit-theta.js";
-import { directionAfterKey, directionAt, directionInWords, lightQuery, PRESETS } from "./modules/relight.js";
+import { directionAfterKey, directionAt, directionInWords, freePlace, lightQuery, PRESETS } from "./modules/relight.js";
 import { State } from "./modules/state.js";
 import { levelFor, Tiles, tilesIn } from "./modules/tiles.js";
 
@@ -355,6 +355,42 @@ test("a fit that failed or is doubtful says what to do", () => {
   assert.deepEqual([unfinished.kind, unfinished.title], ["warn", "not finished"]);
 });
 
+test("where neither search nor fit find an object, the page says so, and not that a fit converged", () => {
+  const nothing = fit({ ok: false, status: "doubtful", quality: 0, nothing_found: true });
+  const { title, advice } = verdictOf(nothing, false, objectOf({ source: "face" }));
+  assert.equal(title, "No face found");
+  assert.match(advice, /If there is a face, draw a box/);
+  assert.equal(verdictOf(nothing, false, objectOf({ source: "studio" })).title, "No object found");
+  assert.equal(verdictOf({ ...nothing, nothing_found: false }, false).title, "doubtful");
+});
+
+test("specimens that were fitted together are recalled with the one that was chosen last", async () => {
+  const state = Object.assign(new EventTarget(), { project: { model: { number: 1 } }, send: () => Promise.resolve({ fits: both, faults: [] }) });
+  const both = [1, 2].map((number) => fit({ id: String(number), picture: "tray.jpg", specimen: { number, name: `tray#${number}`, fault: "" } }));
+  const [store, source] = [new FitStore(state), { key: "tray", ready: Promise.resolve(), reference: { picture: "tray.jpg" } }];
+  const all = await store.runAll(source, "soft-li", "auto");
+  assert.equal(store.recallAll(source, "soft-li"), all);
+  store.choose(source, "soft-li", "auto", all.fits[1]);
+  assert.equal(store.recall(source, "soft-li"), all.fits[1]);
+  assert.equal(store.recallAll({ ...source, key: "other" }, "soft-li"), null);
+  store.forget(all.fits[0]);
+  assert.equal(store.recallAll(source, "soft-li"), null);
+  await store.runAll(source, "soft-li", "auto");
+  state.dispatchEvent(new CustomEvent("landmarks", { detail: { name: "tray.jpg" } }));
+  assert.equal(store.recallAll(source, "soft-li"), null);
+});
+
+test("no new lamp lies on another one", () => {
+  const lamps = [{ direction: directionAt([-0.55, -0.5]) }];
+  while (lamps.length < 8) {
+    const { direction: [x] } = lamps.at(-1);
+    const place = freePlace(lamps, [-x || 0.5, -0.2]);
+    assert.ok(Math.hypot(...place) <= 1);
+    for (const { direction: [u, v] } of lamps) assert.ok(Math.hypot(place[0] - u, place[1] - v) > 0.25, String(lamps.length));
+    lamps.push({ direction: directionAt(place) });
+  }
+});
+
 test("the colour of a fit follows from its status alone, as in overlays", () => {
   const expected = JSON.parse(readFileSync(`${process.env.LIAAM_INVARIANT}/kinds.json`, "utf8"));
   for (const [status, { kind, ok }] of Object.entries(expected)) {
@@ -543,7 +579,7 @@ test("a fit that becomes the landmarks is saved in the name of the person", asyn
   globalThis.localStorage = { getItem: () => "Ann" };
   const { app, sent } = pageWith({ source: "file", points: [[0, 0]], invisible: [0], revision: "r" });
   await useAsAnnotation(app, { picture: "a.png", shape: [[1, 2]] });
-  const body = { points: [[1, 2]], invisible: [0], revision: "r", template: "t", folder: "here", who: "Ann" };
+  const body = { points: [[1, 2]], origins: ["accepted"], invisible: [0], revision: "r", template: "t", folder: "here", who: "Ann" };
   assert.deepEqual(sent, [["/api/pictures/a.png/landmarks", body]]);
   app.confirm = async () => false;
   await useAsAnnotation(app, { picture: "a.png", shape: [[1, 2]] });

@@ -40,7 +40,8 @@ test("the table is in the order of time, and frames are counted by the shortest 
   const track = new Track(header);
   for (const time of [0.2, 0.04, 0.08]) track.set(time, found);
   track.set(0.08, lost); // seen once more
-  assert.deepEqual([track.rows.size, track.lost], [3, 1]);
+  assert.deepEqual([track.rows.size, track.lost, track.skipped], [3, 1, 2]);
+  assert.match(track.gaps, /3 frames; 2 between them were skipped/);
   const lines = track.csv().split("\n");
   assert.equal(`${lines[0]}\n`, header);
   assert.deepEqual(lines.slice(1, 4).map((line) => line.split(",")[0]), ["0", "1", "4"]);
@@ -53,6 +54,7 @@ test("a table of one frame, and of none", () => {
   const track = new Track(header);
   assert.equal(track.csv(), header);
   track.set(0, found);
+  assert.deepEqual([track.skipped, Boolean(track.gaps)], [0, false]);
   assert.equal(track.csv().split("\n")[1].split(",")[0], "0");
 });
 
@@ -91,6 +93,7 @@ test("advice is for a camera or for a file, and only about what is known", () =>
   const said = (shown, of = {}) => verdictOfFrame(shown, { isFile: false, isFlat: false, rate: null, ...of }).text;
   assert.match(said(gone), /facing the camera/);
   assert.equal(said(gone, { isFile: true }), "The object is lost in this frame.");
+  assert.equal(said(gone, { isFile: true, object: "face", wasFound: false }), "No face was found yet.");
   assert.equal(said(frame), "The object is found, quality 88 %.");
   const kind = verdictOfFrame(frame, { isFile: false, isFlat: false, rate: null }).kind;
   assert.equal(kind, "good"); // by the status of the fit, not by that of the track

@@ -39,7 +39,7 @@ interface Api {
     address: Address<R>, file: Taken<R, "POST"> & Blob, options?: Options) => Promise<Answered<R, "POST">>;
   buffer: (address: Address<Filing<"GET"> | Filing<"POST">>, options?: Options) => Promise<ArrayBuffer>;
   blob: (address: Address<Filing<"GET"> | Filing<"POST">>, options?: Options) => Promise<Blob>;
-  layer: (address: Address<Filing<"GET">>) => Promise<{ image: ImageBitmap; scale: Partial<ColourScale & LayerPlace> | null }>;
+  layer: (address: Address<Filing<"GET">>) => Promise<{ image: ImageBitmap; scale: Partial<ColourScale & LayerChange & LayerPlace> | null }>;
   file: (address: string, options?: Options) => Promise<[Blob, string]>;
 }
 
@@ -60,6 +60,8 @@ interface App {
   /** The points that the Annotate tab shows. */
   points(): Point[];
   showsPictures(): boolean;
+  /** The picture that the open tab shows, if it is not in the folder, or null. */
+  aside(): import("../../../src/liaam/studio/static/js/fit-source.js").Source | null;
   pictures: import("../../../src/liaam/studio/static/js/fit-source.js").PictureStore;
   /** The picture to fit and the fits, shared by the tabs Fit and Compare. */
   sources: import("../../../src/liaam/studio/static/js/fit-source.js").Sources;

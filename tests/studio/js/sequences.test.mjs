@@ -155,7 +155,7 @@ class Expected {
 
   undo() { this.travel(this.past, this.future); }
   redo() { this.travel(this.future, this.past); }
-  select(indices) { Object.assign(this.now, { chosen: indices, active: indices.at(-1) ?? -1 }); }
+  select(indices, active = indices.at(-1) ?? -1) { Object.assign(this.now, { chosen: indices, active }); }
 
   get left() { return NAMES.map((_, i) => i).filter((i) => !this.now.points[i] && !this.now.absent.includes(i)); }
   after(index) { return this.left.find((i) => i > index) ?? this.left[0] ?? -1; }
@@ -248,7 +248,8 @@ const STEP = {
       now.suggested = false;
     });
     const next = is ? expected.after(index) : index;
-    expected.select([next < 0 ? index : next]);
+    if (next < 0) expected.select([index], -1); // no click places it
+    else expected.select([next]);
   },
 
   confirm({ tab, expected }) {

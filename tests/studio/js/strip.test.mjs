@@ -7,8 +7,8 @@ import { namesFor, summary } from "./modules/adding.js";
 import { outcome, whoAmI } from "./modules/bulk.js";
 import { percent } from "./modules/annotate-words.js";
 import { faultIn, meant } from "./modules/hotkeys.js";
-import { bins, joined, kindFor, measureOf, measureText, numberText, parsed, summary as summaryOf, valueOf } from "./modules/measures.js";
-import { accuracyText, sentence } from "./modules/review.js";
+import { bins, kindFor, measureOf, measureText, numberText, parsed, summary as summaryOf, valueOf } from "./modules/measures.js";
+import { accuracyText, errorText, sentence } from "./modules/review.js";
 import { between, describe, FILTERS, foldersOf, matching, openIn } from "./modules/strip-filters.js";
 import { isChoosing } from "./modules/ui.js";
 import { acceptable } from "./modules/wall.js";
@@ -57,6 +57,8 @@ test("what was added is told in one sentence", () => {
   assert.equal(summary({ ...none, pictures: 48, landmarks: 1, placed: 12, refused: ["a: why"] }),
     "48 pictures added, landmarks for 12, 1 file left out: a: why.");
   assert.equal(summary({ ...none, known: 2 }), "2 files already here.");
+  assert.match(summary({ ...none, refused: ["a.csv: name the columns as x,y."] }), /as x,y\.$/);
+  assert.doesNotMatch(summary({ ...none, refused: ["a.csv: name the columns as x,y."] }), /\.\./);
   assert.match(summary({ ...none, refused: ["a", "b", "c", "d"] }), /4 files left out: a; b; c; and 1 more/);
 });
 
@@ -65,6 +67,8 @@ test("states are described", () => {
   assert.deepEqual(said, ["checked", "left out", "proposed", "doubtful", "left out"]);
   const partial = { name: "d.png", state: "partial", placed: 68 };
   assert.equal(describe(partial, {}), "68 placed");
+  assert.equal(describe({ ...partial, proposed: 67 }, {}), "67 only proposed");
+  assert.equal(describe({ name: "coin.jpg", state: "proposed", doubtful: true, nothing_found: true }, {}), "nothing found");
   assert.equal(describe({ ...partial, error: "d.pts has 68 points" }, {}), "points do not fit");
 });
 
@@ -76,17 +80,23 @@ test("a range goes both ways and needs its beginning", () => {
 test("the outcome of an action is said with what was refused", () => {
   const refused = { "b.png": "checked already", "c.png": "checked already" };
   assert.equal(outcome("checked", { changed: ["a.png"], refused }),
-    "1 picture marked as checked. 2 pictures not changed: checked already.");
+    "1 picture marked as checked. 2 pictures not changed: checked already (b.png, c.png).");
   assert.equal(outcome("deleted", { changed: ["a.png", "b.png"], refused: { "c.png": "no landmarks" } }),
-    "Landmarks of 2 pictures deleted. 1 picture not changed: no landmarks.");
+    "Landmarks of 2 pictures deleted. c.png not changed: no landmarks.");
+  assert.equal(outcome("scaled", { changed: [], refused: { "a.png": "has a scale", "b.png": "is small", "c.png": "is small" } }),
+    "3 pictures not changed: has a scale (a.png); is small (b.png, c.png).");
 });
 
 test("history and accuracy are said", () => {
   assert.equal(sentence({ who: "", did: "placed" }), "Someone placed points");
   assert.equal(percent(0.0312), "3.1\u00a0%");
   assert.equal(percent(0.0012), "0.12\u00a0%");
-  const versions = [{ error: 0.04, held_out: 1, same: false }, { error: 0.02, held_out: 2, same: true }];
-  assert.match(accuracyText(versions), /median of 2 pictures held out.*Pale/);
+  const versions = [{ error: 0.04, held_out: 1, failed: 0, same: false }, { error: 0.02, held_out: 4, failed: 2, same: true }]
+    .map((version) => ({ ...version, time: null, pictures: 9 }));
+  assert.match(accuracyText(versions), /Measured on 4 pictures held out.*2 of 4.*4 pictures say little.*Pale/);
+  assert.equal(errorText(versions[0]), "4.0\u00a0%, 1 picture");
+  assert.equal(errorText(versions[1]), "2.0\u00a0%, median of 2 pictures; 2 more fits failed");
+  assert.equal(errorText({ ...versions[0], failed: 1 }), "4.0\u00a0%, 1 picture, whose fit failed");
   assert.doesNotMatch(accuracyText(versions.slice(1)), /Pale/);
 });
 
@@ -103,7 +113,6 @@ test("the wall accepts sure proposals, and opens slips and what is not done", ()
 
 test("measures are told with the names of their points", () => {
   assert.equal(measureOf(kindFor(3), [2, 3, 4]), "angle:3-4-5");
-  assert.equal(joined(["area:1-2-3-4", "distance:1-2", "distance:1-2"]), "area:1-2-3-4 distance:1-2");
   const names = ["fork of L2", "tip", "base"];
   assert.equal(measureText("angle:1-2-3", names), "angle: fork of L2 – tip – base");
   for (const other of ["distance:tip-base", "distance:1-9", "nonsense"]) assert.equal(measureText(other, names), other);
@@ -128,6 +137,7 @@ test("a histogram holds each known value once", () => {
   assert.deepEqual(of.flat().sort(), [0, 1, 2, 3, 5, 6, 7]);
   assert.equal(edges.length, of.length + 1);
   assert.deepEqual(bins([4, 4, 4]).of, [[0, 1, 2]]);
+  assert.deepEqual(bins([5, null]).edges, [4.75, 5.25]); // around the only value
   assert.deepEqual(bins([null]).of, []);
   const { n, mean, sd } = summaryOf([1, null, 3]);
   assert.deepEqual([n, mean, sd], [2, 2, Math.SQRT2]);
@@ -150,6 +160,9 @@ test("an observer's set logs under its name, other sets under that of the browse
   assert.equal(whoAmI({ set: "anna", observers: ["", "anna"] }), "anna");
   assert.equal(whoAmI({ set: "carl", observers: ["", "carl"] }), "Carla");
   assert.equal(whoAmI({ set: "hand", observers: ["hand"] }), "Ben"); // other points, not another observer
+  delete stored["liaam-studio:who"]; // another browser, or another port of the server
+  assert.equal(whoAmI({ set: "", observers: [""], who: "Ben" }), "Ben");
+  assert.equal(whoAmI({ set: "", observers: [""], who: "" }), "");
 });
 
 test("done pictures say what they lack, and the filter finds those with points that nobody looked at", () => {

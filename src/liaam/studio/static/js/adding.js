@@ -47,13 +47,15 @@ export function namesFor(paths) {
   return paths.map((path) => (clash ? path.split("/").join("_") : baseOf(path)));
 }
 
+/** What was added, in one sentence; refused: sentences, of which each says why a file was left out. */
 export function summary({ pictures, known, landmarks, placed, refused }) {
+  const reasons = refused.map((reason) => reason.replace(/\.$/, ""));
   const parts = [
     (pictures || !(known || landmarks)) && `${several(pictures, "picture")} added`,
     known && `${several(known, "file")} already here`,
     landmarks && `landmarks for ${placed}`,
-    refused.length && `${several(refused.length, "file")} left out: ${refused.slice(0, SHOWN).join("; ")}` +
-      (refused.length > SHOWN ? `; and ${refused.length - SHOWN} more` : ""),
+    reasons.length && `${several(reasons.length, "file")} left out: ${reasons.slice(0, SHOWN).join("; ")}` +
+      (reasons.length > SHOWN ? `; and ${reasons.length - SHOWN} more` : ""),
   ];
   return `${parts.filter(Boolean).join(", ")}.`;
 }
@@ -108,14 +110,16 @@ export function createAdding(app) {
     const isPicture = (i) => formats.pictures.includes(suffixOf(names[i]));
     const queue = [...names.keys()].sort((a, b) => Number(isPicture(b)) - Number(isPicture(a)));
     const result = { pictures: 0, known: 0, landmarks: 0, placed: 0, refused: [] };
+    const added = []; // names of new pictures
     const send = async () => {
       for (let i = queue.shift(); i !== undefined; i = queue.shift()) {
         state.setAdding({ done: items.length - queue.length, total: items.length });
         try {
           if (items[i].file.size > limits.upload_bytes)
             throw new Error(`${names[i]} is larger than ${Math.round(limits.upload_bytes / 1e6)} MB: put it into the folder`);
-          const { kind, known } = await api.upload(api.url("files", { name: names[i] }), items[i].file, { quiet: true });
-          result[known ? "known" : kind === "picture" ? "pictures" : "landmarks"] += 1;
+          const { name, kind, known } = await api.upload(api.url("files", { name: names[i] }), items[i].file, { quiet: true });
+          if (!known && kind === "picture") added.push(name);
+          else result[known ? "known" : "landmarks"] += 1;
         } catch (error) {
           result.refused.push(error.message);
         }
@@ -124,6 +128,9 @@ export function createAdding(app) {
     await Promise.all(Array.from({ length: AT_ONCE }, send));
     state.setAdding(null);
     await state.settled();
+    const unreadable = added.map((name) => state.picture(name)).filter((one) => one?.state === "broken");
+    result.pictures = added.length - unreadable.length;
+    result.refused.push(...unreadable.map(({ name, error }) => (error?.includes(name) ? error : `${name}: ${error ?? "it cannot be read"}`)));
     result.placed = state.project.pictures.filter(({ name, placed }) => placed && !before.has(name)).length;
     toast(summary(result), result.refused.length ? "bad" : "good");
     app.list.sortByQuality();

@@ -125,10 +125,13 @@ export function createCommands(tab) {
     ruler: () => tab.ruler.start(),
 
     /** Measure the selected points in all pictures; with none selected, show or hide the measures. */
-    measure() {
+    async measure() {
       if (tab.drawing) return;
       const inOrder = [...marking.selection].filter((i) => marking.points[i]); // as they were selected
-      if (inOrder.length > 1) return void app.toast(`${tab.measured.add(inOrder)}, in all pictures.`, "good", { label: "Show all", onclick: () => app.openTab("measure") });
+      if (inOrder.length > 1) {
+        const added = await tab.measured.add(inOrder);
+        return void app.toast(`${added}, in all pictures.`, "good", { label: "Show all", onclick: () => app.openTab("measure") });
+      }
       say(tab.shown.toggle("measures") ? "Measures shown" : "Measures hidden");
     },
 

@@ -48,7 +48,7 @@ export function createOpening(tab, { begins, cover = null }) {
       viewer.setPicture(picture.bitmap, width, height, picture.tiles);
       viewer.mirror(tab.shown.isMirrored(name));
       if (before !== name || width !== wasWide || height !== wasHigh) viewer.fit();
-      if (!tab.template) tab.templates.begin();
+      if (!tab.template || tab.templates.isDrafting) tab.templates.begin();
       else await take(name, marks, own, key);
       if (own === turn && hasNewerMarks()) reload();
     } catch (error) {
@@ -93,7 +93,8 @@ export function createOpening(tab, { begins, cover = null }) {
     const same = old && (saver.isDirty(name) || (before.source === shown.source && sameMarks(before, shown)));
     const book = {
       history: same ? old.history : new History(shown), covariances: marks.covariances ?? null,
-      doubtful: marks.doubtful, key, tag: state.picture(name)?.tag, seen: null,
+      doubtful: marks.doubtful, nothing: state.picture(name)?.nothing_found ?? false, sharedBar: marks.bar_shared ? marks.bar : null,
+      pixel: marks.pixel, key, tag: state.picture(name)?.tag, seen: null,
     };
     book.seen = book.history.state; // as it was opened
     books.set(name, book);

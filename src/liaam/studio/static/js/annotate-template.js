@@ -20,10 +20,18 @@ export function createTemplates(tab) {
   const doc = new Drafting({ viewer, onchange: changed, onselect, say: tab.say });
   const panel = createTemplatePanel({
     drafting: doc, formats: state.project.formats.landmarks, onload: load, onsliders: loadSliders, ondone: done, onleave: stop,
+    isOffered: () => state.project.offered, isLooking,
   });
   let editing = false;
   let saving = false; // whether this page is changing the template
+  let looked = false; // whether the page says that faces are looked for
   let known = JSON.stringify(tab.template); // the template that is shown
+
+  /** Whether it may turn out that the face model knows the points: pictures arrive, or faces are looked for in them. */
+  function isLooking() { return !tab.template && (state.adding !== null || state.project.looking); }
+
+  /** Whether points of a new template were placed, but not saved. They stay, whatever points a model offers meanwhile. */
+  const isDrafting = () => (!tab.template || state.project.offered) && Boolean(kept.get()?.names.length);
 
   function changed() {
     if (doc.saved === null) kept.set(doc.draft);
@@ -34,12 +42,14 @@ export function createTemplates(tab) {
   /** Edit `template` with its points at `points` on the picture, or, if it is null, a new or stored draft. */
   function start(template, points) {
     editing = true;
+    looked = isLooking();
     if (template) kept.set(null); // a saved template invalidates the draft of a new one
     doc.start(template, points, template ? null : (kept.get() ?? drafts.EMPTY));
     changed();
   }
 
-  /** There is no template yet: create one on the open picture. A draft is kept when the picture changes. */
+  /** There is no template yet, or points of a new one were placed: create it on the open picture. A draft is kept when the
+   *  picture changes. */
   function begin() {
     if (!editing || !doc.started) start(null, null);
     else tab.refresh();
@@ -70,9 +80,12 @@ export function createTemplates(tab) {
       return;
     }
     const text = "All points of the new template will be deleted.";
-    if (doc.started && !(await confirm("Start over?", text, "Start over"))) return;
+    const title = tab.template ? "Use the model's points?" : "Start over?";
+    if (doc.started && !(await confirm(title, text, tab.template ? "Use the model's points" : "Start over"))) return;
     kept.set(null);
-    start(null, null);
+    if (!tab.template) return start(null, null);
+    leave();
+    return tab.opening.open(tab.name);
   }
 
   async function loadSliders(file) {
@@ -99,7 +112,7 @@ export function createTemplates(tab) {
     /** @type {SaveTemplate} */
     const template = drafts.templateOf(draft);
     template.revision = saved?.revision ?? null;
-    const lost = mapping && drafts.consequences(draft, saved.names.length, state.project);
+    const lost = saved && drafts.consequences(draft, saved.names, state.project);
     const text = `${lost} This cannot be undone.`;
     if (lost && !(await confirm("Change the template?", text, "Change the template"))) return;
     panel.setBusy(true);
@@ -171,7 +184,10 @@ export function createTemplates(tab) {
       if (tab.visible && tab.name) tab.opening.open(tab.name);
       return true;
     }
-    if (state.project.offered && editing && doc.started) return true; // points of one's own are being defined
+    if (editing && isDrafting()) { // points of one's own are being defined
+      panel.render();
+      return true;
+    }
     follow(isFirst);
     return true;
   }
@@ -198,7 +214,7 @@ export function createTemplates(tab) {
       state.select(before);
       return false;
     }
-    if (tab.template) leave();
+    if (tab.template && !isDrafting()) leave();
     return true;
   }
 
@@ -214,9 +230,18 @@ export function createTemplates(tab) {
 
   return {
     doc, panel: panel.element, begin, edit, noticed, mayLeave,
+    /** Faces may be looked for, or no longer. */
+    look() {
+      if (!editing || looked === isLooking()) return;
+      looked = isLooking();
+      panel.render();
+      tab.refresh();
+    },
     draw: (ctx, tool) => drawDrafting(ctx, viewer, tool, doc),
     get editing() { return editing; },
+    get isDrafting() { return isDrafting(); },
     get prompt() {
+      if (isLooking() && !doc.started) return "Looking for faces in these pictures…";
       if (doc.layingOut) return "Move the points into place: drag the frame's handles, then single points";
       if (doc.draft.path >= 0) return "Click the next point of this curve – N ends it, C closes it";
       if (!doc.started) return "Click the first landmark of your template on this picture, or press N to draw a curve";

@@ -78,15 +78,29 @@ export function createStatus(tab) {
     small: true, hidden: true, onclick: () => tab.saving.decide(tab.saver.conflicted),
   });
   const complain = complaints();
+  let now = ["saved", ""]; // state and message
+  tab.state.addEventListener("online", () => tell(...now));
+
+  /** While the server is away, nothing new is saved, so that "Saved" alone would be understood wrongly. */
+  function textOf(state, message) {
+    if (state === "saved" && !tab.state.online) return "All changes were saved; server not reachable";
+    return state === "offline" && message ? "Not saved, but kept in the browser" : TEXTS[state];
+  }
+
+  function tell(state, message) {
+    now = [state, message];
+    element.dataset.state = state;
+    element.classList.toggle("away", !tab.state.online);
+    element.textContent = textOf(state, message);
+    element.title = message || element.textContent;
+  }
 
   return {
     element, button: decide,
     get state() { return element.dataset.state; },
     show(state, message) {
       const before = element.dataset.state;
-      element.dataset.state = state;
-      element.textContent = state === "offline" && message ? "Not saved, but kept in the browser" : TEXTS[state];
-      element.title = message || element.textContent;
+      tell(state, message);
       complain(state === "refused" || state === "failing" ? `Not saved: ${message}` : "");
       decide.hidden = state !== "conflict";
       // Announce problems and their end, not every save.

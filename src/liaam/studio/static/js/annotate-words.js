@@ -2,12 +2,16 @@
 
 export const several = (number, what) => `${number} ${what}${number === 1 ? "" : "s"}`;
 
+/** What a set of landmarks is called; the first one has no name. */
+export const calledSet = (name) => name || "Main set";
+
 export const percent = (fraction) => `${(100 * fraction).toFixed(fraction < 0.01 ? 2 : 1)}\u00a0%`;
 
 /** What to do next with the open picture; "" if nothing. */
 export function promptOf({ state, book, placing, names, active, missing, absent = [], proposed = 0 }) {
   if (state.source === "proposal") {
-    const lacks = absent.length ? ` (${several(absent.length, "point")} absent: U if not)` : "";
+    const lacks = absent.length ? ` (${listed(names, absent)} absent: U if not)` : "";
+    if (book.nothing) return "The model found nothing here, so these points are a guess: drag them into place, or skip the picture";
     return book.doubtful
       ? `Placed by the model with low confidence${lacks}: check every point, drag wrong ones, then press Enter`
       : `Placed by the model${lacks}: drag wrong points, then press Enter`;
@@ -19,10 +23,22 @@ export function promptOf({ state, book, placing, names, active, missing, absent 
   return proposed ? `${several(proposed, "point")} as proposed: drag wrong ones, then press Enter` : "";
 }
 
-export function tallyOf({ points, missing, invisible, absent = [] }) {
+/** Which points lie outside a picture of a size, where they are easily lost; "" if none does. */
+export function outsideText({ names, points }, { width, height }) {
+  // Coordinates are of pixel centres, so the picture ends half a pixel beyond the last.
+  const isOutside = ([x, y]) => x < -0.5 || y < -0.5 || x > width - 0.5 || y > height - 0.5;
+  const outside = names.map((_, i) => i).filter((i) => points[i] && isOutside(points[i]));
+  if (!outside.length) return "";
+  const [lie, them] = outside.length === 1 ? ["lies", "it"] : ["lie", "them"];
+  return `${listed(names, outside)} ${lie} outside the picture: drag ${them} back, or select ${them} and press U if absent`;
+}
+
+export function tallyOf({ points, missing, invisible, state, absent = [] }) {
+  if (state.source === "layout") return "mean shape"; // no point has a place of its own
   const more = { invisible: invisible.size, absent: absent.length };
   const words = Object.entries(more).map(([what, count]) => count && `, ${count} ${what}`);
-  return [`${points.length - missing.length - absent.length} of ${points.length}`, ...words].filter(Boolean).join("");
+  const placed = `${points.length - missing.length - absent.length} of ${points.length}`;
+  return [placed, state.source === "proposal" && " proposed", ...words].filter(Boolean).join("");
 }
 
 const SOURCES = {
@@ -42,6 +58,11 @@ export function placeOf({ names, points, invisible, absent = [] }, index, next =
   const here = `${names[index]}, ${at}${points[index] && invisible.has(index) ? ", invisible" : ""}`;
   return next < 0 ? here : `${here}. Next: ${names[next]}`;
 }
+
+const MOST_LISTED = 3;
+
+/** Points by their names; of many, how many there are. */
+const listed = (names, indices) => (indices.length > MOST_LISTED ? several(indices.length, "point") : indices.map((i) => names[i]).join(", "));
 
 export const called = (names, indices) => (indices.length === 1 ? names[indices[0]] : `${indices.length} points`);
 

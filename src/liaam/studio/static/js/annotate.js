@@ -8,7 +8,7 @@ import { createSaving } from "./annotate-saving.js";
 import { createTemplates } from "./annotate-template.js";
 import { Shown } from "./annotate-shown.js";
 import { createStatus, createToolbar } from "./annotate-toolbar.js";
-import { descriptionOf, placeOf, promptOf, several } from "./annotate-words.js";
+import { descriptionOf, outsideText, placeOf, promptOf, several } from "./annotate-words.js";
 import { api } from "./api.js";
 import { createAssist } from "./assist.js";
 import { drawGesture, drawHint, drawMarking, loupeOver } from "./drawing.js";
@@ -129,6 +129,8 @@ export class Tab {
     const { state, saver, opening, commands } = this;
     state.addEventListener("select", (/** @type {any} */ { detail }) => this.#selected(detail));
     state.addEventListener("project", () => this.templates.noticed() || opening.refresh());
+    state.addEventListener("project", () => this.templates.look());
+    state.addEventListener("fitting", () => this.templates.look());
     state.addEventListener("landmarks", (/** @type {any} */ { detail }) => {
       const { name, revision, beside } = /** @type {LandmarksChanged} */ (detail);
       saver.heard(name, revision, beside);
@@ -266,7 +268,7 @@ export class Tab {
     if (editing) return templates.prompt;
     if (!marking.book) return "";
     if (marking.locked) return "This folder can only be read: copy it to place landmarks";
-    return drawing?.prompt ?? promptOf(marking);
+    return drawing?.prompt ?? (promptOf(marking) || outsideText(marking, this.viewer));
   }
 
   /** Describe the picture to screen readers. */

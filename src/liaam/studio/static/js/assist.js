@@ -9,7 +9,7 @@ const FEWEST_PLACED = 3; // points that a picture needs for training, if others 
 const AUTO_FIRST = 4; // done pictures after which the first model is trained automatically
 const AUTO_AGAIN = 3; // pictures completed or changed after which it is trained again
 const SHOWN = 5; // slips that are listed before training
-const SLIP = "Move what is wrong, or press Enter if the points are right: they are then marked as checked.";
+const SLIP = "Move what is wrong, or press Enter if all is right, which marks it as checked.";
 const AUTO_KEY = "liaam-studio:auto-train";
 const countOf = (/** @type {Picture[]} */ pictures, ...states) => pictures.filter(({ state }) => states.includes(state)).length;
 
@@ -56,19 +56,28 @@ export function nextOf(state, pictures) {
   if (!state.worstFirst) return nextToTeach(pictures, state.current);
   const known = new Set(pictures.map(({ name }) => name));
   const listed = state.order.filter((name) => known.has(name) && name !== state.current);
-  return openIn(listed.map((name) => state.picture(name)))[0] ?? null;
+  const open = openIn(listed.map((name) => state.picture(name)));
+  return open.find(({ nothing_found: nothing }) => !nothing) ?? open[0] ?? null;
 }
 
-/** The picture that helps the model most: by rank, then by position after `current`; null if all are done.
+/** The picture that helps the model most: by rank, then by position after `current`; null if all are done. Those in which
+ *  nothing is found come last.
  *  @param {Picture[]} pictures; @param {string | null} current; @returns {Picture | null} */
 export function nextToTeach(pictures, current) {
   const at = pictures.findIndex((picture) => picture.name === current);
   const round = [...pictures.slice(at + 1), ...pictures.slice(0, Math.max(at, 0))];
   const ofState = (...states) => round.filter((picture) => states.includes(picture.state));
   const waiting = ofState("new", "partial", "proposed");
-  const open = waiting.length ? waiting : ofState("unchecked");
+  const useful = waiting.filter(({ nothing_found: nothing }) => !nothing);
+  const open = [useful, waiting].find(({ length }) => length) ?? ofState("unchecked");
   const rank = (picture) => picture.rank ?? Infinity;
   return open.reduce((best, picture) => (best === null || rank(picture) < rank(best) ? picture : best), null);
+}
+
+/** What to do with a picture in which the model finds no object. @param {Pick<Model, "source"> | null} model */
+function nothingIn(model) {
+  const is = model?.source === "face" ? "face" : "object";
+  return `No ${is} was found in this picture. If there is none, skip it, or remove it: select it in the list and press Delete. If there is one, place its points.`;
 }
 
 const uncertain = (fraction) => (fraction <= 1 ? percent(fraction) : "over 100\u00a0%");
@@ -78,8 +87,11 @@ export function reason(picture, pictures, model) {
   if (!picture) return "";
   if (!model) return "Next in the folder. Once there is a model, the picture that helps it most comes first.";
   if (picture.slip) return `Possible slip: ${picture.slip}.`;
-  if (picture.state === "partial") return "Some of its points are missing.";
+  if (picture.state === "partial") return picture.proposed
+    ? `${several(picture.proposed, "point")} of it ${picture.proposed === 1 ? "is" : "are"} still as proposed: correct ` +
+      "what is wrong, then press Enter." : "Some of its points are missing.";
   if (picture.state === "unchecked") return "Its points are still the mean shape, so no model is trained on it.";
+  if (picture.nothing_found) return nothingIn(model);
   if (picture.uncertainty == null) return "The model has not been fitted to it yet.";
   const text = `uncertainty of its points: ${uncertain(picture.uncertainty)} of the object's size`;
   if (picture.doubtful) return `The model has low confidence here (${text}), so correcting it helps most.`;
@@ -90,7 +102,7 @@ export function reason(picture, pictures, model) {
     .sort((a, b) => a - b);
   if (known.length < 2 || picture.uncertainty < known.at(-1)) return `${text[0].toUpperCase()}${text.slice(1)}.`;
   const median = known[Math.floor((known.length - 1) / 2)];
-  return `The least certain of the remaining pictures (${text}, median ${uncertain(median)}).`;
+  return `The least certain of the remaining pictures that are not doubtful (${text}, median ${uncertain(median)}).`;
 }
 
 /** Notices about the folder and the model: [{title, lines}], without empty ones. A line is a text, or {name, why} about a
@@ -235,6 +247,7 @@ export function createAssist(app, commands, onexport) {
     const usable = pictures.length - countOf(pictures, "broken");
     const left = Object.keys(model?.left_out ?? {}).length;
     count.textContent = `${countOf(pictures, "done") - left} of ${usable} done${left ? `, ${left} left out` : ""}`;
+    count.title = left ? `${count.textContent} of training` : "";
     const done = forTraining(pictures).length;
     element.hidden = !project.template;
     offered.hidden = !project.offered || model?.source !== "face";
@@ -261,17 +274,19 @@ export function createAssist(app, commands, onexport) {
     const then = nextOf(state, state.pictures);
     const left = unfinished({ pictures: state.pictures, model });
     const without = model?.left_out?.[here?.name];
-    const slip = here?.slip && `Possible slip: ${here.slip}. ${SLIP}`;
-    const fault = without ? `The model leaves this picture out, because ${without}.` : (here?.error ?? slip);
+    // What to do comes first: the place is small.
+    const slip = here?.slip && `${SLIP} Possible slip${without ? ", left out of training" : ""}: ${here.slip}.`;
+    const fault = slip || (without ? `The model leaves this picture out, because ${without}.` : here?.error);
     pass.disabled = !then;
     why.classList.toggle("warn-text", Boolean(fault));
     const more = several(AUTO_FIRST - done, "more picture");
     const wait = done < AUTO_FIRST ? `After ${more} the model can place points for you.` : training?.state === "running"
       ? "After training, the model places points for you." : "Train the model to let it place points for you.";
-    const isOpen = here && here.state !== "done" && here.uncertainty != null && model;
+    const isOpen = here && here.state !== "done" && (here.uncertainty != null || here.nothing_found) && model;
     const ended = left || (done ? allDone(state.folder) : "");
     const next = !then ? ended : model ? `Next: ${then.name}. ${reason(then, pictures, model)}` : wait;
     why.textContent = fault || (isOpen ? reason(here, pictures, model) : next);
+    why.title = why.textContent;
   }
 
   /** Train between two pictures, when no point is being moved. */

@@ -9,20 +9,28 @@ const KEY = "liaam-studio:who";
 /** The set of an observer, which is named after the person; "" if the page shows no such set. @param {any} project */
 const observerOf = (project) => (project?.set && project.observers.length > 1 ? project.set : "");
 const keyOf = (project) => [KEY, observerOf(project)].filter(Boolean).join(":");
-/** The name of the person who works here: as entered, or else that of the observer's set. @param {any} project */
-export const whoAmI = (project) => localStorage.getItem(keyOf(project)) ?? observerOf(project);
+/** The name of the person who works here: as entered in this browser, or else in the folder, or that of the observer's
+ *  set. @param {any} project */
+export const whoAmI = (project) => localStorage.getItem(keyOf(project)) ?? (project?.who || observerOf(project));
 
-/** The name, asked for if it is needed and was never given; "" if it is not given, null if the dialog was closed. */
-async function myName(needed, project) { return needed && !whoAmI(project) ? askName(project) : whoAmI(project); }
+/** The name, asked for if it is needed and was never given; "" if it is not given, null if the dialog was closed.
+ *  @param {App} app */
+async function myName(needed, app) {
+  const name = whoAmI(app.state.project);
+  return needed && !name ? askName(app) : name;
+}
 
-export async function askName(project) {
+/** Ask for the name, and keep it in the browser and with the folder. @param {App} app */
+export async function askName({ api, state }) {
+  const { project } = state;
   const input = h("input.text", { maxlength: "60", value: whoAmI(project), "aria-label": "Your name", testid: "who" });
-  const why = "The history of each picture says who placed and checked its points. This browser remembers the name; " +
-    "it is saved with your changes in the folder.";
+  const why = "The history of each picture says who placed and checked its points. The name is kept with the folder.";
   const actions = [{ label: "Save", kind: "primary", value: "save", testid: "who-save" }];
   if ((await dialog("Your name", h("div.column", why, input), actions)) === null) return null;
-  localStorage.setItem(keyOf(project), input.value.trim());
-  return whoAmI(project);
+  const who = input.value.trim();
+  localStorage.setItem(keyOf(project), who);
+  await state.send((folder) => api.put(api.url("who"), { who, folder })).catch(() => {}); // the browser has it
+  return who;
 }
 
 /** By name in the server's log: the label, what was done to so many pictures, and the action that undoes it. */
@@ -41,25 +49,29 @@ const ACTIONS = {
 };
 
 const pictures = ({ length }) => several(length, "picture");
+const some = (names) => `${names.slice(0, 3).join(", ")}${names.length > 3 ? ` and ${names.length - 3} more` : ""}`;
 
 /** What an action has done, as a sentence. @param {string} did; @param {Reviewed} answer */
 export function outcome(did, { changed, refused }) {
-  const reasons = Object.values(refused);
+  const names = Object.keys(refused);
+  const reasons = [...new Set(Object.values(refused))].slice(0, 3);
+  const because = reasons.map((why) => `${why}${names.length > 1 ? ` (${some(names.filter((name) => refused[name] === why))})` : ""}`);
   const done = changed.length && `${ACTIONS[did].done(pictures(changed))}.`;
-  const not = reasons.length && `${pictures(reasons)} not changed: ${[...new Set(reasons)].slice(0, 3).join("; ")}.`;
+  const not = names.length && `${names.length === 1 ? names[0] : pictures(names)} not changed: ${because.join("; ")}.`;
   return [done, not].filter(Boolean).join(" ");
 }
 
 /** Apply an action to pictures, with `more` data; resolves to the names that changed. `undo` is offered with the message.
  *  @param {App} app; @param {string} did; @param {string[]} names; @param {{more?: Partial<Review>, undo?: any}} options */
-export async function act({ state, api, toast, saved }, did, names, { more = {}, undo = null } = {}) {
+export async function act(app, did, names, { more = {}, undo = null } = {}) {
+  const { state, api, toast, saved } = app;
   await saved(); // points that were just moved, or the action would be a change elsewhere to them
-  const who = await myName(did === "checked", state.project);
+  const who = await myName(did === "checked", app);
   if (who === null) return [];
   /** @type {Review} */
   const asked = { pictures: names, did, who };
   const answer = await state.send((folder) => api.post(api.url("review"), { ...asked, ...more, folder }));
-  toast(outcome(did, answer), answer.changed.length ? "good" : "info", answer.changed.length && undo && { label: "Undo", onclick: () => undo(answer.changed) });
+  toast(outcome(did, answer), answer.changed.length ? "good" : "info", answer.changed.length > 0 && undo && { label: "Undo", onclick: () => undo(answer.changed) });
   await state.refresh();
   return answer.changed;
 }

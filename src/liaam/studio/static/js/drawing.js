@@ -185,8 +185,8 @@ function spacing(viewer, points) {
 export function drawMarking(ctx, viewer, tool, marking, show, wrong) {
   const { points, suggested, selection, active, invisible, names } = marking;
   const room = spacing(viewer, points) / CLOSE;
-  if (marking.state.source === "proposal" && show.ellipses && room > 1)
-    drawEllipses(ctx, viewer, points, marking.book.covariances, { colour: COLOURS.proposed, width: 1.1 });
+  if (show.ellipses && room > 1)
+    drawEllipses(ctx, viewer, marking.uncertain, marking.book.covariances, { colour: COLOURS.proposed, width: 1.1 });
   if (show.contours) drawPaths(ctx, viewer, points, marking.template.contours, suggested);
   const radius = Math.min(4, Math.max(1.8, 4 * room));
   const proposed = new Set(suggested ? [] : indicesOf(points).filter((i) => marking.origins[i] === "proposed"));

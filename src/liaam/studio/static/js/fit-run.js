@@ -4,7 +4,7 @@ import { several } from "./annotate-words.js";
 import { api } from "./api.js";
 import { distance, indicesOf, mean } from "./points.js";
 
-/** @typedef {Pick<Fit, "ok" | "status" | "quality"> & Partial<Pick<Fit, "found" | "n_found">> & {fitStatus?: string}} Judged
+/** @typedef {Pick<Fit, "ok" | "status" | "quality"> & Partial<Pick<Fit, "found" | "n_found" | "nothing_found">> & {fitStatus?: string}} Judged
  *  what a verdict needs of a fit; fitStatus: of a frame, whose status is that of a track */
 
 export const AUTO = "auto"; // of two sides of an object, that which is likelier
@@ -13,6 +13,8 @@ const KEPT = 32; // fits, so that an earlier picture shows its fit at once; the 
 export class FitStore {
   /** @type {Map<string, Fit>} */
   #kept = new Map();
+  /** @type {Map<string, Fits>} */
+  #all = new Map(); // all specimens of a picture that were fitted together
   #changes = 0; // of landmarks, which the errors of fits refer to
 
   /** @type {import("./state.js").State} */
@@ -40,33 +42,54 @@ export class FitStore {
     const fit = cleaned(own?.method === method && !start && side === AUTO ? own
       : await this.#state.send((folder) => api.post(api.url("fits"), { ...asked, ...source.reference, folder })));
     if (changes !== this.#changes) return fit;
-    this.#kept.delete(key);
-    this.#kept.set(key, fit);
-    if (this.#kept.size > KEPT) this.#kept.delete(this.#kept.keys().next().value);
+    this.#all.delete(key);
+    keep(this.#kept, key, fit);
     return fit;
   }
 
-  /** Fit all specimens of a picture. They are not kept here.
+  /** Fit all specimens of a picture.
    *  @param {import("./fit-source.js").Source} source; @param {string} method; @returns {Promise<Fits>} */
   async runAll(source, method, side = AUTO) {
+    const [key, changes] = [this.#key(source, method, side), this.#changes];
     await source.ready;
     /** @type {FitAll} */
     const asked = { method, side };
     const { fits, faults } = await this.#state.send(
       (folder) => api.post(api.url("fits/all"), { ...asked, ...source.reference, folder }));
-    return { fits: fits.map(cleaned), faults };
+    const all = { fits: fits.map(cleaned), faults };
+    if (changes === this.#changes) keep(this.#all, key, all);
+    return all;
   }
 
-  /** The newest fit of a source with a method, a side and the current model, or null. */
+  /** The newest fit of a source with a method, a side and the current model, or null; of several specimens, that which
+   *  was chosen last. */
   recall(source, method, side = AUTO) { return this.#kept.get(this.#key(source, method, side)) ?? null; }
+
+  /** All specimens of a source that were fitted together, unless it was fitted otherwise since, or null. */
+  recallAll(source, method, side = AUTO) { return this.#all.get(this.#key(source, method, side)) ?? null; }
+
+  /** One of several specimens was chosen: it is recalled. */
+  choose(source, method, side, /** @type {Fit} */ fit) {
+    const key = this.#key(source, method, side);
+    if (this.#all.get(key)?.fits.includes(fit)) keep(this.#kept, key, fit);
+  }
+
   forget(/** @type {Fit} */ fit) { this.#drop((kept) => kept.id === fit.id); }
 
   /** @param {(fit: Fit) => boolean} isStale */
   #drop(isStale) {
     for (const [key, kept] of this.#kept) if (isStale(kept)) this.#kept.delete(key);
+    for (const [key, { fits }] of this.#all) if (fits.some(isStale)) this.#all.delete(key);
   }
 
   #key(source, method, side) { return `${source.key}|${method}|${side}|${this.#state.project.model?.number ?? ""}`; }
+}
+
+/** Keep what belongs to a key as the newest of a few. */
+function keep(map, key, value) {
+  map.delete(key);
+  map.set(key, value);
+  if (map.size > KEPT) map.delete(map.keys().next().value);
 }
 
 /** A fit whose points are either [x, y] or null: a diverged fit may lack a coordinate. @param {Fit} fit; @returns {Fit} */
@@ -87,14 +110,23 @@ export const kindOf = (status) => KINDS[status] ?? "bad";
 
 /** What a status is called where the words of fitting are not shown. */
 const PLAIN = { "max iterations": "not finished", diverged: "lost" };
+
+/** What the model is of, in a word. @param {Pick<Model, "source"> | null | undefined} model */
+export const objectOf = (model) => (model?.source === "face" ? "face" : "object");
+
 const capital = (text) => text[0].toUpperCase() + text.slice(1);
 
-/** Assessment of a fit: {kind of its badge, title, advice or ""}. isExpert: whether the title has the words of fitting.
- *  A frame of a video also has the status of a track. @param {Judged} fit */
-export function verdictOf(fit, isExpert = true) {
+/** Assessment of a fit: {kind of its badge, title, advice or ""}. isExpert: whether the title has the words of fitting;
+ *  object: what the model is of. A frame of a video also has the status of a track. @param {Judged} fit */
+export function verdictOf(fit, isExpert = true, object = "object") {
   const { ok, fitStatus = fit.status, quality } = fit;
   const status = isExpert ? fit.status : (PLAIN[fit.status] ?? fit.status);
   const kind = kindOf(fitStatus);
+  if (fit.nothing_found) {
+    const title = `No ${object} found`;
+    const advice = `The points are only a guess. If there is ${object === "face" ? "a face" : "an object"}, draw a box around it:`;
+    return { kind, title: isExpert ? `${title} (${status})` : title, advice };
+  }
   if (!ok) return { kind, title: status, advice: "Draw a box around the object, or drag the mean shape onto it:" };
   const known = `quality ${quality == null ? "unknown" : percent(quality)}`;
   const title = isExpert ? `${status}, ${known}` : capital(known);

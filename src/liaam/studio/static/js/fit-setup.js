@@ -3,7 +3,7 @@
 import { api } from "./api.js";
 import { expert } from "./expert.js";
 import { entries, modelNeeded, offer } from "./fit-draw.js";
-import { AUTO, factsOf, verdictOf } from "./fit-run.js";
+import { AUTO, factsOf, objectOf, verdictOf } from "./fit-run.js";
 import { lightQuery } from "./relight.js";
 import { sidesInWords } from "./sides.js";
 import { button, h, iconButton, saveFile, segmented } from "./ui.js";
@@ -27,7 +27,7 @@ export class SetupPanel {
   /** @type {import("./fit.js").Tab} */
   #tab;
   // Elements.
-  #back; #hint; #label; #method; #mismatch; #needsModel; #ofMethod; #ofSides; #place; #runner; #sides; #starts; #withModel;
+  #aside; #back; #hint; #label; #method; #mismatch; #needsModel; #ofMethod; #ofSides; #place; #runner; #sides; #starts; #withModel;
 
   /** @param {import("./fit.js").Tab} tab */
   constructor(tab) {
@@ -40,6 +40,7 @@ export class SetupPanel {
       icon: "image", small: true, title: "Open another picture without adding it to the folder",
       onclick: () => tab.chooseFile(),
     });
+    this.#aside = h("p.small.muted", { hidden: true, testid: "fit-aside" }, "This picture is only looked at: it is not in the folder.");
     this.#place = button("Place its landmarks", {
       icon: "plus", small: true, hidden: true, testid: "fit-place", title: "Add the picture to the folder, and annotate it",
       onclick: () => app.adding.keep(tab.sources.current.file),
@@ -75,7 +76,7 @@ export class SetupPanel {
       h("div.column.tight", this.#starts.element, this.#hint), this.#ofSides, this.#ofMethod,
       h("div.row", expert.control(), h("span.grow"), this.#runner));
     this.element = h("section.panel", { "aria-label": "Fit" },
-      h("div.row.fit-source", this.#back, this.#label, open), this.#place, this.#needsModel, this.#mismatch, this.#withModel);
+      h("div.row.fit-source", this.#back, this.#label, open), this.#aside, this.#place, this.#needsModel, this.#mismatch, this.#withModel);
   }
 
   /** Show which start is chosen. */
@@ -121,6 +122,7 @@ export class SetupPanel {
     const { model } = state.project;
     this.#label.textContent = this.#label.title = source?.name ?? "No picture";
     this.#place.hidden = !source?.file || state.guest;
+    this.#aside.hidden = this.#place.hidden;
     this.#back.hidden = !source || source.ofFolder || !state.current;
     this.#needsModel.hidden = Boolean(model);
     this.#withModel.hidden = !model;
@@ -202,10 +204,11 @@ export class ResultPanel {
 
   show(/** @type {Fit} */ fit, several = false) {
     this.element.hidden = false;
-    const { kind, title, advice } = verdictOf(fit, expert.on);
+    const { kind, title, advice } = verdictOf(fit, expert.on, objectOf(this.#tab.state.project.model));
+    const isPlain = fit.status === "converged" || fit.nothing_found; // the title and the advice say all
     const lines = [
       h("span.badge", { class: kind, dataset: { status: fit.status } }, title),
-      (expert.on || fit.status !== "converged") && h("p.small", fit.message),
+      (expert.on || !isPlain) && h("p.small", fit.message),
       fit.trained_on && h("p.small.muted", "The model was trained on this picture."),
       advice && h("p.small.muted", advice),
     ];
@@ -223,10 +226,17 @@ export const specimenText = (/** @type {Fit} */ fit, isExpert = true) => `${fit.
 const EXPORTS = {
   Landmarks: { pts: "Landmarks .pts", ljson: "Landmarks .ljson", csv: "Table .csv", json: "Fit .json" },
   Pictures: {
-    overlay: "Picture with the fit", flat: "Without shading", shading: "Shading", relit: "Under the new light",
-    crop: "Part around the specimen",
+    overlay: "Picture with its points", flat: "Flat picture", shading: "Shading", relit: "Relit picture",
+    crop: "Part around the object",
   },
 };
+const ABOUT = {
+  pts: "Its coordinates count from 1, as usual for .pts files; those of the other files count from 0",
+  flat: "In the strength that the panel shows, without points and contours",
+  shading: "Only the shading: the surroundings are transparent",
+  relit: "In the strength that the panel shows, without points and contours",
+};
+const SHOWN_OVER = ["flat", "relit"]; // the picture, in a strength
 const NEEDS = { flat: "flat", shading: "shading", relit: "flat" }; // a layer of the fit
 
 export class ExportMenu {
@@ -263,7 +273,9 @@ export class ExportMenu {
 
   show() {
     const { fit, sources: { current }, state, mismatch } = this.#tab;
-    this.#button.disabled = !fit;
+    const isNothing = Boolean(fit?.nothing_found) && !expert.on;
+    this.#button.disabled = !fit || isNothing;
+    this.#button.title = isNothing ? `No ${objectOf(state.project.model)} was found in this picture, so there is nothing to save` : "";
     this.#annotate.hidden = !current?.ofFolder || state.guest || Boolean(mismatch);
     if (!fit) this.close();
   }
@@ -275,13 +287,14 @@ export class ExportMenu {
       event.preventDefault(); // a plain link would show neither progress nor errors
       if (!event.target.ariaBusy) this.#save(event.target);
     };
-    return h("a.button.ghost.small", { download: "", dataset: { what, testid: `export-${what}` }, onclick }, label);
+    return h("a.button.ghost.small", { download: "", title: ABOUT[what], dataset: { what, testid: `export-${what}` }, onclick }, label);
   }
 
   #address(what) {
     const { fit: { id }, lights } = this.#tab;
     const { light } = what === "relit" ? lightQuery(lights) : { light: null };
-    return api.url("fits/{id}/export", { id, what, light });
+    const opacity = SHOWN_OVER.includes(what) ? this.#tab.opacityOf(what) : 1;
+    return api.url("fits/{id}/export", { id, what, light, opacity: opacity < 1 ? opacity : null });
   }
 
   /** Save a file of the fit without the menu. */
@@ -321,8 +334,10 @@ export async function useAsAnnotation(app, fit) {
   const replace = () =>
     app.confirm("Replace the landmarks?", `${text} They will be replaced by those of the fit.`, "Replace");
   if (placed && !(await replace())) return;
+  /** @type {SaveMarks["origins"]} */
+  const origins = fit.shape.map((point) => (point ? "accepted" : null));
   const saved = await state.saveMarks(fit.picture, {
-    points: fit.shape, invisible: placed ? known.invisible : [], revision: known.revision,
+    points: fit.shape, origins, invisible: placed ? known.invisible : [], revision: known.revision,
     template: state.project.template?.revision,
   });
   state.update(saved.picture);

@@ -4,7 +4,7 @@ import { api } from "./api.js";
 import { Divider } from "./divider.js";
 import { expert } from "./expert.js";
 import { drawFit, drawOver, drawSpecimens, Overlays } from "./fit-draw.js";
-import { significant } from "./fit-run.js";
+import { objectOf, significant } from "./fit-run.js";
 import { InvariantView } from "./fit-theta.js";
 import { look } from "./look.js";
 import { Light, lightQuery, numbersOf, RoughLight } from "./relight.js";
@@ -13,15 +13,21 @@ import { Viewer } from "./viewer.js";
 
 const VIEWS = [
   { name: "picture", label: "Picture", hint: "Drop or paste another picture here, or select one in the list." },
-  { name: "flat", label: "Flat", after: "Without shading",
-    hint: "The object under the training light, without the shading of this picture." },
+  { name: "flat", label: "Flat", after: "Flat",
+    hint: "The picture without its shading: in the light of the pictures that the model was trained on." },
   { name: "shading", label: "Shading", after: "Shading",
-    hint: "The effect of the light: the picture divided by its flat appearance." },
+    hint: "The effect of the light: the picture divided by the flat one." },
   { name: "residual", label: "Residual", after: "Residual", hint: "The difference between the picture and the model.",
     expert: true },
   { name: "invariant", label: "Invariant", after: "Invariant", expert: true },
   { name: "relit", label: "Relight", after: "Relit", hint: "Drag the lamp over the picture, and the line between before and after." },
 ];
+
+/** What is said where the light is that of training, by view: then neither has anything to show. */
+const EVEN = {
+  flat: "The light here is as even as in the pictures that the model was trained on: nothing is taken off.",
+  shading: "The light here is as even as in the pictures that the model was trained on: there is no shading to show.",
+};
 
 const LIKE_PICTURES = ["flat", "relit"]; // brightness and contrast change them, too; in the others, colours are values
 
@@ -45,7 +51,7 @@ export class FitView {
   #drawn = new Map(VIEWS.map(({ name }) => [name, new Set(name === "picture" ? ["contours", "landmarks"] : [])]));
   #images = new Map();
   #faults = new Map(); // view -> error message of the server
-  /** @type {Map<string, Partial<ColourScale & LayerPlace>>} */
+  /** @type {Map<string, Partial<ColourScale & LayerChange & LayerPlace>>} */
   #scales = new Map(); // by view
   #split = new Set(["flat", "relit"]); // views that are shown beside the picture
   /** @type {import("./fit.js").Tab} */
@@ -119,6 +125,15 @@ export class FitView {
     this.show(this.#name);
   }
 
+  /** Fetch again what has failed. */
+  retry() {
+    if (!this.#faults.size) return;
+    this.#faults.clear();
+    this.show(this.#name);
+  }
+
+  opacityOf(view) { return this.#opacity[view]; }
+
   setIteration(iteration) {
     this.#iteration = iteration;
     this.viewer.redraw();
@@ -152,6 +167,7 @@ export class FitView {
     // The picture has no counterpart: switch to the most useful view.
     const isSplit = this.#split.has(this.#name);
     if (this.#name === "picture") this.show(this.#offered.find((name) => ["flat", "invariant"].includes(name) && !this.#why(name)) ?? "picture");
+    if (this.#why(this.#name)) return;
     if (isSplit) this.#split.delete(this.#name);
     else if (this.#name !== "picture") this.#split.add(this.#name);
     this.#changed();
@@ -171,6 +187,10 @@ export class FitView {
     if (!this.#source) return "Open a picture first.";
     if (name === "invariant") return "";
     if (!this.#fit) return "This picture has not been fitted yet.";
+    if (this.#fit.nothing_found && name !== "residual") {
+      const object = objectOf(this.#tab.state.project.model);
+      return `No ${object} was found in this picture, so its light cannot be changed. If there is one, draw a box around it.`;
+    }
     const layer = name === "relit" ? "flat" : name;
     if (this.#fit.layers.includes(layer)) return "";
     return `${this.#fit.no_flat[0].toUpperCase()}${this.#fit.no_flat.slice(1)}.`;
@@ -287,6 +307,7 @@ export class FitView {
   #changed() {
     const view = VIEWS.find(({ name }) => name === this.#name);
     const why = this.#why(this.#name);
+    const scale = why ? null : this.#scales.get(this.#name);
     for (const each of this.#choice.element.children)
       each.classList.toggle("unavailable", Boolean(this.#why(each.value)));
     this.#layerName.textContent = view.label;
@@ -294,16 +315,29 @@ export class FitView {
     this.#slider.value = String(this.#opacity[this.#name]);
     this.#layerText.textContent = `${Math.round(100 * this.#opacity[this.#name])} %`;
     this.invariant.show(this.#name === "invariant" && !why);
-    this.#hint.textContent = this.#source ? why || view.hint || "" : "";
+    this.#hint.textContent = this.#source ? why || (scale?.even && EVEN[this.#name]) || view.hint || "" : "";
     this.#hint.classList.toggle("error-text", this.#faults.has(this.#name));
     this.#hint.hidden = this.invariant.isShown;
-    this.splitter.disabled = !this.#source;
-    this.#explain(why ? null : this.#scales.get(this.#name));
-    this.light.show(this.#name === "relit" && !why);
-    const isSplit = this.#split.has(this.#name);
+    this.splitter.disabled = !this.#source || Boolean(why);
+    this.#explain(scale?.limit ? scale : null);
+    this.light.show(this.#name === "relit", Boolean(why));
+    this.light.note(this.#note());
+    const isSplit = this.#split.has(this.#name) && !why;
     press(this.splitter, isSplit);
     if (isSplit) this.#divider.label("Picture", view.after);
     this.viewer.redraw();
+  }
+
+  /** What is to be known before the relit picture is saved; "" if nothing. */
+  #note() {
+    const fit = this.#fit;
+    if (!fit) return "";
+    const most = this.#tab.state.project.limits.relit_pixels;
+    const [has, saved] = [fit.width * fit.height, most].map((pixels) => Math.round(pixels / 1e6));
+    return [
+      this.#others.length > 0 && `Only the light of ${fit.specimen.name} is changed: choose another one below.`,
+      fit.width * fit.height > most && `This picture has ${has} million pixels; the relit one is saved with ${saved} million. “liaam relight” keeps all.`,
+    ].filter(Boolean).join(" ");
   }
 
   #explain(/** @type {Partial<ColourScale> | null} */ scale) {

@@ -10,6 +10,9 @@ import { BoxTool, MeanTool } from "./fit-start.js";
 import { FitView } from "./fit-view.js";
 import { afterPaint, button, fileField, h, icon, isPlain, runKey } from "./ui.js";
 
+/** @type {Fits} */
+const NONE = { fits: [], faults: [] };
+
 export class Tab extends SourceTab {
   shortcuts = [
     { keys: "Enter F", what: "Fit" },
@@ -31,7 +34,7 @@ export class Tab extends SourceTab {
   /** @type {Fit["objects"]} */
   #objects = []; // boxes of several in the picture, that of the fit first
   /** @type {Fits} */
-  #specimens = { fits: [], faults: [] }; // all of the picture that were fitted together
+  #specimens = NONE; // all of the picture that were fitted together
   #run = 0; // number of the newest run, to drop answers of older ones
   // Parts.
   #box; #exports; #guest; #iterations; #mean; #result; #setup; #view;
@@ -58,6 +61,7 @@ export class Tab extends SourceTab {
       if (this.visible && this.state.project.model) detail.source.fitWith(this.#method);
     });
     this.sources.addEventListener("ready", () => this.#view.setSource(this.sources.current));
+    this.state.addEventListener("online", (/** @type {any} */ { detail }) => detail && this.#online());
     this.state.addEventListener("training", (/** @type {any} */ { detail }) => {
       if (detail.state === "done") this.state.refresh().catch(() => {});
     });
@@ -137,6 +141,7 @@ export class Tab extends SourceTab {
 
   /** Select one of the specimens that were fitted together. */
   choose(/** @type {Fit} */ fit) {
+    this.app.fits.choose(this.sources.current, this.#method, this.#side, fit);
     this.#take(fit);
     this.#view.viewer.redraw();
   }
@@ -145,7 +150,7 @@ export class Tab extends SourceTab {
 
   #take(/** @type {Fit | null} */ fit) {
     this.#fit = fit;
-    if (!this.#specimens.fits.includes(fit)) this.#specimens = { fits: [], faults: [] };
+    if (!this.#specimens.fits.includes(fit)) this.#specimens = NONE;
     if (fit?.objects?.length) this.#objects = [...fit.objects];
     this.#view.setFit(fit, this.#specimens.fits.filter((other) => other !== fit));
     this.#view.invariant.mark({ model: this.state.project.model?.theta_deg, fit: fit?.theta_deg });
@@ -158,7 +163,15 @@ export class Tab extends SourceTab {
   forgotten(/** @type {Fit} */ fit) {
     this.app.fits.forget(fit);
     this.app.toast("The server no longer has this fit, so the picture is fitted again.");
-    this.run();
+    if (fit.specimen) this.runAll();
+    else this.run();
+  }
+
+  /** The server is reachable again: fetch what has failed meanwhile. */
+  #online() {
+    const { current } = this.sources;
+    if (this.visible && current && !this.#fit) this.showFit(current);
+    this.#view.retry();
   }
 
   useSource(source) {
@@ -176,7 +189,9 @@ export class Tab extends SourceTab {
 
   async showFit(source) {
     if (this.#fit) return;
-    const known = this.app.fits.recall(source, this.#method, this.#side);
+    const { fits } = this.app;
+    const known = fits.recall(source, this.#method, this.#side);
+    this.#specimens = fits.recallAll(source, this.#method, this.#side) ?? NONE;
     if (known) this.#take(known);
     else if (!this.state.project.model || this.#start !== "auto") this.#showResult();
     else if ((await this.run()) && !source.ofFolder) this.#lastDropMs ??= performance.now() - source.started;
@@ -239,6 +254,9 @@ export class Tab extends SourceTab {
 
   /** The lights of the view Relight: {lamps, ambient}. */
   get lights() { return this.#view.light; }
+
+  /** Opacity of a view. */
+  opacityOf(view) { return this.#view.opacityOf(view); }
 
   /** Save the picture under these lights. */
   saveRelit() { return this.#exports.save("relit"); }

@@ -1,7 +1,6 @@
 // Graphs over time beside the picture of the Live tab: a distance of two points, the pose, and the quality.
 
 import { distanceOf, firstPair } from "./live-track.js";
-import { wantedIn } from "./measures.js";
 import { attempt } from "./unsaved.js";
 import { h, relist } from "./ui.js";
 
@@ -52,13 +51,18 @@ export class LiveGraphs {
     this.#model = model.number;
     const names = Array.from({ length: model.n_points }, (_, i) => model.names[i] ?? `point ${i + 1}`);
     const kept = (key) => attempt(() => JSON.parse(localStorage.getItem(key)));
-    const { measures } = wantedIn(this.#app.state.project.id);
+    const measures = this.#app.state.project.measuring.measures.join(" ");
     this.#pair = firstPair(names, [kept(KEY), /distance:(.+?)-(\S+)/.exec(measures)?.slice(1), MOUTH].filter(Boolean));
     this.#ends.forEach((select, end) => relist(select, { ...names }, String(this.#pair[end])));
+    this.#name();
   }
+
+  /** A long name is cut off in its list, and whole beside the pointer. */
+  #name() { for (const select of this.#ends) select.title = select.selectedOptions[0]?.textContent ?? ""; }
 
   #choose() {
     this.#pair = this.#ends.map(({ value }) => Number(value));
+    this.#name();
     localStorage.setItem(KEY, JSON.stringify(this.#ends.map(({ selectedOptions: [option] }) => option.textContent)));
   }
 

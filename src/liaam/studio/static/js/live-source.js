@@ -87,7 +87,8 @@ export class LiveSource {
       await this.video.play();
     } catch {
       this.close();
-      throw new Error(`The browser cannot play ${file.name}. Convert it to .mp4 or .webm, or use 'liaam track'.`);
+      const remedy = "Convert it to .mp4 with the codec H.264, or to .webm, or use 'liaam track'.";
+      throw new Error(`The browser cannot play ${file.name}: it does not know how the video is compressed. ${remedy}`);
     }
   }
 

@@ -1,5 +1,6 @@
 // The track of a video: the row of each frame as the server writes it. This module is independent of the page.
 
+import { several } from "./annotate-words.js";
 import { kindOf, verdictOf } from "./fit-run.js";
 
 const FACTS = 10; // columns before those of the points
@@ -35,17 +36,19 @@ export function parseRow(row) {
 const key = (time) => Math.round(1000 * time);
 
 /** What to say of a frame and its fit: {kind: "warn" or as that of a fit, text}; asked: whether the frame was sent to
- *  remove its shading; rate: frames per second that are fitted, null while too few are counted. */
-export function verdictOfFrame({ fit, flat, asked }, { isFile, isFlat, rate }) {
+ *  remove its shading; rate: frames per second that are fitted, null while too few are counted; object: what the model is
+ *  of; wasFound: whether it was found in any frame. */
+export function verdictOfFrame({ fit, flat, asked }, { isFile, isFlat, rate, object = "object", wasFound = true }) {
   const warn = (text) => ({ kind: "warn", text });
-  if (!fit.ok)
-    return warn(`The object is lost${isFile ? " in this frame." : ". Move it into the picture, facing the camera."}`);
+  const remedy = isFile ? "" : ` Move the ${object} into the picture, facing the camera.`;
+  if (!fit.ok && !wasFound) return warn(`No ${object} was found yet.${remedy}`);
+  if (!fit.ok) return warn(`The ${object} is lost${isFile ? " in this frame" : ""}.${remedy}`);
   if (isFlat && asked && !flat)
     return warn("The shading cannot be removed: the video and the model must have colour.");
   if (rate !== null && rate < SLOW)
     return warn(`This machine is slow: ${rate.toFixed(1)} frames per second are fitted.`);
   const { kind, title } = verdictOf(fit);
-  return { kind, text: `The object is ${title}.` };
+  return { kind, text: `The ${object} is ${title}.` };
 }
 
 /** Rows of a table with a header, by their time in seconds. */
@@ -61,6 +64,19 @@ export class Track {
   get rows() { return this.#rows; }
   /** Time of the row that was added last, in seconds. */
   get end() { return this.#end; }
+  /** Number of frames between the first and the last that have no row, if frames come in equal intervals. */
+  get skipped() {
+    const { times, interval } = this.#times;
+    return times.length < 2 ? 0 : Math.round((times.at(-1) - times[0]) / interval) + 1 - times.length;
+  }
+
+  /** What is said when the table of a video is saved; "" if no frame was skipped. */
+  get gaps() {
+    const { skipped, rows: { size } } = this;
+    return skipped && `The table has ${several(size, "frame")}; ${skipped} between them were skipped, since this machine is slower than the video. ` +
+      "Play the video again to fill the gaps, or use “liaam track”, which skips none.";
+  }
+
   get lost() { return [...this.#rows.values()].filter(({ shape }) => !shape.length).length; }
 
   /** Add the row of a frame; returns it as a fit. */
@@ -87,11 +103,16 @@ export class Track {
     return [frames.map(({ time }) => time), ...values.map(seen)];
   }
 
+  /** Times of all rows in milliseconds, in order, and the shortest interval between two. */
+  get #times() {
+    const times = [...this.#rows.keys()].sort((a, b) => a - b);
+    return { times, interval: times.slice(1).reduce((least, time, i) => Math.min(least, time - times[i]), Infinity) };
+  }
+
   /** The table in the order of time. Frames are counted by the shortest interval, since some may have been skipped. */
   csv() {
-    const times = [...this.#rows.keys()].sort((a, b) => a - b);
-    const shortest = times.slice(1).reduce((least, time, i) => Math.min(least, time - times[i]), Infinity);
-    const number = (time) => Math.round((time - times[0]) / shortest);
+    const { times, interval } = this.#times;
+    const number = (time) => Math.round((time - times[0]) / interval);
     return this.#header + times.map((time) => this.#rows.get(time).row.replace(/^\d+/, number(time))).join("");
   }
 }

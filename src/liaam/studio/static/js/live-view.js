@@ -167,13 +167,13 @@ export class LiveView {
   }
 
   /** Show figures, and a message: {kind: "bad", "warn", "good" or "", text}. */
-  tell({ kind, text }, track) {
+  tell({ kind, text }, track, isFile) {
     this.#status.textContent = text;
     this.#status.className = `fit-status ${{ bad: "error-text", warn: "warn-text" }[kind] ?? ""}`;
     const delay = [...this.#delays].sort((a, b) => a - b)[this.#delays.length >> 1] ?? 0;
     const rows = [
       ["Speed", `${this.#meter.rate().toFixed(0)} frames/s`], ["Delay", `${delay.toFixed(0)} ms`],
-      ["Frames", `${track.rows.size}, ${track.lost} lost`],
+      ["Frames", `${track.rows.size}, ${track.lost} lost${isFile ? `, ${track.skipped} skipped` : ""}`],
       ["Centre", this.#shown?.fit.ok ? this.#shown.fit.centre.map((v) => v.toFixed(0)).join(", ") : "–"],
     ];
     this.#facts.replaceChildren(...(this.#shown ? entries(rows) : []));

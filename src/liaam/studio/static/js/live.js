@@ -2,6 +2,7 @@
 
 import { several } from "./annotate-words.js";
 import { api } from "./api.js";
+import { objectOf } from "./fit-run.js";
 import { LiveSource } from "./live-source.js";
 import { isJump, sentSize, Track, verdictOfFrame } from "./live-track.js";
 import { LiveView } from "./live-view.js";
@@ -47,7 +48,10 @@ export class Tab {
         this.#view.press("flat", this.#isFlat);
         if (video.paused && this.#view.shown) this.#frame(this.#view.shown.time);
       },
-      save: () => saveFile(new Blob([this.#track.csv()], { type: "text/csv" }), `${this.#source.name}_track.csv`),
+      save: () => {
+        saveFile(new Blob([this.#track.csv()], { type: "text/csv" }), `${this.#source.name}_track.csv`);
+        if (this.#source.isFile && this.#track.gaps) app.toast(this.#track.gaps);
+      },
       seek: (time) => this.#source.seek(time),
     });
     this.#stop();
@@ -167,6 +171,7 @@ export class Tab {
   /** Record the picture with what is drawn over it, until the next call. */
   #record() {
     if (this.#recorder) return this.#recorder.stop();
+    if (this.#source.isPaused) return this.#app.toast("The video is not playing, so there is nothing to record: press Play first.");
     const [name, recorded] = [`${this.#source.name}_fit.webm`, []];
     this.#recorded = new Blob();
     const recorder = new MediaRecorder(this.#view.film(this.#source.video), { mimeType: "video/webm" });
@@ -183,7 +188,7 @@ export class Tab {
       // The server adds the duration and an index, so that players can seek; a recording too large for it has none.
       const whole = this.#recorded.size && api.blob(api.url("recordings"), { method: "POST", body: this.#recorded });
       if (whole) saveFile(await whole.catch(() => this.#recorded), name);
-      else this.#app.toast("Nothing was recorded: record for a second or longer.");
+      else this.#app.toast("Nothing was recorded: record for a second or longer, while the video plays.");
     };
     recorder.start(1000);
     return use(recorder);
@@ -203,9 +208,11 @@ export class Tab {
     const [{ shown, meter }, { isOpen, isFile, isPaused }] = [this.#view, this.#source];
     const [isFlat, fault] = [this.#isFlat, this.#message];
     const rate = meter.isFull && !isPaused ? meter.rate() : null;
-    const said = shown ? verdictOfFrame(shown, { isFile, isFlat, rate })
+    const object = objectOf(this.#app.state.project?.model);
+    const wasFound = this.#track.rows.size > this.#track.lost;
+    const said = shown ? verdictOfFrame(shown, { isFile, isFlat, rate, object, wasFound })
       : { kind: "", text: isOpen ? "Searching…" : "No video." };
-    this.#view.tell(fault ? { kind: "bad", text: fault } : said, this.#track);
+    this.#view.tell(fault ? { kind: "bad", text: fault } : said, this.#track, isFile);
   }
 }
 

@@ -46,6 +46,8 @@ const pictures = new PictureStore(state);
 const app = {
   state, api, ui, toast, confirm: ui.confirm, openTab, pictures,
   /** Whether the open tab shows a picture that is not in the folder. */
+  /** The picture that the open tab shows, if it is not in the folder, or null. */
+  aside: () => (["fit", "compare"].includes(open) && app.sources.current?.file ? app.sources.current : null),
   showsPictures: () => ["fit", "compare"].includes(open) || state.guest || state.readOnly, sources: new Sources(state, pictures),
   fits: new FitStore(state), adding: null, list: null,
   saved: async () => tabs.get("annotate")?.tab.saved?.(),
@@ -152,6 +154,7 @@ function openTab(name, options = {}) {
   }
   remember({ tab: name });
   tabs.get(name).tab.show?.(options);
+  app.list?.mark();
 }
 
 function keys(event) {

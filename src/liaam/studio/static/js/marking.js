@@ -66,6 +66,14 @@ export class Marking extends Editable {
   /** The number of points that are still as they were proposed, in a picture that was changed since. */
   get proposed() { return this.suggested ? 0 : this.origins.filter((origin) => origin === "proposed").length; }
 
+  /** The points that are where the model proposed them, null for others, whose uncertainty is not known. */
+  get uncertain() {
+    const seen = this.#book?.seen;
+    if (seen?.source !== "proposal") return [];
+    return this.points.map((point, i) =>
+      (point && this.origins[i] === "proposed" && samePoint(point, seen.points[i]) ? point : null));
+  }
+
   framed() {
     if (this.selection.size > 1) return [...this.selection].filter((i) => this.points[i]);
     return this.state?.source === "layout" ? placed(this.points) : [];
@@ -181,7 +189,8 @@ export class Marking extends Editable {
     const isAbsent = absent.includes(chosen[0]);
     this.change({ points: isAbsent ? remove(this.points, chosen) : this.points, absent }, isAbsent ? "absent" : "not absent");
     const next = isAbsent ? this.nextMissing(chosen.at(-1)) : chosen[0];
-    this.select(next < 0 ? chosen : [next]);
+    if (next < 0) this.select(chosen, -1); // so that a click beside it does not place it
+    else this.select([next]);
     return isAbsent;
   }
 

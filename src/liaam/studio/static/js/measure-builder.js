@@ -1,10 +1,10 @@
 // The card in which a measure is made by clicking points, with the list of measures and the scale.
 
-import { joined, keepWanted, KINDS, measureOf, measuresIn, measureText } from "./measures.js";
+import { KINDS, measureOf, measureText } from "./measures.js";
 import { picker } from "./shape-plots.js";
 import { button, h, iconButton, segmented } from "./ui.js";
 
-const SCALE = "Scale, if the pictures have none: length of a pixel, or two points and the length between them, such as 11-12=5 mm";
+const SCALE = "Scale, if the pictures have none: length of a pixel, or two points, by name or number, and the length between them, such as 11-12=5 mm";
 
 export class MeasureBuilder {
   /** @type {number[]} */
@@ -12,12 +12,14 @@ export class MeasureBuilder {
   element = h("section.panel.measure-card", { "aria-label": "New measure" });
   /** @type {import("./measure.js").Tab} */
   #tab;
+  #shownScale; // the kept one that the field was last given
   // Elements.
-  #add; #hint; #kind; #list; #picker; #scale;
+  #add; #gone; #hint; #kind; #list; #picker; #scale;
 
   /** @param {import("./measure.js").Tab} tab */
   constructor(tab) {
     this.#tab = tab;
+    this.#shownScale = tab.measuring.scale;
     const kinds = Object.entries(KINDS).map(([value, { label }]) => ({ value, label }));
     this.#kind = segmented("Kind of measure", kinds, "distance", () => this.#pick([]), "measure-kind");
     this.#add = button("Add", { kind: "primary", small: true, testid: "measure-add", onclick: () => this.#addPicked() });
@@ -28,21 +30,22 @@ export class MeasureBuilder {
       type: "text",
       placeholder: "of each picture, or in pixels",
       testid: "measure-scale",
-      value: tab.wanted.scale,
-      onchange: () => this.#keep({ scale: this.#scale.value.trim() }),
+      value: tab.measuring.scale,
+      onchange: () => this.#change({ scale: this.#scale.value.trim() }),
     });
+    this.#gone = h("div.row.small", { role: "status", hidden: true, testid: "measures-gone" });
     this.element.append(
       h("h2.panel-title", "Measures"),
       h("div.row", this.#kind.element, h("span.grow"), this.#add),
       this.#picker,
       this.#hint,
       this.#list,
+      this.#gone,
       h("label.field", SCALE, this.#scale));
   }
 
-  get #measures() { return measuresIn(this.#tab.wanted.measures); }
-
-  #keep(change) { keepWanted(this.#tab.state.project.id, { ...this.#tab.wanted, ...change }); }
+  /** What is wrong with a measure or a scale is said; what was typed stays. @param {SaveMeasuring} change */
+  #change(change) { this.#tab.state.changeMeasuring(change).catch((error) => this.#tab.app.toast(error, "bad")); }
 
   #pick(indices) {
     this.#picked = indices;
@@ -61,11 +64,11 @@ export class MeasureBuilder {
 
   #addPicked() {
     if (this.#picked.length < KINDS[this.#kind.value].fewest) return;
-    this.#keep({ measures: joined([...this.#measures, measureOf(this.#kind.value, this.#picked)]) });
+    this.#change({ add: [measureOf(this.#kind.value, this.#picked)] });
     this.#pick([]);
   }
 
-  #remove(measure) { this.#keep({ measures: joined(this.#measures.filter((each) => each !== measure)) }); }
+  #remove(measure) { this.#change({ remove: [measure] }); }
 
   /** Where points are drawn to be clicked: the mean shape, the template, or the open picture's points. */
   #layout() {
@@ -80,6 +83,12 @@ export class MeasureBuilder {
     this.#hint.textContent = this.#hintText();
     this.#drawPicker();
     this.#drawList();
+    this.#drawGone();
+    const { scale } = this.#tab.measuring;
+    if (scale !== this.#shownScale) { // it follows its points; what is being typed stays
+      this.#shownScale = scale;
+      this.#scale.value = scale;
+    }
   }
 
   #hintText() {
@@ -107,6 +116,14 @@ export class MeasureBuilder {
       const remove = iconButton(`Remove ${text}`, "close", () => this.#remove(measure), { small: true });
       return h("li.row", h("span.grow", text), remove);
     };
-    this.#list.replaceChildren(...this.#measures.map(row));
+    this.#list.replaceChildren(...this.#tab.measuring.measures.map(row));
+  }
+
+  /** Name the measures that a change of the template has removed with their points. */
+  #drawGone() {
+    const { gone } = this.#tab.measuring;
+    this.#gone.hidden = !gone.length;
+    const seen = iconButton("Dismiss", "close", () => this.#change({ seen: true }), { small: true });
+    this.#gone.replaceChildren(h("span.grow.warn-text", `Removed with points of the template: ${gone.join("; ")}.`), seen);
   }
 }

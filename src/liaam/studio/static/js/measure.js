@@ -3,12 +3,11 @@
 
 import { several } from "./annotate-words.js";
 import { MeasureBuilder } from "./measure-builder.js";
-import { bins, measured, measureText, numberText, summary, wantedIn } from "./measures.js";
+import { bins, measureText, numberText, summary } from "./measures.js";
 import { plotFiles } from "./plot-files.js";
 import { createShapeSpace } from "./shape-space.js";
 import { groupMark, histogram } from "./shape-plots.js";
-import { button, fileField, h, icon, menu, runKey, isPlain, saveFile, segmented } from "./ui.js";
-import { attempt } from "./unsaved.js";
+import { button, complaints, fileField, h, icon, menu, runKey, isPlain, saveFile, segmented } from "./ui.js";
 
 const MOST_ROWS = 400; // of the table that is shown
 const MOST_GROUPS = 8; // in the legend
@@ -17,7 +16,10 @@ const VIEWS = [{ value: "measures", label: "Measures" }, { value: "shapes", labe
 const GROUPED_BY = { "": "No groups", folder: "By subfolder", name: "By name", table: "By a table…" };
 const EXPORTS = { csv: "Table (.csv)", svg: "Plots (.svg)" };
 const ABOUT_GROUPS =
-  "By the letters with which names begin, such as male of male_07.jpg; or by a table with the columns specimen and group";
+  "By the letters in which names differ, such as male of male_07.jpg, or B of wing16_B.jpg; or by a table with the columns specimen and group";
+const ABOUT_SAVED =
+  "The table has the columns of “liaam measure”: names without a unit are in pixels, and X1, Y1 and so on are coordinates after " +
+  "Procrustes superimposition, not positions in pictures";
 const ABOUT_ESTIMATES =
   "By a thin-plate spline from the complete pictures; without, pictures that lack points have no shape";
 
@@ -29,14 +31,13 @@ export class Tab {
   #visible = false;
   /** @type {Shapes | null} */
   #data = null;
-  #by; // a key of GROUPED_BY
   #space;
   #shownColumn = null; // name of the column that the histogram shows
   #order = { name: "", down: false }; // of the table: the name of a column, "group", or "" for the pictures'
   #isStale = true; // whether something has changed since the data were fetched
   #newest = 0; // number of the newest request; answers to earlier ones are ignored
   #timer = null;
-  #key; // of what the browser keeps
+  #complain = complaints(); // about tables of groups
   // Elements.
   #builder; #chart; #chosen; #content; #empty; #estimate; #fault; #groupList; #legend; #measures; #table; #tableFile; #views;
 
@@ -44,14 +45,11 @@ export class Tab {
   constructor(root, app) {
     this.app = app;
     this.state = app.state;
-    const { id } = this.state.project;
-    this.#key = `liaam-studio:measure-view:${id}`;
-    this.#by = attempt(() => JSON.parse(localStorage.getItem(this.#key)).by) ?? "";
     this.#space = createShapeSpace(this);
     this.#build(root);
     this.state.addEventListener("select", () => this.#draw());
     for (const event of ["project", "landmarks"]) this.state.addEventListener(event, () => this.#fetchSoon());
-    measured.addEventListener("change", () => this.#fetchSoon(0));
+    this.state.addEventListener("measuring", () => this.#fetchSoon(0));
     window.liaamStudio.measure = { data: () => this.#data };
   }
 
@@ -59,8 +57,8 @@ export class Tab {
   get data() { return this.#data; }
   get names() { return this.state.project.template?.names ?? []; }
   get contours() { return this.state.project.template?.contours ?? []; }
-  /** The measures and the scale that are wanted, as text. */
-  get wanted() { return wantedIn(this.state.project.id); }
+  /** What is measured. */
+  get measuring() { return this.state.project.measuring; }
   /** Index of the selected picture in the data; -1 if it has no landmarks. */
   get chosen() { return this.#data?.pictures.indexOf(this.state.current) ?? -1; }
   /** The groups' names in the order of their colours, and the group of each picture as an index; -1 for none. */
@@ -102,9 +100,9 @@ export class Tab {
 
   /** Parameters of the requests for measures and shapes. @returns {ShapesQuery} */
   get #query() {
-    const { measures, scale } = this.wanted;
+    const { measures, scale, by } = this.measuring;
     const estimate = this.#estimate.checked ? "1" : null;
-    return { measures: measures || null, scale: scale || null, by: this.#by || null, estimate };
+    return { measures: measures.join(" ") || null, scale: scale || null, by: by || null, estimate };
   }
 
   async #fetch() {
@@ -126,9 +124,9 @@ export class Tab {
     this.#draw();
   }
 
-  /** Without data, the tab says what to do instead. */
+  /** Say what is wrong, and that the table is the earlier one; without data, the tab says what to do instead. */
   #showFault(text) {
-    this.#fault.textContent = text;
+    this.#fault.textContent = text && `${text.replace(/\.$/, "")}. Below is what was measured before.`;
     this.#fault.hidden = !text || !this.#data;
   }
 
@@ -159,40 +157,45 @@ export class Tab {
     this.#groupList = h("select.text.measure-by", {
       "aria-label": "Groups", title: ABOUT_GROUPS, testid: "measure-by", onchange: () => this.#chooseGroups(this.#groupList.value),
     }, groupings);
-    this.#groupList.value = this.#by;
+    this.#groupList.value = this.measuring.by;
     this.#tableFile = fileField((file) => this.#takeTable(file), {
       accept: ".csv,text/csv", "aria-label": "Table of groups", testid: "measure-table-file",
     });
     this.#legend = h("span.row.tight.small", { testid: "measure-legend" });
     this.#estimate = h("input", { type: "checkbox", testid: "measure-estimate", onchange: () => this.#fetch() });
     const estimate = h("label.check.small", { title: ABOUT_ESTIMATES }, this.#estimate, "Estimate missing points");
-    const save = menu("Save…", EXPORTS, (kind) => this.#save(kind), { "aria-label": "Save", testid: "measure-save" });
+    const save = menu("Save…", EXPORTS, (kind) => this.#save(kind), { "aria-label": "Save", testid: "measure-save", title: ABOUT_SAVED });
     return h("div.toolbar", { role: "toolbar", "aria-label": "Measure" },
       this.#views.element, this.#groupList, this.#tableFile, this.#legend, h("span.grow"), estimate, save);
   }
 
   /** Group the pictures in another way. "By a table" asks for a file if there is none, or if it is chosen once more. */
   async #chooseGroups(by) {
-    const needsFile = by === "table" && (!this.#data?.has_table || this.#by === "table");
-    if (needsFile) {
-      this.#groupList.value = this.#by; // until a file is chosen
-      this.#tableFile.click();
-      return undefined;
-    }
-    return this.#group(by);
+    const now = this.measuring.by;
+    const needsFile = by === "table" && (!this.#data?.has_table || now === "table");
+    if (!needsFile) return this.#group(by);
+    this.#groupList.value = now; // until a file is chosen
+    this.#tableFile.click();
+    return undefined;
   }
 
   async #group(by) {
-    this.#by = by;
-    this.#groupList.value = by;
-    attempt(() => localStorage.setItem(this.#key, JSON.stringify({ by })));
+    try {
+      await this.state.changeMeasuring({ by });
+    } finally {
+      this.#groupList.value = this.measuring.by;
+    }
     return this.#fetch();
   }
 
   async #takeTable(file) {
     const { api, toast } = this.app;
     const text = await file.text();
-    const { specimens } = await this.state.send((folder) => api.put(api.url("groups"), { text, name: file.name, folder }));
+    const put = (folder) => api.put(api.url("groups"), { text, name: file.name, folder });
+    const answer = await this.state.send(put).catch((error) => void this.#complain(error.message));
+    if (!answer) return;
+    this.#complain(""); // of an earlier table
+    const { specimens } = answer;
     toast(`Groups of ${several(specimens, "specimen")} read.`, "good");
     await this.#group("table");
   }
@@ -214,6 +217,7 @@ export class Tab {
   #draw() {
     if (!this.#visible) return;
     const data = this.#data;
+    this.#groupList.value = this.measuring.by; // another page may have changed it
     this.#content.hidden = !data;
     this.#empty.hidden = Boolean(data);
     this.#chosen.hidden = !data;
@@ -231,7 +235,9 @@ export class Tab {
     this.#empty.replaceChildren(
       icon("ruler", 56),
       h("h2", "Measures and shapes of all pictures"),
-      h("p", "Place the landmarks of a picture. Its measures are then here, and from three pictures on their shapes."),
+      h("p", this.state.pictures.some(({ state }) => state === "proposed")
+        ? "Proposed points are not measured: accept those of a picture, or correct them. Its measures are then here, and from three pictures on their shapes."
+        : "Place the landmarks of a picture. Its measures are then here, and from three pictures on their shapes."),
       h("div.row", go));
   }
 
@@ -248,7 +254,7 @@ export class Tab {
 
   #aboutChosen() {
     const { chosen } = this;
-    if (chosen < 0) return "has no landmarks yet";
+    if (chosen < 0) return this.state.picture()?.state === "proposed" ? "has proposed points only: accept them to measure it" : "has no landmarks yet";
     const { space } = this.#data;
     const shape = space ? space.of.indexOf(chosen) : -1;
     if (shape < 0) return "";
@@ -343,7 +349,8 @@ export class Tab {
     return h("tr", { class: i === this.chosen && "chosen", "data-index": String(i), onclick: choose, ondblclick: () => this.#open() },
       h("th", { scope: "row" }, name, estimated),
       groupCell,
-      data.columns.map(({ values }) => h("td.number", numberText(values[i]))));
+      data.columns.map(({ values, unit }) => (values[i] === null
+        ? h("td.number.muted.small", data.unscaled.includes(i) && unit !== "°" ? "no scale" : "no point") : h("td.number", numberText(values[i])))));
   }
 }
 

@@ -1,47 +1,61 @@
 // The measures of the Measure tab, drawn over the picture that is annotated, with their values.
 
-import { COLOURS, drawText } from "./drawing.js";
-import { joined, keepWanted, kindFor, measured, measureOf, measuresIn, measureText, numberText, parsed, valueOf, wantedIn } from "./measures.js";
+import { drawText } from "./drawing.js";
+import { kindFor, measureOf, measureText, numberText, parsed, valueOf } from "./measures.js";
 import { inked, lines } from "./overlays.js";
 import { distance, mean } from "./points.js";
+
+// Colours of measures, which differ from each other and from those of points: a measure and its value have the same.
+const HUES = ["#ffb3f0", "#8ce0ff", "#ffe08a", "#b6f2a0", "#ffb38a", "#c9b8ff"];
+const LABEL = [76, 15]; // css pixels across and down that a value takes
 
 /** @param {import("./annotate.js").Tab} tab */
 export function createMeasured(tab) {
   const { state, marking, viewer, ruler } = tab;
   let measures = [];
   const read = () => {
-    const { names } = state.project.template ?? { names: [] };
-    measures = measuresIn(wantedIn(state.project.id).measures).map((each) => parsed(each, names)).filter(Boolean);
+    const { measuring, template } = state.project;
+    measures = measuring.measures.map((each) => parsed(each, template?.names ?? [])).filter(Boolean);
     viewer.redraw();
   };
-  for (const [target, event] of /** @type {[EventTarget, string][]} */ ([[measured, "change"], [state, "project"]])) target.addEventListener(event, read);
+  for (const event of ["measuring", "project"]) state.addEventListener(event, read);
   read();
 
-  const pixel = () => ruler.bar && { length: ruler.bar.length / distance(...ruler.bar.ends), unit: ruler.bar.unit };
+  const pixel = () => (ruler.bar ? { length: ruler.bar.length / distance(...ruler.bar.ends), unit: ruler.bar.unit }
+    : marking.book?.pixel ?? null);
 
-  function drawOne(ctx, measure) {
+  /** Place of a text where no earlier one is. */
+  function freeOf([x, y], taken) {
+    const isTaken = ([u, v]) => Math.abs(u - x) < LABEL[0] && Math.abs(v - y) < LABEL[1];
+    for (let tries = 0; tries < measures.length && taken.some(isTaken); tries += 1) y += LABEL[1];
+    taken.push([x, y]);
+    return [x, y];
+  }
+
+  function drawOne(ctx, measure, colour, taken) {
     const found = valueOf(measure, marking.points, pixel());
     if (!found) return;
     const places = measure.indices.map((i) => viewer.toScreen(marking.points[i]));
     lines(ctx, [measure.kind === "area" ? [...places, places[0]] : places]);
-    inked(ctx, COLOURS.axis, 1.6, [6, 3]);
-    const [x, y] = measure.kind === "angle" ? places[1] : [0, 1].map((side) => mean(places.map((place) => place[side])));
-    drawText(ctx, numberText(found.value, found.unit), x, y - 8, { align: "center" });
+    inked(ctx, colour, 1.6, [6, 3]);
+    const at = measure.kind === "angle" ? places[1] : [0, 1].map((side) => mean(places.map((place) => place[side])));
+    const [x, y] = freeOf([at[0], at[1] - 8], taken);
+    drawText(ctx, numberText(found.value, found.unit), x, y, { align: "center", colour });
   }
 
   return {
     draw(ctx) {
-      if (tab.shown.drawn.measures && !viewer.isLoupe) for (const each of measures) drawOne(ctx, each);
+      if (!tab.shown.drawn.measures || viewer.isLoupe) return;
+      const taken = []; // places of texts
+      measures.forEach((measure, i) => drawOne(ctx, measure, HUES[i % HUES.length], taken));
     },
 
     /** Measure points in all pictures, as many as there are: a distance, an angle or an area; return it in words. */
-    add(indices) {
-      const { id, template } = state.project;
+    async add(indices) {
       const measure = measureOf(kindFor(indices.length), indices);
-      const wanted = wantedIn(id);
+      await state.changeMeasuring({ add: [measure] });
       tab.shown.draw("measures");
-      keepWanted(id, { ...wanted, measures: joined([...measuresIn(wanted.measures), measure]) });
-      return measureText(measure, template.names);
+      return measureText(measure, state.project.template.names);
     },
   };
 }

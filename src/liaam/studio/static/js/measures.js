@@ -1,8 +1,8 @@
 // The measures of a folder's pictures, in the form that liaam measure takes, such as "distance:1-5", and what they mean.
-// They are kept in the browser, by folder. This module draws nothing.
+// The server keeps them with the folder, and lets them follow their points through changes of the template. This module
+// draws nothing.
 
 import { distance, mean } from "./points.js";
-import { attempt } from "./unsaved.js";
 
 /** Kinds of measures: label, points at least and at most, power of the length in the unit, value of the points. */
 export const KINDS = {
@@ -11,23 +11,6 @@ export const KINDS = {
   length: { label: "Length", fewest: 2, most: 1000, power: 1, of: (points) => lengthOf(points) },
   area: { label: "Area", fewest: 3, most: 1000, power: 2, of: (points) => areaOf(points) },
 };
-
-const keyOf = (id) => `liaam-studio:measures:${id}`;
-export const measuresIn = (text) => text.split(/\s+/).filter(Boolean);
-
-/** What is measured in a folder: {measures: text, scale: text}. @returns {{measures: string, scale: string}} */
-export function wantedIn(id) {
-  const [measures = "", scale = ""] = attempt(() => JSON.parse(localStorage.getItem(keyOf(id)))) ?? [];
-  return { measures: String(measures), scale: String(scale) };
-}
-
-/** Tells the page of other measures. */
-export const measured = new EventTarget();
-
-export function keepWanted(id, { measures, scale }) {
-  attempt(() => localStorage.setItem(keyOf(id), JSON.stringify([measures, scale])));
-  measured.dispatchEvent(new Event("change"));
-}
 
 /** The measure of points with indices from 0, as liaam measure takes it. */
 export const measureOf = (kind, indices) => `${kind}:${indices.map((i) => i + 1).join("-")}`;
@@ -47,9 +30,6 @@ export function measureText(measure, names) {
   const known = parsed(measure, names);
   return known ? `${known.kind}: ${known.indices.map((i) => names[i]).join(" – ")}` : measure;
 }
-
-/** Measures as one text, each once. */
-export const joined = (list) => [...new Set(list)].join(" ");
 
 const lengthOf = (points) => points.slice(1).reduce((sum, point, i) => sum + distance(points[i], point), 0);
 
@@ -98,8 +78,12 @@ export function bins(values) {
   const [least, most] = [sorted[0], sorted.at(-1)];
   const quartile = (q) => sorted[Math.round(q * (sorted.length - 1))];
   const width = (2 * (quartile(0.75) - quartile(0.25))) / Math.cbrt(sorted.length);
-  const count = most > least ? Math.min(40, Math.max(5, Math.ceil((most - least) / (width || Infinity)))) : 1;
-  const step = (most - least) / count || 1;
+  const count = Math.min(40, Math.max(5, Math.ceil((most - least) / (width || Infinity))));
+  if (most === least) { // one bar around the only value
+    const half = Math.abs(most) / 20 || 0.5;
+    return { edges: [most - half, most + half], of: [known.map(([, i]) => i)] };
+  }
+  const step = (most - least) / count;
   const of = Array.from({ length: count }, () => []);
   for (const [value, i] of known) of[Math.min(count - 1, Math.floor((value - least) / step))].push(i);
   return { edges: Array.from({ length: count + 1 }, (_, i) => least + i * step), of };

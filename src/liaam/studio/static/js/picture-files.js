@@ -51,9 +51,10 @@ export async function renamePicture(app, name) {
     required: true, maxlength: "100", value: stemOf(name), autocomplete: "off", spellcheck: "false", "aria-label": "New name", testid: "rename",
   });
   const body = h("div.column", h("label.field", "New name; the landmarks and the history go along", field));
-  const actions = [{ label: "Cancel", value: null }, { label: "Rename", kind: "primary", value: "rename", checks: true, testid: "rename-done" }];
-  if ((await dialog(`Rename ${name}`, body, actions)) !== "rename" || field.value === stemOf(name)) return false;
-  const now = await renameTo(app, name, field.value);
+  let now = name;
+  const work = async () => { if (field.value !== stemOf(name)) now = await renameTo(app, name, field.value); };
+  const actions = [{ label: "Cancel", value: null }, { label: "Rename", kind: "primary", value: "rename", checks: true, work, testid: "rename-done" }];
+  if ((await dialog(`Rename ${name}`, body, actions)) !== "rename" || now === name) return false;
   app.toast(`${name} is now ${now}.`, "good", { label: "Undo", onclick: () => renameTo(app, now, stemOf(name)) });
   return true;
 }

@@ -23,9 +23,13 @@ export function createPointsPanel(tab) {
   const absent = act("Absent", "minus", "U", commands.toggleAbsent);
   const remove = act("Clear position", "trash", "Delete", commands.removeChosen);
   const space = act("Space the contour's points evenly", "curve", "Shift+C", commands.space);
-  const kept = localStorage.getItem(START_KEY) ?? "layout";
+  // Another observer places points: those of a mean shape would be no one's own.
+  const { set, observers } = tab.state.project;
+  const isObserver = set !== "" && observers.length > 1;
+  const key = isObserver ? `${START_KEY}:${set}` : START_KEY;
+  const kept = localStorage.getItem(key) ?? (isObserver ? "click" : "layout");
   const start = segmented("Start of pictures without points", STARTS, kept, (value) => {
-    localStorage.setItem(START_KEY, value);
+    localStorage.setItem(key, value);
     const isOwn = ["file", "proposal"].includes(tab.marking.state?.source);
     if (tab.opening.isPristine() && !isOwn) tab.opening.reload();
   });
@@ -56,6 +60,7 @@ export function createPointsPanel(tab) {
     render(marking, mayEdit) {
       edit.disabled = !mayEdit;
       tally.textContent = marking.book ? tallyOf(marking) : "";
+      tally.title = tally.textContent; // there may be no room for all
       list.render(marking.book ? marking.names : [], (i) => marking.stateOf(i));
       mark(marking);
     },

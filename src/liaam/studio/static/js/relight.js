@@ -21,7 +21,7 @@ const SLIDERS = [
 /** Sine of the largest angle of a light: at 90 degrees it would not reach the front. */
 const RIM = Math.sin((85 * Math.PI) / 180);
 
-/** Unit direction to a lamp (x right, y down, z to the viewer) at [x, y] over a unit ball. @param {number[]} place */
+/** Unit direction to a lamp (x right, y down, z to the viewer) at [x, y] over a unit ball. @param {any} place */
 export function directionAt([x, y]) {
   const r = Math.hypot(x, y);
   if (r > RIM) [x, y] = [(x * RIM) / r, (y * RIM) / r];
@@ -36,19 +36,31 @@ export function directionAfterKey(direction, { key, shiftKey = false }) {
   return directionAt([direction[0] + step * move[0], direction[1] + step * move[1]]);
 }
 
-/** Direction in words: "from the upper left, 42° off the view". @param {number[]} direction */
+/** Direction in words: "from the upper left, 42° from the front". @param {number[]} direction */
 export function directionInWords([x, y, z]) {
   const angle = Math.round((Math.acos(Math.min(1, Math.max(-1, z))) * 180) / Math.PI);
   if (angle < 5) return "from the front";
   const vertical = y < -0.38 * Math.hypot(x, y) ? "upper " : y > 0.38 * Math.hypot(x, y) ? "lower " : "";
   const horizontal = x < -0.38 * Math.hypot(x, y) ? "left" : x > 0.38 * Math.hypot(x, y) ? "right" : "";
   const side = `${vertical}${horizontal}`.trim();
-  return `from the ${{ upper: "top", lower: "bottom" }[side] ?? side}, ${angle}° off the view`;
+  return `from the ${{ upper: "top", lower: "bottom" }[side] ?? side}, ${angle}° from the front`;
 }
 
 /** A lamp at [x, y] over the object, from -1 to 1. */
-function lampAt([x, y], colour = "#ffffff", strength = 1, softness = 0) {
+function lampAt(/** @type {any} */ [x, y], colour = "#ffffff", strength = 1, softness = 0) {
   return { direction: directionAt([x, y]), colour, strength, softness };
+}
+
+/** Places of further lamps, [x, y] over a unit ball: the middle, and around it. */
+const PLACES = [[0, 0], ...[0, 1, 2, 3, 4, 5, 6, 7].map((turn) => [Math.cos, Math.sin].map((of) => 0.75 * of((turn * Math.PI) / 4)))];
+const APART = 0.3; // least distance over the ball between a new lamp and the others, if its own place is to be taken
+
+/** Where a new lamp is put: at `wanted`, [x, y] over a unit ball, or farthest from all lamps if one is there already.
+ *  @param {Pick<Lamp, "direction">[]} lamps; @param {number[]} wanted */
+export function freePlace(lamps, wanted) {
+  const room = (/** @type {any} */ [x, y]) => Math.min(...lamps.map(({ direction: [u, v] }) => Math.hypot(x - u, y - v)));
+  if (room(wanted) >= APART) return wanted;
+  return PLACES.reduce((best, place) => (room(place) > room(best) ? place : best));
 }
 
 export const PRESETS = {
@@ -127,8 +139,9 @@ export class Light extends EventTarget {
   #ambient = 0;
   #selected = 0;
   #handles = [];
+  #preset = ""; // name of the preset that is shown, until something is changed
   // Elements.
-  #add; #colour; #remove; #sliders; #words;
+  #add; #colour; #note; #presets; #remove; #sliders; #words;
 
   /** ambient: initial fraction of ambient light; onsave(): save the picture under the lights. */
   constructor(ambient, onsave) {
@@ -144,8 +157,9 @@ export class Light extends EventTarget {
   get selected() { return this.#selected; }
   get #lamp() { return this.#lamps[this.#selected]; }
 
-  /** Replace all lights. @param {Lights} lights */
-  set({ lamps, ambient }) {
+  /** Replace all lights, by those of a preset if it is named. @param {Lights} lights; @param {string} preset */
+  set({ lamps, ambient }, preset = "") {
+    this.#preset = preset;
     this.#lamps = lamps.map((lamp) => ({ ...lamp }));
     this.#ambient = ambient;
     this.#selected = 0;
@@ -153,8 +167,20 @@ export class Light extends EventTarget {
   }
 
   key(event) { return this.#handles[this.#selected].key(event); }
-  get isShown() { return !this.element.hidden; }
-  show(on) { this.element.hidden = this.stage.hidden = !on; }
+  get isShown() { return !this.stage.hidden; }
+
+  /** Show the panel, or not; isIdle: it stays where it is although there is nothing to light, so that nothing moves. */
+  show(on, isIdle = false) {
+    this.element.hidden = !on;
+    this.element.inert = isIdle;
+    this.stage.hidden = !on || isIdle;
+  }
+
+  /** Say what is to be known before the picture is saved. @param {string} text */
+  note(text) {
+    this.#note.textContent = text;
+    this.#note.hidden = !text;
+  }
 
   /** Lay the lamps over the object, inside the view where possible. */
   place(viewer, shape) {
@@ -170,10 +196,10 @@ export class Light extends EventTarget {
 
   #build(first, onsave) {
     this.stage = h("div.light-stage", { role: "group", "aria-label": "Lamps", hidden: true, testid: "light-stage" });
-    this.#words = h("p.small", { "aria-live": "polite", testid: "light-words" });
+    this.#words = h("p.small.light-words", { "aria-live": "polite", testid: "light-words" });
     this.#add = button("Add", {
       icon: "plus", small: true, testid: "lamp-add", title: "Add a lamp",
-      onclick: () => this.#put([...this.#lamps, lampAt([-this.#lamp.direction[0] || 0.5, -0.2])], this.#lamps.length),
+      onclick: () => this.#put([...this.#lamps, lampAt(this.#freePlace())], this.#lamps.length),
     });
     this.#remove = button("Remove", {
       icon: "trash", small: true, testid: "lamp-remove", title: "Remove the selected lamp",
@@ -185,16 +211,20 @@ export class Light extends EventTarget {
     });
     const lights = { "One lamp": first, ...PRESETS };
     const labels = Object.fromEntries(Object.keys(lights).map((name) => [name, name]));
-    const presets = menu("Presets…", labels, (name) => this.set(lights[name]), {
+    this.#presets = menu("Presets…", labels, (name) => this.set(lights[name], name), {
       "aria-label": "Preset lights", testid: "light-presets",
     });
     this.#sliders = SLIDERS.map((of) => this.#slider(of));
     const values = h("div.column.tight", this.#words, h("div.row.tight", this.#colour, this.#add, this.#remove));
+    this.#note = h("p.small.muted", { hidden: true, testid: "light-note" });
     return h("section.panel.light", { "aria-label": "Light", hidden: true, testid: "light" },
-      presets, values, this.#sliders.map(({ element }) => element), button("Save this picture", {
+      this.#presets, values, this.#sliders.map(({ element }) => element), button("Save the relit picture", {
         icon: "download", kind: "primary", small: true, testid: "light-save", onclick: onsave,
-      }));
+        title: "The whole picture in this light, in the strength that the panel shows, without points and contours",
+      }), this.#note);
   }
+
+  #freePlace() { return freePlace(this.#lamps, [-this.#lamp.direction[0] || 0.5, -0.2]); }
 
   #slider({ key, label, max, what }) {
     const { element, show } = labelledSlider(label, (value) => this.#edit(key, value), {
@@ -218,12 +248,14 @@ export class Light extends EventTarget {
 
   #put(lamps, selected) {
     this.#lamps = lamps;
+    this.#preset = "";
     this.#selected = selected;
     this.#changed();
     this.#handles[selected].element.focus({ preventScroll: true });
   }
 
   #edit(key, value) {
+    this.#preset = "";
     if (key === "ambient") this.#ambient = value;
     else this.#lamp[key] = value;
     this.#changed();
@@ -246,6 +278,7 @@ export class Light extends EventTarget {
     const which = lamps.length > 1 ? `Lamp ${selected + 1} of ${lamps.length}` : "Lamp";
     this.#words.textContent = `${which} ${directionInWords(lamp.direction)}`;
     this.#colour.value = lamp.colour;
+    this.#presets.value = this.#preset;
     this.#add.disabled = lamps.length >= MOST;
     this.#remove.disabled = lamps.length < 2;
     for (const { show } of this.#sliders) show();

@@ -17,13 +17,23 @@ const UNMEASURED = "It is measured on pictures that are held out from a training
   "have placed, moved or confirmed (Y) at least half of the points: accepted ones would confirm the model that made them.";
 export const sentence = (/** @type {HistoryEntry} */ { who, did }) => `${who || "Someone"} ${DID[did]}`;
 
+/** The error of a model, and of how many pictures it is the median. @param {Version} version */
+export function errorText({ error, held_out: count, failed }) {
+  const used = count - failed || count;
+  const median = used === 1 ? "1 picture" : `median of ${used} pictures`;
+  const all = failed === count ? `, whose ${failed === 1 ? "fit" : "fits"} failed` : failed ? `; ${several(failed, "more fit")} failed` : "";
+  return `${percent(error)}, ${median}${all}`;
+}
+
 /** What the errors of models are. @param {Version[]} versions */
 export function accuracyText(versions) {
-  const { held_out: count } = versions.at(-1);
+  const { held_out: count, failed } = versions.at(-1);
   const others = versions.some(({ same }) => !same) ? " Pale bars: measured on other pictures." : "";
-  const on = count === 1 ? "on 1 picture" : `median of ${count} pictures`;
-  const what = "Distance of fitted points from those that a person placed, moved or confirmed, in percent of the object's size";
-  return `${what}: ${on} held out from training.${others}`;
+  const what = "Distance of fitted points from those that a person placed, moved or confirmed, in percent of the object's size: " +
+    `the smaller, the better. Measured on ${several(count, "picture")} held out from training.`;
+  const few = count < 8 ? ` ${count === 1 ? "One picture says" : `${count} pictures say`} little; from 32 pictures on, it is measured on 8.` : "";
+  const lost = failed ? ` Fits that failed say so, and are counted apart: ${failed} of ${count}.` : "";
+  return `${what}${lost}${few}${others}`;
 }
 
 /** {element, exportAll(): open the list of formats}. @param {import("./annotate.js").Tab} tab */
@@ -41,7 +51,7 @@ export function createReview(tab) {
   const chart = h("div");
   const accuracy = part("versions", "", chart);
   const name = button("", {
-    small: true, kind: "ghost", title: "Your name in the history", onclick: () => askName(state.project).then(show),
+    small: true, kind: "ghost", title: "Your name in the history", onclick: () => askName(app).then(show),
   });
   const save = async (format) =>
     (format === "measure" ? app.openTab("measure") : saveFile(...(await api.file(api.url("export/{kind}", { kind: format })))));
@@ -65,12 +75,14 @@ export function createReview(tab) {
   function draw({ versions, model }) {
     accuracy.hidden = !versions.length && model?.source !== "studio";
     if (!versions.length) {
-      accuracy.firstChild.textContent = "Accuracy of the models: not measured yet";
+      accuracy.firstChild.textContent = "Error of the models: not measured yet";
       return chart.replaceChildren(h("p.muted", UNMEASURED));
     }
     const most = Math.max(...versions.map(({ error }) => error));
-    const said = ({ error, pictures }) => `${percent(error)}, trained on ${pictures} pictures`;
-    accuracy.firstChild.textContent = `Accuracy of the models: ${percent(versions.at(-1).error)}`;
+    const said = (version) => `${errorText(version)}, trained on ${version.pictures} pictures`;
+    const { error, held_out: held, failed } = versions.at(-1);
+    accuracy.firstChild.textContent = `Error of the models: ${percent(error)} (${failed ? `${held - failed} of ` : ""}${several(held, "picture")})`;
+    accuracy.firstChild.title = errorText(versions.at(-1));
     const bars = versions.map((version) => h("span", {
       class: version.same && "same", title: said(version), style: { height: `${(100 * version.error) / most}%` },
     }));
@@ -86,9 +98,9 @@ export function createReview(tab) {
   function show() {
     const { checked, state: progress, unconfirmed } = /** @type {Partial<Picture>} */ (state.picture() ?? {});
     element.hidden = !state.project.template;
-    const seen = unconfirmed ? `${several(unconfirmed, "point")} not confirmed` : "Not checked yet";
+    const seen = unconfirmed ? `${several(unconfirmed, "point")} accepted together` : "Not checked yet";
     now.textContent = checked ? `Checked by ${checked}` : progress === "done" ? seen : "";
-    now.title = unconfirmed ? "Accepted as proposed. Y confirms the selected point, for accuracy and agreement" : "";
+    now.title = unconfirmed ? "Accepted as proposed, not one by one. Y confirms the selected point, for accuracy and agreement" : "";
     check.style.visibility = progress === "done" ? "" : "hidden"; // its place stays
     check.lastChild.textContent = checked ? "Withdraw" : "Mark as checked";
     name.textContent = whoAmI(state.project) || "Your name…";

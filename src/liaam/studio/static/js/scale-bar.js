@@ -4,13 +4,14 @@
 import { COLOURS, drawText } from "./drawing.js";
 import { Editable, placing } from "./gestures.js";
 import { inked, lines } from "./overlays.js";
-import { distance, rounded } from "./points.js";
+import { distance, rounded, sameBar } from "./points.js";
 import { dialog, h, optionsOf } from "./ui.js";
 
 const UNITS = { "µm": "µm", mm: "mm", cm: "cm", m: "m", in: "inches" };
 const KEY = "liaam-studio:scale-bar"; // the last length and unit
 const FIND_KEY = "liaam-studio:find-scale"; // what was looked for last, and its length and unit
 const KINDS = { ruler: "Ruler: the length from one smallest tick to the next", bar: "Scale bar: its length" };
+const CORNER = 24; // css pixels from the corner of the picture
 const TICK = 6; // css pixels on each side of the line
 const LEAST = 1; // pixels between the ends
 const LENGTHS = [1e-6, 1e9]; // those that can be entered are between
@@ -47,7 +48,10 @@ export class ScaleBar extends Editable {
   get history() { return this.#marking.history; }
   get editable() { return this.#marking.editable; }
   get placing() { return this.editable; }
-  get prompt() { return `Click ${this.ends[0] ? "the other end" : "one end of a ruler, or of a known length"}`; }
+  get prompt() {
+    if (this.ends[1]) return ""; // it is being asked for its length
+    return `Click ${this.ends[0] ? "the other end" : "one end of a ruler, or of a known length"}`;
+  }
 
   /** Undo takes back the first end of a bar that is being drawn; without one, it and redo stop drawing, too. */
   travel(way) {
@@ -149,13 +153,14 @@ export class ScaleBar extends Editable {
   /** The box to replace the scales of other pictures, and its label; null in place of it if there are none. */
   forOthers() {
     const anyway = h("input", { type: "checkbox", testid: "scale-anyway" });
-    const label = h("label.check", anyway, "Same scale for all: replace other scales too, and include pictures of another size");
+    const label = h("label.check", anyway, "Set it in all pictures, also in those of another size or with another scale");
     return [anyway, this.alone() ? null : label];
   }
 
+  /** With the box, both buttons set the scale in all pictures. */
   settle(answer, { anyway, ...bar }, what) {
     this.#marking.change({ bar }, what);
-    if (answer === "share") this.onshare(bar, anyway);
+    if (answer === "share" || anyway) this.onshare(bar, anyway);
   }
 
   async ask(bar, more = []) {
@@ -171,8 +176,22 @@ export class ScaleBar extends Editable {
     return [answer, { length: Number(length.value), unit: unit.value, anyway: anyway.checked }];
   }
 
+  /** Whether the bar was drawn on another picture: it is the scale of this one, but lies on no ruler here. */
+  get isShared() {
+    const { book } = this.#marking;
+    return this.bar !== null && Boolean(book?.sharedBar) && sameBar(this.bar, book.sharedBar);
+  }
+
+  /** The ends of the bar on the screen. One of another picture is drawn level, in the lower left corner of this one. */
+  #places(viewer) {
+    if (this.on || !this.isShared) return (this.on ? this.ends : (this.bar?.ends ?? [])).filter(Boolean).map((end) => viewer.toScreen(end));
+    const [x, y] = viewer.toScreen([0, viewer.height - 1]);
+    const [left, low] = [Math.max(x, 0) + CORNER, Math.min(y, viewer.container.clientHeight) - CORNER];
+    return [[left, low], [left + viewer.scale * distance(...this.bar.ends), low]];
+  }
+
   draw(ctx, viewer) {
-    const ends = (this.on ? this.ends : (this.bar?.ends ?? [])).filter(Boolean).map((end) => viewer.toScreen(end));
+    const ends = this.#places(viewer);
     if (!ends.length) return;
     const [[x0, y0], [x1, y1]] = [ends[0], ends.at(-1)];
     const away = Math.hypot(x1 - x0, y1 - y0) || 1;
@@ -182,7 +201,7 @@ export class ScaleBar extends Editable {
     inked(ctx, "rgb(0 0 0 / 75%)", 4.5);
     inked(ctx, COLOURS.placed, 2);
     if (this.on || !this.bar) return;
-    const text = `${this.bar.length} ${this.bar.unit}`;
+    const text = `${this.bar.length} ${this.bar.unit}${this.isShared ? ", drawn on another picture" : ""}`;
     drawText(ctx, text, (x0 + x1) / 2 + 2 * Math.abs(nx), (y0 + y1) / 2 - 2 * Math.abs(ny) - 4, { align: "center" });
   }
 }

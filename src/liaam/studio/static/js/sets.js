@@ -1,16 +1,14 @@
 // Several sets of landmarks in a folder: which one the page shows, new ones, and the agreement between observers.
 
-import { percent, several } from "./annotate-words.js";
+import { calledSet, percent, several } from "./annotate-words.js";
 import { COLOURS } from "./drawing.js";
+import { numberText } from "./measures.js";
 import { discs, stroked } from "./overlays.js";
 import { shapeFacts, shapeNote } from "./shape-agreement.js";
 import { button, dialog, h, press, relist, saveFile, toast } from "./ui.js";
 
 const NEW = "+"; // no name of a set
 const SHOWN = 12; // rows of a table
-
-/** What a set is called; the first one has no name. */
-export const calledSet = (name) => name || "Main set";
 
 /** Open the page of a set, with the same tab and picture. @param {App} app */
 async function go(app, name) {
@@ -57,11 +55,13 @@ export async function makeSet(app) {
     h("label.field", "Name, also of the subfolder with its landmark files", name),
     choice("own", "Other points", "A template of its own, such as hand beside face. Not every picture needs both.", { checked: true }),
     choice("same", "The same points, another observer", same, { disabled: !template }));
-  const make = { label: "Make the set", kind: "primary", value: "make", checks: true, testid: "set-make" };
-  if ((await dialog("New set of landmarks", body, [{ label: "Cancel", value: null }, make])) !== "make") return;
-  /** @type {MakeSet} */
-  const asked = { name: name.value, same: body.querySelector("input:checked").value === "same" };
-  go(app, (await state.send((folder) => api.post(api.url("sets"), { ...asked, folder }))).name);
+  const work = async () => {
+    /** @type {MakeSet} */
+    const asked = { name: name.value, same: body.querySelector("input:checked").value === "same" };
+    await state.send((folder) => api.post(api.url("sets"), { ...asked, folder }));
+  };
+  const make = { label: "Make the set", kind: "primary", value: "make", checks: true, work, testid: "set-make" };
+  if ((await dialog("New set of landmarks", body, [{ label: "Cancel", value: null }, make])) === "make") go(app, name.value);
 }
 
 /** The buttons that compare observers, for the review. @param {import("./annotate.js").Tab} tab */
@@ -109,13 +109,14 @@ export function createAgreement(tab) {
 
 /** Show how far observers are apart, and the pictures and points where most. @param {App} app */
 export async function showAgreement({ api, state }) {
-  const { observers, sd, percent: share, repeatability, points, pictures, unconfirmed, file, table: text, shapes } =
+  const { observers, sd, percent: share, repeatability, points, pictures, unconfirmed, file, table: text, shapes, pixel } =
     await api.get(api.url("agreement"));
   const ignored = unconfirmed.length > 0 && h("p.small.warn-text", { testid: "agreement-unconfirmed" },
     `${several(unconfirmed.length, "picture")} ${unconfirmed.length === 1 ? "does" : "do"} not count, since points were ` +
     `accepted as they were proposed: ${unconfirmed.slice(0, SHOWN).join(", ")}${unconfirmed.length > SHOWN ? " and others" : ""}. ` +
     "Move or confirm (Y) each of them.");
-  const pixels = (value) => `${value.toFixed(2)} px`;
+  const inUnit = (value) => (pixel ? ` (${numberText(value * pixel.length, pixel.unit)})` : "");
+  const pixels = (value) => `${value.toFixed(2)} px${inUnit(value)}`;
   const table = (title, head, rows) => h("section.agreement-table", h("h3", title), h("table",
     h("thead", h("tr", head.map((what) => h("th", { scope: "col" }, what)))), h("tbody", rows.slice(0, SHOWN))));
   const openPicture = (name) => (event) => { event.target.closest("dialog").close(); state.select(name); };

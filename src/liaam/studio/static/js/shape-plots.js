@@ -140,6 +140,7 @@ export function histogram({ edges, of }, { title, lit, onbin, width = 560, heigh
   const most = Math.max(...of.map((each) => each.length));
   const across = (value) => left + ((value - edges[0]) / (edges.at(-1) - edges[0] || 1)) * (right - left);
   const up = (count) => bottom - (count / most) * (bottom - top);
+  const isOne = of.length === 1; // of one value, at the left of its bin
   const bars = of.map((each, i) => {
     const bar = svg("rect", {
       x: across(edges[i]) + 0.5, width: Math.max(1, across(edges[i + 1]) - across(edges[i]) - 1), y: up(each.length),
@@ -153,7 +154,7 @@ export function histogram({ edges, of }, { title, lit, onbin, width = 560, heigh
   });
   return plot(width, height, `Histogram of ${title}`, bars,
     svg("line", { x1: left, x2: right, y1: bottom, y2: bottom, class: "plot-axis" }),
-    ticks(edges[0], edges.at(-1)).map((value) => text(across(value), bottom + 16, String(value), { "text-anchor": "middle" })),
+    (isOne ? [edges[0]] : ticks(edges[0], edges.at(-1))).map((value) => text(across(value), bottom + 16, String(Number(value.toPrecision(4))), { "text-anchor": "middle" })),
     text(left - 6, up(most) + 9, String(most), { "text-anchor": "end" }),
     text((left + right) / 2, height - 3, title, { "text-anchor": "middle" }));
 }
@@ -170,7 +171,7 @@ export function picker({ points, names, contours, lit, closed, onpick, width = 4
       role: "checkbox", tabindex: "0", "aria-checked": String(order >= 0), "aria-label": names[i], "data-index": i, class: "plot-pick",
     }, svg("circle", { cx: x, cy: y, r: 11, fill: "transparent" }), svg("circle", { cx: x, cy: y, r: 5, class: order >= 0 ? "plot-chosen" : "plot-mean" }));
     const title = svg("title", {});
-    title.textContent = names[i];
+    title.textContent = `${i + 1}: ${names[i]}`; // a scale names points by their numbers
     dot.append(title);
     if (order >= 0) dot.append(text(x + 8, y - 7, String(order + 1)));
     dot.addEventListener("click", () => onpick(i));

@@ -1,5 +1,6 @@
 // The space of shapes: a scatter of principal components, the shapes over each other, and the thin-plate grid of a change.
 
+import { several } from "./annotate-words.js";
 import { numberText } from "./measures.js";
 import { bentGrid, scatter, superimposed } from "./shape-plots.js";
 import { button, h, labelledSlider, relist } from "./ui.js";
@@ -63,11 +64,11 @@ export function createShapeSpace(tab) {
   const sidesNote = h("p.muted.small", { testid: "shape-sides" });
   const cards = h("div.measure-cards.shape-cards",
     h("section.panel.measure-card.shape-main", { "aria-label": "Principal components" },
-      h("div.row", h("h2.panel-title.grow", "Principal components"), across, "and", upward), scatterPlot, outliers, tests),
+      h("div.row", h("h2.panel-title.grow", "Principal components"), across, "and", upward), sidesNote, scatterPlot, outliers, tests),
     h("section.panel.measure-card", { "aria-label": "Thin-plate grid" },
       h("div.row", h("h2.panel-title.grow", "Change as a grid"), changeList), slider.element, gridPlot),
     h("section.panel.measure-card", { "aria-label": "Procrustes superimposition" },
-      h("h2.panel-title", "All shapes, superimposed"), sidesNote, cloudPlot));
+      h("h2.panel-title", "All shapes, superimposed"), cloudPlot));
   const element = h("div.measure-view", whyNot, cards);
 
   /** The group of each shape as an index; -1 for none. */
@@ -210,8 +211,12 @@ export function createShapeSpace(tab) {
     whyNot.hidden = Boolean(space);
     cards.hidden = !space;
     whyNot.textContent = space ? "" : `Shapes are compared from three complete pictures on: ${reason}.`;
-    sidesNote.hidden = !sides;
-    sidesNote.textContent = sides && `${sides}.`;
+    const without = space ? tab.data.pictures.filter((_, i) => !space.of.includes(i)) : [];
+    const lack = without.length > 0 && `${several(without.length, "picture")} ${without.length === 1 ? "lacks" : "lack"} points, and ` +
+      `so ${without.length === 1 ? "has" : "have"} no shape: ${without.slice(0, MOST_NAMED).join(", ")}${without.length > MOST_NAMED ? " and others" : ""}. ` +
+      "“Estimate missing points” includes them.";
+    sidesNote.hidden = !sides && !lack;
+    sidesNote.textContent = [sides && `${sides}.`, lack].filter(Boolean).join(" ");
     if (!space) return;
     if (lastPicture !== tab.state.current && change === SELECTED) amount = 1; // another picture is another change
     lastPicture = tab.state.current;

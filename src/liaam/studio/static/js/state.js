@@ -35,7 +35,7 @@ export function remember({ tab, name }) {
 }
 
 /** The project as the server has it, and what the page shows of it. Events: "project", "select", "folder", "landmarks",
- *  "training", "fitting" and "online" say what has changed. */
+ *  "measuring", "training", "fitting" and "online" say what has changed. */
 export class State extends EventTarget {
   /** @type {Project | null} */
   #project;
@@ -183,6 +183,12 @@ export class State extends EventTarget {
 
   /** Take over the template that the server has saved; its pictures follow by `refresh`. @param {Template} template */
   takeTemplate(template) { this.#project.template = template; }
+
+  /** Change what is measured of the pictures. The server sends the project after it. @param {SaveMeasuring} change */
+  async changeMeasuring(change) {
+    this.#project.measuring = await this.send((folder) => api.put(api.url("measuring"), { ...change, folder }));
+    this.#emit("measuring");
+  }
 
   /** Take over the state of a training, or of placing points.
    *  @template {"training" | "fitting"} Work; @param {Work} work; @param {Events[Work]} now */

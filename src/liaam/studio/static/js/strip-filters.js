@@ -10,7 +10,7 @@ export const FILTERS = {
   all: { label: "All", has: () => true },
   todo: { label: "To do", has: ({ state }) => !["done", "broken", "reading"].includes(state) },
   new: { label: "No points", has: ({ state }) => state === "new" || state === "unchecked" },
-  proposed: { label: "Proposed", has: ({ state }) => state === "proposed" },
+  proposed: { label: "Proposed", has: ({ state, proposed }) => state === "proposed" || proposed > 0 },
   doubtful: { label: "Doubtful", has: ({ doubtful }) => doubtful },
   done: { label: "Done", has: ({ state }) => state === "done" },
   slips: { label: "Possible slips", has: ({ slip }) => Boolean(slip) },
@@ -34,10 +34,11 @@ export function whyLeftOut({ name, state, left_out: who }, left) {
 
 /** The state of a picture in words. @param {Picture} picture; @param {Record<string, string>} left */
 export function describe(picture, left) {
-  const { state, placed, doubtful, checked, error, slip, absent } = picture;
+  const { state, placed, proposed, doubtful, nothing_found: nothing, checked, error, slip, absent } = picture;
   if (slip) return "possible slip";
   if (state !== "broken" && whyLeftOut(picture, left)) return "left out";
-  if (state === "partial") return error ? "points do not fit" : `${placed} placed`;
+  if (state === "partial") return error ? "points do not fit" : proposed ? `${proposed} only proposed` : `${placed} placed`;
+  if (state === "proposed" && nothing) return "nothing found";
   if (state === "proposed" && doubtful) return "doubtful";
   const is = checked ? "checked" : (STATES[state] ?? state);
   return state === "done" && absent ? `${is}, ${absent} absent` : is;
@@ -55,7 +56,11 @@ export function foldersOf(pictures) {
 
 /** Keys to sort by, smallest first. @type {Record<string, (picture: Picture) => number>} */
 const KEYS = {
-  quality: ({ quality, doubtful, slip }) => (slip ? -2 : quality == null ? 2 : quality - (doubtful ? 1 : 0)),
+  // Where nothing is found, there is nothing to correct.
+  quality: ({ quality, doubtful, slip, nothing_found: nothing }) => {
+    if (slip) return -2;
+    return quality == null || nothing ? 2 : quality - (doubtful ? 1 : 0);
+  },
   uncertainty: ({ uncertainty, doubtful }) => -(uncertainty ?? -1) - (doubtful ? 1e6 : 0),
 };
 

@@ -118,8 +118,12 @@ export function mountStrip(root, app) {
     else enter(name);
   }
 
+  /** The picture that the page shows; null if it is not in the folder. */
+  const shownName = () => (app.aside() ? null : state.current);
+
   function enter(name) {
     wall.leave();
+    if (app.aside() && name === state.current) app.sources.backToFolder();
     state.select(name);
   }
 
@@ -185,9 +189,9 @@ export function mountStrip(root, app) {
 
   /** The item of a picture, made again if the picture has changed. @param {Picture} picture */
   function itemOf(picture) {
-    const { name, state: progress, placed, doubtful, rank, error, tag, checked, slip, quality, absent, side } = picture;
+    const { name, state: progress, placed, proposed, doubtful, nothing_found: nothing, rank, error, tag, checked, slip, quality, absent, side } = picture;
     const why = filters.whyLeftOut(picture, leftOut());
-    const key = [progress, placed, doubtful, rank === 1, error, tag, checked, why, slip, quality, absent, side].join("|");
+    const key = [progress, placed, proposed, doubtful, nothing, rank === 1, error, tag, checked, why, slip, quality, absent, side].join("|");
     const known = items.get(name);
     if (known?.key === key) return known.element;
     known?.element.remove();
@@ -206,22 +210,23 @@ export function mountStrip(root, app) {
   function render() {
     const { size, at, room, columns } = along();
     const first = Math.max(0, Math.floor(at / size) - AHEAD) * columns;
-    const shown = pictures.slice(first, (Math.ceil((at + room) / size) + AHEAD) * columns);
+    const inView = pictures.slice(first, (Math.ceil((at + room) / size) + AHEAD) * columns);
+    const shown = shownName();
     space.style.setProperty("--columns", String(columns));
-    const names = new Set(shown.map(({ name }) => name));
+    const names = new Set(inView.map(({ name }) => name));
     for (const [name, { element }] of items) if (!names.has(name)) { element.remove(); items.delete(name); }
-    shown.forEach((picture, i) => {
+    inView.forEach((picture, i) => {
       const { name } = picture;
       const element = itemOf(picture);
       element.style.setProperty("--at", `${Math.floor((first + i) / columns) * size}px`);
       element.style.setProperty("--column", String((first + i) % columns));
       element.setAttribute("aria-posinset", String(first + i + 1));
       element.setAttribute("aria-setsize", String(pictures.length));
-      element.setAttribute("aria-selected", String(selecting ? chosen.has(name) : name === state.current));
-      element.setAttribute("aria-current", String(name === state.current));
+      element.setAttribute("aria-selected", String(selecting ? chosen.has(name) : name === shown));
+      element.setAttribute("aria-current", String(name === shown));
       if (space.children[i] !== element) space.insertBefore(element, space.children[i] ?? null);
     });
-    list.setAttribute("aria-activedescendant", items.get(state.current)?.element.id ?? "");
+    list.setAttribute("aria-activedescendant", items.get(shown)?.element.id ?? "");
     clearTimeout(resting);
     resting = setTimeout(fetchFaces, REST);
   }
@@ -282,10 +287,13 @@ export function mountStrip(root, app) {
   state.addEventListener("project", show);
   state.addEventListener("fitting", () => state.adding || state.project.fitting || show());
   state.addEventListener("select", () => { reveal(); render(); });
+  app.sources.addEventListener("change", render);
   show();
   reveal();
   return {
     wall, bulk,
+    /** Mark the picture that the page shows now. */
+    mark: render,
     sortByQuality() {
       order.value = "quality";
       show();

@@ -16,6 +16,9 @@ const EDIT =
   "press Done.";
 const LAY_OUT = "Drag the frame's handles until the points lie on this picture, then move single points.";
 
+const OFFERED = "Meanwhile a model has placed its own points in your pictures. Yours are kept: go on, or use those.";
+const LOOKING = "Faces are looked for in these pictures. If there are any, their points are placed for you.";
+
 /** Common sets of points to start with, by the name of their landmark file. */
 const PRESETS = {
   "face-68": "Face, 68 points (iBUG)", "body-17": "Body, 17 points (COCO)", "hand-21": "Hand, 21 points",
@@ -23,9 +26,9 @@ const PRESETS = {
 };
 const OF_LANDMARKS = ["body-17", "hand-21", "wing-12"]; // sets whose lines join landmarks; none of these slides
 
-/** formats: suffixes of landmark files; onload(file, kind): start with a landmark file, of points of one kind if it is given; onsliders(file); ondone();
+/** isOffered(): whether a model offers points of its own; isLooking(): whether one may do so soon; formats: suffixes of landmark files; onload(file, kind): start with a landmark file, of points of one kind if it is given; onsliders(file); ondone();
  *  onleave(). */
-export function createTemplatePanel({ drafting, formats, onload, onsliders, ondone, onleave }) {
+export function createTemplatePanel({ drafting, formats, onload, onsliders, ondone, onleave, isOffered, isLooking }) {
   let busy = false;
   const heading = h("h2.panel-title");
   const intro = h("div.column.template-intro");
@@ -37,8 +40,8 @@ export function createTemplatePanel({ drafting, formats, onload, onsliders, ondo
   const path = tool("Draw a curve", "path", () => drafting.togglePath(), {
     shortcut: "N", testid: "template-new-path", pressed: false, title: "Clicks add points of a curve, until you press it again",
   });
-  const close = tool("Close", "check", () => drafting.close(), {
-    shortcut: "C", testid: "template-close-path", title: "Close the curve",
+  const close = tool("Join its ends", "curve", () => drafting.close(), {
+    shortcut: "C", testid: "template-close-path", title: "Close the curve: join its last point with its first",
   });
   const slidersFile = fileField((chosen) => onsliders(chosen), {
     id: "template-sliders", accept: ".csv,.txt", testid: "template-sliders", tabindex: null,
@@ -69,7 +72,9 @@ export function createTemplatePanel({ drafting, formats, onload, onsliders, ondo
     const hint = (text) => [h("p.muted.small", text)];
     if (layout) return [h("p", `Points of ${layout.file}. ${LAY_OUT}`), settled];
     if (saved) return hint(EDIT);
+    if (draft.names.length && isOffered()) return hint(`${OFFERED} ${CONTINUE}`);
     if (draft.names.length) return hint(CONTINUE);
+    if (isLooking()) return hint(LOOKING);
     const label = h("label.button", { for: "template-file" }, icon("upload"), "Load a landmark file");
     const other = hint(`Or start with a common set, or with a landmark file (${formats.join(" ")}):`);
     const common = menu("Choose a common set…", PRESETS, loadPreset, {
@@ -92,7 +97,7 @@ export function createTemplatePanel({ drafting, formats, onload, onsliders, ondo
     flip.hidden = !layingOut && !saved;
     done.disabled = busy || draft.names.length === 0;
     cancel.hidden = saved === null && !draft.names.length;
-    cancel.lastChild.textContent = saved ? "Cancel" : "Start over";
+    cancel.lastChild.textContent = saved ? "Cancel" : isOffered() ? "Use the model's points" : "Start over";
     message.textContent = "";
   }
 

@@ -6,7 +6,8 @@
 //  drawn, which clicks continue, or -1, twinPath: its mirror image or -1, layout: see Drafting.layout, if there is one}
 // Curves are called contours in files. Without a curve that is being drawn, a click adds a landmark by itself.
 
-import { several } from "./annotate-words.js";
+import { calledSet, several } from "./annotate-words.js";
+import { measureText, parsed } from "./measures.js";
 import { axisNormal, bounds, indicesOf, rounded } from "./points.js";
 
 export const EMPTY = Object.freeze(
@@ -283,8 +284,29 @@ export function changes(draft, count) {
   ].filter(Boolean);
 }
 
-/** What a change of the points does to the folder, to be confirmed; "" if nothing is lost. */
-export function consequences(draft, count, { pictures, model }) {
+/** The measures that lose a point by a change of the template with these names, in words. */
+export function lostMeasures(draft, names, { measures }) {
+  const isLost = (measure) => parsed(measure, names)?.indices.some((i) => !draft.origins.includes(i));
+  return measures.filter(isLost).map((measure) => measureText(measure, names));
+}
+
+/** The sets of other observers, which keep their points as they are, in words; "" if they stay comparable. */
+function othersKeep(draft, names, { observers, set }) {
+  const isSame = draft.names.length === names.length && draft.names.every((name, i) => name === names[i]);
+  const others = observers.filter((name) => name !== set).map(calledSet);
+  if (isSame || !others.length) return "";
+  const [keep, their] = others.length === 1 ? ["keeps", "its"] : ["keep", "their"];
+  return `${others.join(" and ")} ${keep} ${their} points as they are, and so cannot be compared with this set any more.`;
+}
+
+/** What a change of the points, or of their names, does to the folder, to be confirmed; "" if nothing is lost.
+ *  names: before the change. @param {any} draft; @param {string[]} names; @param {Pick<Project, "pictures" | "model" | "measuring" | "observers" | "set">} project */
+export function consequences(draft, names, project) {
+  const others = othersKeep(draft, names, project);
+  const count = names.length;
+  if (!rearranges(draft, count)) return others;
+  const { pictures, model, measuring } = project;
+  const lost = lostMeasures(draft, names, measuring);
   const files = pictures.filter(({ placed, state }) => state === "reading" || (placed > 0 && state !== "proposed")).length;
   const checks = pictures.filter(({ checked }) => checked).length;
   const copy = model?.source === "studio" ? " A copy of the model stays in .liaam-studio/kept." : "";
@@ -292,5 +314,7 @@ export function consequences(draft, count, { pictures, model }) {
     files && `The landmark files of ${several(files, "picture")} will be rewritten: ${changes(draft, count).join("; ")}.`,
     model?.source === "studio" && `The trained model and its proposed points will be removed.${copy}`,
     checks && `The checks of ${several(checks, "picture")} will be withdrawn.`,
+    lost.length > 0 && `${several(lost.length, "measure")} will be removed: ${lost.join("; ")}.`,
+    others,
   ].filter(Boolean).join(" ");
 }

@@ -152,13 +152,25 @@ export function grip(tag, { onmove, onkey, ...attributes }, ...children) {
 
 const FIELDS = "input:not([type=hidden], [type=checkbox], [type=radio], [type=file]):enabled, textarea:enabled";
 
-/** Open a modal dialog, with the focus in its first field, or else on its main button; actions: [{label, kind, value, testid, checks: whether its fields must be valid}]; body:
+/** Open a modal dialog, with the focus in its first field, or else on its main button; actions: [{label, kind, value, testid,
+ *  checks: whether its fields must be valid, work: what is done before it closes; an error is said in the dialog, which stays}]; body:
  *  element or text. Resolves to the value of the chosen action, or null if the dialog was closed. */
 export function dialog(title, body, actions = [{ label: "Close", value: null }], { wide = false, undecided = false } = {}) {
   return new Promise((resolve) => {
     let chosen = null;
-    const close = (value, checks = false) => {
-      if (checks && !content.reportValidity()) return;
+    const fault = h("p.error-text.small", { role: "alert", hidden: true, testid: "dialog-fault" });
+    const say = (text) => {
+      fault.hidden = !text;
+      fault.textContent = text;
+    };
+    let isWorking = false;
+    const close = async (value, { checks = false, work = null } = {}) => {
+      if (isWorking || (checks && !content.reportValidity())) return;
+      isWorking = true;
+      say("");
+      const wrong = work && (await work().then(() => null, (error) => error));
+      isWorking = false;
+      if (wrong) return void say(wrong.message);
       chosen = value;
       box.close();
     };
@@ -168,14 +180,14 @@ export function dialog(title, body, actions = [{ label: "Close", value: null }],
     };
     const content = h("form.dialog-body", { onsubmit }, typeof body === "string" ? h("p", body) : body);
     const foot = h("div.dialog-foot",
-      actions.map(({ label, value, checks, ...more }) =>
-        button(label, { ...more, onclick: () => close(value, checks) })));
+      actions.map(({ label, value, checks, work, ...more }) =>
+        button(label, { ...more, onclick: () => close(value, { checks, work }) })));
     const head = h("div.dialog-head", h("h2", { id: "dialog-title" }, title),
       iconButton("Close", "close", () => close(null), { small: true }));
     const box = h("dialog.dialog", {
       tabindex: "-1", class: wide && "wide", "aria-labelledby": "dialog-title", onclose: () => { box.remove(); resolve(chosen); },
       onkeydown: (event) => event.stopPropagation(), // do not trigger keys of the page behind the dialog
-    }, head, content, foot);
+    }, head, content, fault, foot);
     document.body.append(box);
     box.showModal();
     // A field is there to be filled in. Show the beginning of a long body, regardless of the focus.
