@@ -40,6 +40,7 @@ def test_a_table_states_individuals_sides_and_groups(tmp_path) -> None:
     ("text", "words"),
     [
         ("wing,sex\na,m\n", "own.csv has no column image .or specimen.: give a .csv file with one row for each image"),
+        ("image,sex\n", "own.csv has no rows below its header"),
         ("image,sex\na,m\na,f\n", "own.csv: line 3 has 'a' again"),
         ("image,sex\nother,m\n", "no specimen has a row in own.csv, which has names such as other"),
     ],

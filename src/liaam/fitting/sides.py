@@ -49,7 +49,11 @@ def reflections_of(model: AAM, side: str) -> tuple[bool, ...]:
     if side in (AUTO, BOTH):
         return EITHER
     if side not in (sides.own, sides.other):
-        raise MethodError(f"unknown side {side!r}; choose from {', '.join((AUTO, BOTH, sides.own, sides.other))}")
+        choices = ", ".join((AUTO, BOTH, sides.own, sides.other))
+        unstated = ""
+        if sides.own == ORIGINAL:
+            unstated = f" (nothing told training which side is left: {ORIGINAL} is that of most training images)"
+        raise MethodError(f"unknown side {side!r}; choose from {choices}{unstated}")
     return (side == sides.other,)
 
 

@@ -102,7 +102,9 @@ def specimen_table_in(text: str, path: str) -> SpecimenTable:
 
 
 def _table_of(rows: Sequence[NamedRow], path: str) -> SpecimenTable:
-    columns = tuple(rows[0][1]) if rows else ()
+    if not rows:
+        raise LiaamError(f"{path} has no rows below its header: give one row for each image")
+    columns = tuple(rows[0][1])
     of_image = [name for name in columns if name.lower() in IMAGES]
     named = [*of_image, *(name for name in columns if name.lower() in SPECIMENS - INDIVIDUALS)]
     if not named:
