@@ -21,6 +21,7 @@ from liaam.io.files import count_of, real_path, some_names
 from liaam.io.landmarks.formats import KNOWN_FILES
 from liaam.io.landmarks.reading import Reading
 from liaam.morphometry.asymmetry import MATCHING
+from liaam.morphometry.replicates import BY_COVARIANCES
 from liaam.morphometry.symmetry import ERROR, INTERACTION
 from liaam.morphometry.table import scales_in, sizes_in, unit_of_table
 from liaam.scale.choice import TRAINING
@@ -483,7 +484,7 @@ def _complain_of_repeatable_errors(error: Columns) -> None:
     if replicates_repeat_errors(error):
         complain(
             f"replicates of shape differ by a standard deviation of {error['sd'][0]:.3g}, and the fits state "
-            f"{error['sd_by_covariances'][0]:.3g}: fits to several images of a specimen repeat most of their error, so "
+            f"{error[BY_COVARIANCES][0]:.3g}: fits to several images of a specimen repeat most of their error, so "
             "this repeatability is that of photographing, not of the landmarks. Compare fits with landmarks that "
             "people placed: --compare, or liaam evaluate"
         )
@@ -576,7 +577,7 @@ def _show_error(error: Columns) -> None:
 
     Rows of landmarks have no degrees of freedom, since their positions in different images do not compare.
     """
-    stated = ("sd by covariances",) if "sd_by_covariances" in error else ()
+    stated = ("sd by covariances",) if BY_COVARIANCES in error else ()
     table = table_of("measure", "specimens", "replicates", "df", "F", "P", "repeatability", "sd", "sd %", *stated)
     landmarks = []
     for row in _rows(error):
@@ -585,7 +586,7 @@ def _show_error(error: Columns) -> None:
             continue
         counts = [f"{row['specimens']:g}", f"{row['replicates']:g}", f"{row['df_among']:g}, {row['df_within']:g}"]
         numbers = [row[name] for name in ("F", "P", "repeatability", "sd", "sd_percent")]
-        numbers += [row["sd_by_covariances"]] if stated else []
+        numbers += [row[BY_COVARIANCES]] if stated else []
         table.add_row(cell(row["measure"]), *counts, *("" if math.isnan(each) else f"{each:.3g}" for each in numbers))
     show_table(table)
     with_replicates = [row for row in landmarks if not math.isnan(row["sd"])]

@@ -91,15 +91,16 @@ def scale(
 def earlier_rows(output: Path) -> list[Row]:
     """Return the rows of a table that exists; raise if it is no table of scales."""
     from liaam.io.table_reader import read_named_rows
-    from liaam.morphometry import read_lengths
+    from liaam.morphometry.scale_tables import KIND, lengths_in
 
     if not output.exists():
         return []
     try:
-        read_lengths(output)
+        rows = read_named_rows(output, KIND)
+        lengths_in(rows, output)
     except LiaamError as fault:
         raise LiaamError(f"{output} exists, and cannot be completed: {fault}; or give another name with -o") from fault
-    return [row for _, row in read_named_rows(output, "table of scales")]
+    return [row for _, row in rows]
 
 
 def with_earlier(rows: list[Row], earlier: list[Row]) -> tuple[list[Row], list[str]]:

@@ -123,8 +123,9 @@ def _in_training(model: AAM, images: Sequence[Any]) -> tuple[bool, ...]:
     """Return whether the model was trained on the files of images; nothing if it or an image has no file."""
     if not model.fingerprints or not all(isinstance(image, Path) for image in images):
         return ()
+    fingerprints = {image: fingerprint_of(image) for image in set(images)}  # an image may show several objects
     known = frozenset(model.fingerprints)
-    return tuple(fingerprint_of(image) in known for image in images)
+    return tuple(fingerprints[image] in known for image in images)
 
 
 def cross_validate(

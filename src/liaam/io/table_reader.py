@@ -1,6 +1,6 @@
 """Read tables with named columns, as people and spreadsheets save them."""
 
-from collections.abc import Sequence
+from collections.abc import Container, Sequence
 from pathlib import Path
 
 from liaam.errors import LandmarkError, LiaamError
@@ -32,6 +32,12 @@ def named_rows_in(text: str, path: str | Path) -> list[NamedRow]:
         return named_rows(table_rows(text))
     except LandmarkError as fault:
         raise LiaamError(f"{path}: {fault}") from fault
+
+
+def refuse_again(name: str, known: Container[str], path: AnyPath, number: int, kind: str = "image") -> None:
+    """Raise if a line of a table names something that a line before it has named."""
+    if name in known:
+        raise LiaamError(f"{path}: line {number} has '{name[:60]}' again: keep one line for each {kind}")
 
 
 def named_rows(lines: Sequence[TableLine]) -> list[NamedRow]:

@@ -7,7 +7,7 @@ from collections.abc import Hashable, Mapping, Sequence
 
 from liaam.errors import LiaamError
 from liaam.io.files import AnyPath
-from liaam.io.table_reader import NamedRow, named_rows_in, read_named_rows
+from liaam.io.table_reader import NamedRow, named_rows_in, read_named_rows, refuse_again
 from liaam.morphometry.scale_tables import images_of
 
 NAMES = ("specimen", "image")
@@ -43,8 +43,7 @@ def _groups_of_rows(rows: Sequence[NamedRow], path: str) -> dict[str, str]:
     groups: dict[str, str] = {}
     for number, row in rows:
         name = row[column].strip()
-        if name in groups:
-            raise LiaamError(f"{path}: line {number} has '{name[:60]}' again: keep one line for each specimen")
+        refuse_again(name, groups, path, number, "specimen")
         groups[name] = row["group"].strip()
     return groups
 

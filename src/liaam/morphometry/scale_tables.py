@@ -10,12 +10,14 @@ from pathlib import PureWindowsPath
 from liaam.errors import LiaamError
 from liaam.io.files import AnyPath, name_key, some_names
 from liaam.io.landmarks.matching import stem_of
-from liaam.io.table_reader import read_named_rows
+from liaam.io.table_reader import NamedRow, read_named_rows, refuse_again
 from liaam.morphometry.specimens import Specimen
 from liaam.scale.lengths import Length, unit_of
 
 COLUMNS = ("image", "scale", "unit", "scale_se", "how", "fingerprint")
 """Columns of a table of lengths that are read; the last three may be absent."""
+
+KIND = "table of scales"
 
 TYPED = "the table of scales"
 """Source of the lengths whose row does not say how they were found, as a person puts them into the table."""
@@ -35,7 +37,7 @@ def read_lengths(*paths: AnyPath) -> dict[str, Length | None]:
     joined: dict[str, Length | None] = {}
     table_of: dict[str, AnyPath] = {}
     for path in paths:
-        for image, length in _lengths_in(path).items():
+        for image, length in lengths_in(read_named_rows(path, KIND), path).items():
             if length is not None and joined.get(image) is not None:
                 raise LiaamError(
                     f"{table_of[image]} and {path} both have a scale of '{image[:60]}': keep one line for each image"
@@ -46,15 +48,13 @@ def read_lengths(*paths: AnyPath) -> dict[str, Length | None]:
     return joined
 
 
-def _lengths_in(path: AnyPath) -> dict[str, Length | None]:
-    """Read one table of ``liaam scale``, as :func:`read_lengths`."""
-    rows = read_named_rows(path, "table of scales")
+def lengths_in(rows: Sequence[NamedRow], path: AnyPath) -> dict[str, Length | None]:
+    """Read the rows of one table of ``liaam scale``, as :func:`read_lengths`; ``path`` names it in messages."""
     if not rows or not {*COLUMNS[:3]} <= rows[0][1].keys():
         raise LiaamError(f"{path} has no columns {', '.join(COLUMNS[:3])}: give a table of 'liaam scale'")
     lengths: dict[str, Length | None] = {}
     for number, row in rows:
-        if row["image"] in lengths:
-            raise LiaamError(f"{path}: line {number} has '{row['image'][:60]}' again: keep one line for each image")
+        refuse_again(row["image"], lengths, path, number)
         try:
             lengths[row["image"]] = _length_in(row)
         except (ValueError, LiaamError) as fault:

@@ -10,7 +10,7 @@ from liaam.formatting import short_repr
 from liaam.io.files import AnyPath
 from liaam.io.landmarks.tables import IMAGES, INDIVIDUALS, SIDE, SPECIMENS
 from liaam.io.sides import side_of_text
-from liaam.io.table_reader import NamedRow, named_rows_in, read_named_rows
+from liaam.io.table_reader import NamedRow, named_rows_in, read_named_rows, refuse_again
 from liaam.morphometry.scale_tables import images_of
 from liaam.morphometry.specimens import Specimen
 
@@ -112,7 +112,6 @@ def _table_of(rows: Sequence[NamedRow], path: str) -> SpecimenTable:
     found: dict[str, dict[str, str]] = {}
     for number, row in rows:
         name = row[named[0]].strip()
-        if name in found:
-            raise LiaamError(f"{path}: line {number} has '{name[:60]}' again: keep one line for each image")
+        refuse_again(name, found, path, number)
         found[name] = row
     return SpecimenTable(path, columns, found)
