@@ -5,7 +5,6 @@ import pytest
 
 from liaam.errors import LiaamError
 from liaam.morphometry import Specimen, of_one_side, read_specimen_table, read_specimens
-from liaam.morphometry.specimen_tables import specimen_table_in
 
 WING = np.array([[0.0, 0], [9, 2], [20, 3], [24, 8], [15, 11], [3, 5]])
 
@@ -14,6 +13,18 @@ IMG_1.JPG,F1,L,m
 IMG_2.JPG,F1,R,m
 IMG_3.JPG,F2,L,f
 """
+
+
+@pytest.fixture
+def own(tmp_path, monkeypatch):
+    """Give a function that reads a table of this text, own.csv in the current folder."""
+    monkeypatch.chdir(tmp_path)
+
+    def read(text: str):
+        (tmp_path / "own.csv").write_text(text)
+        return read_specimen_table("own.csv")
+
+    return read
 
 
 def fits() -> list[Specimen]:
@@ -45,14 +56,14 @@ def test_a_table_states_individuals_sides_and_groups(tmp_path) -> None:
         ("image,sex\nother,m\n", "no specimen has a row in own.csv, which has names such as other"),
     ],
 )
-def test_tables_that_do_not_suit_are_named(text, words) -> None:
+def test_tables_that_do_not_suit_are_named(own, text, words) -> None:
     with pytest.raises(LiaamError, match=words):
-        specimen_table_in(text, "own.csv").of(fits())
+        own(text).of(fits())
 
 
-def test_columns_that_are_absent_are_named() -> None:
+def test_columns_that_are_absent_are_named(own) -> None:
     with pytest.raises(LiaamError, match=r"own\.csv has no column 'age': it has Photo, Individual, Side, sex"):
-        specimen_table_in(OWN, "own.csv").cells_of(fits(), "age")
+        own(OWN).cells_of(fits(), "age")
 
 
 def test_both_sides_in_one_image_are_of_one_individual() -> None:

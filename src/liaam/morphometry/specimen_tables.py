@@ -10,7 +10,7 @@ from liaam.formatting import short_repr
 from liaam.io.files import AnyPath
 from liaam.io.landmarks.tables import IMAGES, INDIVIDUALS, SIDE, SPECIMENS
 from liaam.io.sides import side_of_text
-from liaam.io.table_reader import NamedRow, named_rows_in, read_named_rows, refuse_again
+from liaam.io.table_reader import read_named_rows, refuse_again
 from liaam.morphometry.scale_tables import images_of
 from liaam.morphometry.specimens import Specimen
 
@@ -93,15 +93,7 @@ def read_specimen_table(path: AnyPath) -> SpecimenTable:
     LiaamError
         If the file is missing, no column names the images, or an image occurs twice.
     """
-    return _table_of(read_named_rows(path, KIND), str(path))
-
-
-def specimen_table_in(text: str, path: str) -> SpecimenTable:
-    """Parse the text of such a table, as :func:`read_specimen_table`; ``path`` names it in messages."""
-    return _table_of(named_rows_in(text, path), path)
-
-
-def _table_of(rows: Sequence[NamedRow], path: str) -> SpecimenTable:
+    rows = read_named_rows(path, KIND)
     if not rows:
         raise LiaamError(f"{path} has no rows below its header: give one row for each image")
     columns = tuple(rows[0][1])
@@ -114,4 +106,4 @@ def _table_of(rows: Sequence[NamedRow], path: str) -> SpecimenTable:
         name = row[named[0]].strip()
         refuse_again(name, found, path, number)
         found[name] = row
-    return SpecimenTable(path, columns, found)
+    return SpecimenTable(str(path), columns, found)

@@ -285,7 +285,7 @@ export function changes(draft, count) {
 }
 
 /** The measures that lose a point by a change of the template with these names, in words. */
-export function lostMeasures(draft, names, { measures }) {
+function lostMeasures(draft, names, { measures }) {
   const isLost = (measure) => parsed(measure, names)?.indices.some((i) => !draft.origins.includes(i));
   return measures.filter(isLost).map((measure) => measureText(measure, names));
 }
