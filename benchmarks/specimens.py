@@ -24,7 +24,8 @@ from liaam.io import Landmarks, read_collection
 
 N_LABELLED = 50
 SCALE = 0.005  # millimetres a pixel
-MEASURES = "distance:1-2 angle:1-2-3 area:3-4-5-6"
+MEASURES = {"distance": (0, 1), "angle": (0, 1, 2), "area": (2, 3, 4, 5)}
+"""Points of the measures by their kind, by index."""
 
 N_DONE = f"{PICTURES}.filter(({{state}}) => state === 'done').length"
 IS_TRAINED = "window.liaamStudio.state.project.model"
@@ -190,8 +191,9 @@ def export(person: Person, folder: Path) -> dict[str, Landmarks]:
     """Save the landmarks with their scales, and a table of three measurements; return the landmarks."""
     person.save(lambda: person.choose("export-all", "tps"), folder.parent / "all.tps")
     person.choose("export-all", "measure")
-    person.type("measures", MEASURES)
-    person.save(lambda: person.click("measure-save"), folder.parent / "measured.csv")
+    for kind, points in MEASURES.items():
+        measure(person, kind, points)
+    person.save(lambda: person.choose("measure-save", "csv"), folder.parent / "measured.csv")
     rows = (folder.parent / "measured.csv").read_text().splitlines()
     saved = read_collection((folder.parent / "all.tps").rename(folder / "all.tps"))  # beside the pictures
     assert len(saved) == len(rows) - 1 == len(person.truth), (len(saved), len(rows))
@@ -199,6 +201,16 @@ def export(person: Person, folder: Path) -> dict[str, Landmarks]:
     assert np.allclose(scales, SCALE, rtol=0.02), scales
     print(rows[0], rows[1], sep="\n")
     return saved
+
+
+def measure(person: Person, kind: str, points: tuple[int, ...]) -> None:
+    """Click the points of a measure, by index."""
+    person.click(f"measure-kind-{kind}")
+    for point in points:
+        person.click_on(f".plot-pick[data-index='{point}']")
+    if kind == "area":  # of as many points as one likes
+        person.click("measure-add")
+    person.page.locator(f"[data-testid=measure-list] li >> nth={list(MEASURES).index(kind)}").wait_for(timeout=WAIT)
 
 
 if __name__ == "__main__":

@@ -16,7 +16,7 @@ from liaam.io.landmarks import FORMATS, Reading
 from liaam.io.landmarks.formats import Format
 from liaam.morphometry import read_specimens
 from liaam.training.entries import read_entries, with_all_landmarks
-from liaam.training.left_out import folds_of
+from liaam.training.objects import folds_of
 
 FIRST = [[158.51, 78.95], [145.49, 115.31], [98.35, 123.51], [56.11, 111.48]]
 FIRST += [[41.39, 87.98], [65.54, 57.71], [98.61, 40.88], [137.25, 53.31]]

@@ -25,7 +25,7 @@ from liaam.model.sides import Sides, reflected_image, reflected_points
 from liaam.morphometry import of_one_side, read_specimens
 from liaam.plotting.overlays import caption_of
 from liaam.relighting import Relighter
-from liaam.training.reliability import LeftOutImage, fits_near, with_distant_and_wrong_fits
+from liaam.training.reliability import LeftOutImage, fits_near, least_shrunk_of_each, with_distant_and_wrong_fits
 from setups import BODY, TexturedObject
 
 SIZE = (110, 90)
@@ -105,7 +105,7 @@ def test_fits_of_the_wrong_side_are_among_the_wrong_fits_of_training(model, both
     of_one = replace(model, sides=None)
     methods = [METHODS["soft-li"]]
     pictures = [LeftOutImage(of_one, *both[i]) for i in (16, 17, 19)]
-    near = fits_near(of_one, pictures, methods)
+    near = least_shrunk_of_each(fits_near(of_one, pictures, methods), refined=False)
     plain = with_distant_and_wrong_fits(of_one, pictures, methods, near)["soft-li"]
     with_sides = [replace(each, has_sides=True) for each in pictures]
     sided = with_distant_and_wrong_fits(of_one, with_sides, methods, near)["soft-li"]

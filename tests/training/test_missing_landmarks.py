@@ -22,7 +22,7 @@ from liaam.training.entries import read_entries, with_all_landmarks
 from liaam.training.images import count_outside, describe_cut_off, describe_outside
 from liaam.training.incomplete import missing_on_a_side
 from liaam.training.lamps import Copies
-from liaam.training.left_out import folds_of
+from liaam.training.objects import folds_of
 from liaam.training.reliability import OPTIONS, _fit
 from liaam.training.search_filter import FilterLearner
 from liaam.training.shapes import shape_groups

@@ -114,7 +114,7 @@ def test_left_out_predictions_are_those_without_the_samples(rng):
     y = x[:, :2] + rng.normal(0.0, 0.1, (30, 2))
     x[:, 0] -= x[:, 0].mean()
     block = np.arange(6)
-    everything = _ridge_regression(x, y, 0.01, [block, np.arange(6, 30)])
+    everything = _ridge_regression(x, y, 0.01, [block, np.arange(6, 30)], np.ones(30, bool))
     middle = x.mean(axis=0)
     away = x - middle
     ridge = 0.01 * np.square(away).sum() / len(x)
@@ -123,6 +123,19 @@ def test_left_out_predictions_are_those_without_the_samples(rng):
     weights = np.linalg.solve(rest.T @ rest + ridge * np.eye(5), rest.T @ wanted[6:])
     expected = away[block] @ weights + y.mean(axis=0)
     np.testing.assert_allclose(everything.left_out[block], expected, atol=2e-3)  # weights are rounded
+
+
+def test_samples_that_are_not_known_are_predicted_from_the_others(rng):
+    x = rng.normal(size=(30, 5)).astype(np.float32)
+    y = x[:, :2] + rng.normal(0.0, 0.1, (30, 2))
+    known = np.arange(30) >= 4
+    blocks = [np.arange(6), np.arange(6, 30)]
+    without = _ridge_regression(x[4:], y[4:], 0.01, [np.arange(2), np.arange(2, 26)], np.ones(26, bool))
+    wrong = np.where(known[:, None], y, 100.0)
+    learnt = _ridge_regression(x, wrong, 0.01, blocks, known)
+    np.testing.assert_array_equal(learnt.weights, without.weights)
+    np.testing.assert_allclose(learnt.left_out[4:], without.left_out, atol=1e-6)
+    np.testing.assert_allclose(learnt.left_out[:4], x[:4] @ without.weights + without.offset, atol=1e-6)
 
 
 def test_fits_of_varied_objects_are_nearer_with_a_regressor(shields, shield_model):

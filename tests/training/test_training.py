@@ -22,7 +22,7 @@ from liaam.photometry import CameraModel, invariant
 from liaam.scale import Length
 from liaam.training import TrainingOptions, images as images_of_training, train as train_as_users_do
 from liaam.training.entries import known_of, read_entries, with_all_landmarks
-from liaam.training.left_out import describe_objects, folds_of, groups_of
+from liaam.training.objects import describe_objects, folds_of, groups_of
 from liaam.training.options import ARGUMENTS
 from setups import disturb, model_pixels, train_on
 

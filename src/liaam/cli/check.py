@@ -197,7 +197,7 @@ def with_estimates(marks: np.ndarray, samples: list[Sample]) -> np.ndarray:
     """Return landmarks (m, n, 2) with estimates for missing ones (NaN), and say how many images lack some."""
     from liaam.training.filling import filled, is_enough
     from liaam.training.incomplete import check_known
-    from liaam.training.left_out import folds_of
+    from liaam.training.objects import folds_of
 
     known = ~np.isnan(marks[..., 0])
     if known.all():

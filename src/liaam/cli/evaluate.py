@@ -240,7 +240,7 @@ def evaluate_model(model: "AAM", data: "Dataset", init: str | None, options: dic
 def evaluate_folds(data: "Dataset", folds: int, options: dict[str, Any]) -> "Evaluation":
     """Evaluate models of the others on each of so many parts of the images; say which images stay together."""
     from liaam.evaluation import cross_validate
-    from liaam.training.left_out import describe_objects
+    from liaam.training.objects import describe_objects
 
     together = describe_objects([sample.name for sample in data])
     if together:

@@ -12,6 +12,7 @@ from liaam.cli.models import (
     count_copies,
     count_modes,
     describe_missing,
+    describe_refiner,
     describe_regressor,
     describe_shapes,
 )
@@ -92,6 +93,13 @@ def train(
             "fewer fits to left-out images fail with it). Fits then start from the prediction and take it into account."
         ),
     ] = inputs.AUTO,
+    refiner: Annotated[
+        str,
+        typer.Option(
+            help="Whether to learn to correct the landmarks of fits by regression: 'always', 'none', or 'auto' (only "
+            "if fits to left-out images are nearer with it)."
+        ),
+    ] = inputs.AUTO,
     leave_out: Annotated[
         bool,
         typer.Option(
@@ -106,10 +114,11 @@ def train(
 ) -> None:
     """Train a model on a folder of landmarked images."""
     from liaam.training import train as train_model
-    from liaam.training.left_out import describe_objects
+    from liaam.training.objects import describe_objects
 
     check_model_name(output, folder)
-    with_regressor = parse_regressor(regressor)  # its errors come before any work
+    with_regressor = parse_choice("--regressor", regressor)  # its errors come before any work
+    with_refiner = parse_choice("--refiner", refiner)
     if training_lamp is not None and not inputs.folder_of(lamps)[0].is_dir():
         raise LiaamError(
             f"--training-lamp {training_lamp}: this names the training light in a folder of lamp images; give that "
@@ -136,6 +145,7 @@ def train(
             sides=sides,
             shapes=inputs.parse_shapes(shapes),
             regressor=with_regressor,
+            refiner=with_refiner,
             name=name or inputs.folder_of(folder)[0].name,
             leave_out=leave_out,
             strict=strict,
@@ -201,11 +211,11 @@ def check_model_name(output: Path, folder: Path) -> None:
         )
 
 
-def parse_regressor(text: str) -> bool | str:
-    """Return what --regressor says: whether there is to be one, or ``auto``."""
+def parse_choice(option: str, text: str) -> bool | str:
+    """Return what an option says: whether there is to be a regressor or a refiner, or ``auto``."""
     choices: dict[str, bool | str] = {inputs.AUTO: inputs.AUTO, "always": True, "none": False}
     if text not in choices:
-        raise LiaamError(f"--regressor {text}: give {', '.join(choices)}")
+        raise LiaamError(f"{option} {text}: give {', '.join(choices)}")
     return choices[text]
 
 
@@ -254,6 +264,8 @@ def report(model: "AAM", output: Path, light: "LearntLamps | Literal['auto'] | N
         )
     if model.regressor is not None:
         say(f"{describe_regressor(model)} (--regressor none for none)")
+    if model.refiner is not None:
+        say(f"{describe_refiner(model)} (--refiner none for none)")
     if not leave_out:
         say("the quality and the ellipses of fits are not calibrated (--no-leave-out)")
     elif not model.calibrated:

@@ -25,7 +25,7 @@ from liaam.plotting.errors import plot_curve
 from liaam.progress import progress_bar
 from liaam.tables import Columns
 from liaam.training.entries import FEWEST as FEWEST_IN_TRAINING
-from liaam.training.left_out import folds_of
+from liaam.training.objects import folds_of
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

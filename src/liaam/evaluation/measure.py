@@ -23,7 +23,7 @@ from liaam.model.shape import diagonal_of
 from liaam.morphometry.measures import Measure, indices_of
 from liaam.training import train
 from liaam.training.entries import contours_of
-from liaam.training.left_out import folds_of
+from liaam.training.objects import folds_of
 
 # Largest mean error of a right fit by default, as a fraction of the diagonal of the landmarks' box: that up to which
 # training counts left-out fits as right

@@ -18,7 +18,7 @@ from liaam.model import AAM, Reliability, View
 from liaam.model.presence import Presence
 from liaam.model.regressor import LandmarkRegressor
 from liaam.model.sampling import within
-from liaam.model.shape import ShapeModel, align
+from liaam.model.shape import ShapeModel, align, expanded_about
 
 # Largest blur of the levels that a fit from another landmarker's points uses, as a multiple of the points' root mean
 # square error on left-out images. Measured on the spot protocol with simulated points, on average 5, 10 and 20 % of the
@@ -289,14 +289,16 @@ class OneShapeFitter:
     def refined(self, target: Target, result: FitResult) -> FitResult:
         """Return the result of a fit with the landmarks that the model's refiner leads to; itself if there is none.
 
-        The fit itself, and so its quality, stays. Of several fits only the one that is returned needs it.
+        The fit itself, and so its quality, stays. Of several fits only the one that is returned needs it. Absent
+        landmarks follow from the others.
         """
         refiner = self.model.refiner
         if refiner is None or result.at_start or result.status.lost:
             return result
-        refined = refiner.refined(target.image, target.linear.response, result.registered)
+        refined = refiner.refined(
+            target.image, target.linear.response, result.registered, absent=result.absent, grey=target.linear.grey
+        )
         if not is_sane(refined, result.registered):
             return result
-        refinement = refined - result.registered
-        shift = refinement if result.shift is None else result.shift + refinement
-        return replace(result, landmarks=result.registered + shift, shift=shift)
+        landmarks = expanded_about(self.shapes.mean, refined, result.expansion)
+        return replace(result, landmarks=landmarks, shift=landmarks - result.registered)

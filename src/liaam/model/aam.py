@@ -59,7 +59,8 @@ class AAM:
     regressor : LandmarkRegressor, optional
         Places the landmarks by regression, for fits to weigh in (:mod:`liaam.model.regressor`), if it was trained.
     refiner : LandmarkRegressor, optional
-        Moves the landmarks of fits, from where they are, to where they should be (:mod:`liaam.model.regressor`).
+        Moves the landmarks of fits, from where they are, to where they should be (:mod:`liaam.model.regressor`), if it
+        was trained.
     relief : (s, s, 2) float32, optional
         Normals of the object's surface, for relighting: their components to the right and down, on the square of
         :mod:`liaam.model.light_basis`. None if the surface is not known.

@@ -43,6 +43,8 @@ MOST_CHANGE = 0.1
 LEAST_BLUR = 3.0
 # Variance of the similarity in the covariance of shapes, square pixels: position, size and rotation are free
 FREE = 1e4
+# Variance of the prediction of a landmark that is absent, square pixels: it must outweigh the free similarity
+UNKNOWN = 1e8
 
 
 class Sight(NamedTuple):
@@ -70,13 +72,30 @@ class OrientationHistograms:
     """Histograms of gradient orientations of an image around a shape, at the resolution of :data:`SIZE`."""
 
     def __init__(
-        self, image: np.ndarray, response: Response, shape: np.ndarray, mean: np.ndarray, sight: Sight = OF_STARTS
+        self,
+        image: np.ndarray,
+        response: Response,
+        shape: np.ndarray,
+        mean: np.ndarray,
+        sight: Sight = OF_STARTS,
+        *,
+        grey: bool | None = None,
     ) -> None:
-        """Encode an image around a shape (n, 2); ``mean`` (n, 2) is the mean shape with a diagonal of SIZE."""
+        """Encode an image around a shape (n, 2); ``mean`` (n, 2) is the mean shape with a diagonal of SIZE.
+
+        ``grey`` says whether the image is grey, if that is known.
+        """
         self.pose = align(mean, shape)
         self.angle = self.pose.angle
         self.patch: Patch = make_patch(
-            image, shape, self.pose, encoding="soft", response=response, blur=sight.sharpness, margin=sight.margin
+            image,
+            shape,
+            self.pose,
+            encoding="soft",
+            response=response,
+            blur=sight.sharpness,
+            margin=sight.margin,
+            grey=grey,
         )
         self._counts = _Counts(_counts_of(self.patch.channels))
         self._blurred: dict[float, _Counts] = {}
@@ -264,22 +283,45 @@ class LandmarkRegressor:
         return self.shape_model.mean * (SIZE / self.shape_model.diagonal)
 
     def __call__(
-        self, image: np.ndarray, response: Response, start: np.ndarray, sight: Sight = OF_STARTS
+        self,
+        image: np.ndarray,
+        response: Response,
+        start: np.ndarray,
+        sight: Sight = OF_STARTS,
+        *,
+        absent: np.ndarray | None = None,
+        grey: bool | None = None,
     ) -> np.ndarray:
-        """Return the landmarks (n, 2) of the object in an image near a start (n, 2), image pixels."""
+        """Return the landmarks (n, 2) of the object in an image near a start (n, 2), image pixels.
+
+        Landmarks that are ``absent`` (n,) follow from the others. ``grey`` says whether the image is grey, if that is
+        known.
+        """
         shape = start
         histograms = None
-        for i, step in enumerate(self.steps):
+        gains = self._gains if absent is None or not absent.any() else self._gains_without(absent)
+        for step, gain in zip(self.steps, gains, strict=True):
             pose = align(self.frame_mean, shape)
             if histograms is None or not histograms.suits(pose):
-                histograms = OrientationHistograms(image, response, shape, self.frame_mean, sight)
+                histograms = OrientationHistograms(image, response, shape, self.frame_mean, sight, grey=grey)
             predicted = step.displacements(histograms.features(shape, pose, step.spacing))
-            shape = combined(shape, predicted, self.frame_mean, self._gains[i])
+            shape = combined(shape, predicted, self.frame_mean, gain)
         return shape
 
-    def refined(self, image: np.ndarray, response: Response, shape: np.ndarray) -> np.ndarray:
-        """Return the mean (n, 2) of a fit (n, 2) and of where the regressor leads from there, image pixels."""
-        return 0.5 * (shape + self(image, response, shape, OF_FITS))
+    def refined(
+        self,
+        image: np.ndarray,
+        response: Response,
+        shape: np.ndarray,
+        *,
+        absent: np.ndarray | None = None,
+        grey: bool | None = None,
+    ) -> np.ndarray:
+        """Return the mean (n, 2) of a fit (n, 2) and of where the regressor leads from there, image pixels.
+
+        ``absent`` and ``grey`` are as of a call.
+        """
+        return 0.5 * (shape + self(image, response, shape, OF_FITS, absent=absent, grey=grey))
 
     def mirrored(self, shapes: ShapeModel, order: np.ndarray) -> "LandmarkRegressor":
         """Return the regressor of the mirror images of objects, with their shapes.
@@ -304,9 +346,14 @@ class LandmarkRegressor:
     @cached_property
     def _gains(self) -> list[np.ndarray]:
         """C (C + S)^-1 of each step, (2 n, 2 n)."""
+        return self._gains_without(np.zeros(self.shape_model.n_points, bool))
+
+    def _gains_without(self, absent: np.ndarray) -> list[np.ndarray]:
+        """C (C + S)^-1 of each step, (2 n, 2 n), where nothing is known of landmarks that are ``absent`` (n,)."""
+        of_nothing = absent[:, None, None] * (UNKNOWN * np.eye(2))
         with one_numpy_thread():  # so that the bits are the same with any number of threads
             covariance = frame_covariance(self.shape_model)
-            return [gain_of(covariance, step.errors) for step in self.steps]
+            return [gain_of(covariance, step.errors + of_nothing) for step in self.steps]
 
 
 def frame_covariance(shapes: ShapeModel) -> np.ndarray:

@@ -38,14 +38,24 @@ class _BlockMeans(NamedTuple):
 
     @classmethod
     def of(
-        cls, image: np.ndarray, low: np.ndarray, high: np.ndarray, size: float, encoding: Encoding, response: Response
+        cls,
+        image: np.ndarray,
+        low: np.ndarray,
+        high: np.ndarray,
+        size: float,
+        encoding: Encoding,
+        response: Response,
+        grey: bool | None = None,
     ) -> "_BlockMeans":
-        """Average an image between two corners (x, y) int, the second excluded."""
+        """Average an image between two corners (x, y) int, the second excluded.
+
+        ``grey`` says whether the image is grey, if that is known.
+        """
         first = _first_block(low, size)
         begin = np.floor(first * size).astype(int)
         crop = image[begin[1] : high[1], begin[0] : high[0]]
         start = first * size - begin
-        return cls(block_means(crop, encoding, response, size, (start[0], start[1])), first, size)
+        return cls(block_means(crop, encoding, response, size, (start[0], start[1]), grey), first, size)
 
     def coarser(self, low: np.ndarray, high: np.ndarray, size: float) -> "_BlockMeans | None":
         """Join whole blocks to blocks of about the given size; None if that is not possible or leaves too few."""
@@ -122,6 +132,7 @@ def make_patch(
     response: Response,
     blur: float,
     margin: float,
+    grey: bool | None = None,
 ) -> Patch:
     """Cut the surroundings of a shape (n, 2) out of an image and encode them at about the model's resolution.
 
@@ -129,7 +140,7 @@ def make_patch(
     around one start can share the averages of :meth:`AveragedImage.around`. The pose maps model pixels to image pixels:
     its scale sets the resolution, its rotation the axes of directions. ``blur`` is the standard deviation of the blur
     in model pixels; for ``soft`` it includes the blur by averaging and interpolation. ``margin`` are the surroundings
-    to include, as a fraction of the shape's diagonal.
+    to include, as a fraction of the shape's diagonal. ``grey`` says whether the image is grey, if that is known.
     """
     pixels = image.image if isinstance(image, AveragedImage) else image
     size = block_size(encoding, pose.scale, blur)
@@ -138,7 +149,7 @@ def make_patch(
     blocks = None
     if isinstance(image, AveragedImage) and (encoding, response) == (image.encoding, image.response):
         blocks = image.blocks.coarser(low, high, size)
-    means, first, size = blocks or _BlockMeans.of(pixels, low, high, size, encoding, response)
+    means, first, size = blocks or _BlockMeans.of(pixels, low, high, size, encoding, response, grey)
     turn = pose.matrix.T / pose.scale
     pixel = size / pose.scale
     if encoding == "soft":

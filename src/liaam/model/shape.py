@@ -20,6 +20,11 @@ def corners_of(shape: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     return np.minimum.reduce(across, axis=1), np.maximum.reduce(across, axis=1)
 
 
+def expanded_about(mean: np.ndarray, shape: np.ndarray, factor: float) -> np.ndarray:
+    """Return a shape (n, 2) at a multiple of its distance from a mean shape (n, 2), in the same pose."""
+    return shape + (factor - 1.0) * (shape - align(mean, shape)(mean))
+
+
 def diagonal_of(shape: np.ndarray) -> float:
     """Length of the diagonal of a shape's bounding box."""
     low, high = corners_of(shape)

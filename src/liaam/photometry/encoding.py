@@ -249,17 +249,24 @@ class Means(NamedTuple):
 
 
 def block_means(
-    image: np.ndarray, encoding: Encoding, response: Response, size: float, start: tuple[float, float] = (0.0, 0.0)
+    image: np.ndarray,
+    encoding: Encoding,
+    response: Response,
+    size: float,
+    start: tuple[float, float] = (0.0, 0.0),
+    grey: bool | None = None,
 ) -> Means:
     """Average an image in linear light over complete blocks; the encoding defines the usable pixels.
 
-    Blocks of side ``size``, at least 1, may cut through pixels; for all parameters see :func:`encode`.
+    Blocks of side ``size``, at least 1, may cut through pixels. ``grey`` says whether the image is grey; by default it
+    is found out. For all other parameters see :func:`encode`.
     """
     if not callable(encoding) and encoding not in ENCODINGS:
         raise MethodError(f"unknown encoding {encoding!r}; choose from {', '.join(ENCODINGS)}")
     image = _three_channels(image)
     rows, columns = (int((n - first) / size + 1e-9) for n, first in zip(image.shape, start[::-1], strict=False))
-    grey = encoding == "soft" and is_grey(image)
+    if grey is None:
+        grey = encoding == "soft" and is_grey(image)
     if image.dtype.kind == "u":
         table = light_table(image.dtype.str, encoding, response)
         return Means(_core.stored_means(image, table, *start, size, rows, columns), None, grey)

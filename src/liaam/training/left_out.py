@@ -1,15 +1,11 @@
 """Fit left-out images to calibrate the quality of fits."""
 
-import re
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from itertools import takewhile
 
 import numpy as np
 
 from liaam.fitting.methods import Method, needed_by
-from liaam.io.files import some_names
-from liaam.io.sides import LEFT, RIGHT, in_places_or_names
 from liaam.model import AAM, VIEWS, Level
 from liaam.model.appearance import COPIED_APPEARANCES, AppearanceModel, Textures, train_appearance_model
 from liaam.model.missing import Missing
@@ -17,20 +13,22 @@ from liaam.model.pca import Variance
 from liaam.model.shape import Recipe, shape_model_on
 from liaam.model.views import shape_model_of
 from liaam.photometry.encoding import as_colour
-from liaam.training.entries import Entry, image_of
+from liaam.training.entries import Entry
 from liaam.training.lamps import Copies
 from liaam.training.poses import poses_of
+from liaam.training.refiner import Refinement
 from liaam.training.regressor import Regression
-from liaam.training.reliability import LeftOutFits, LeftOutImage, calibrate, fits_near, with_distant_and_wrong_fits
+from liaam.training.reliability import (
+    LeftOutFits,
+    LeftOutImage,
+    calibrate,
+    fits_near,
+    least_shrunk_of_each,
+    with_distant_and_wrong_fits,
+)
 from liaam.training.textures import FITTED, SOURCES, Sampled, Steps, learning_cost
 
-LEFT_OUT_FOLDS = 5  # Largest number of folds: a model is trained without each, which takes as long as a level
 LEFT_OUT_PICTURES = 20  # Largest number of left-out images to fit: each takes as long as sampling 2 FITTED images
-
-FILE_SUFFIX = re.compile(r"\.[A-Za-z]{2,4}\d?$")  # such as .png or .jp2
-# The end of an image's name that differs between the images of an object: what follows the last separator, or a number
-NUMBER_OF_IMAGE = re.compile(r"([-_. ][^-_. /]*|\d+)$")
-AFTER_SEPARATOR = re.compile(r"[-_. ][^-_. /]*$")
 
 
 @dataclass(frozen=True, eq=False)
@@ -62,6 +60,7 @@ def calibrated(
     folds: list[np.ndarray],
     steps: Steps,
     regression: Regression | None = None,
+    refinement: Refinement | None = None,
     *,
     has_sides: bool = False,
 ) -> AAM:
@@ -93,6 +92,8 @@ def calibrated(
         Reports each image.
     regression : Regression, optional
         Whether a regressor is needed, and what it is learnt from; None if there is to be none.
+    refinement : Refinement, optional
+        What a refiner is learnt from, and whether it helps; None if there is to be none.
     has_sides : bool
         Whether fits will try both sides of objects, so that fits of the wrong side are among the wrong ones.
 
@@ -100,7 +101,7 @@ def calibrated(
     -------
     AAM
         The model, with the calibrations in its views, the methods that could not be calibrated, a regressor if fits to
-        left-out images need one, and the accuracy of the first method in its card.
+        left-out images need one, a refiner if it helps them, and the accuracy of the first method in its card.
     """
     halves = [np.zeros(0, int)] if copied.lamps is None else copied.lamps.halves()
     lamps_of_folds = [halves[i % len(halves)] for i in range(len(folds))]
@@ -109,7 +110,9 @@ def calibrated(
     for i, (fold, lamps) in enumerate(zip(folds, lamps_of_folds, strict=True)):
         steps.next(f"leaving out part {i + 1} of {len(folds)}", learning_cost(model.n_textures))
         under_other_lamps = np.flatnonzero(~np.isin(copied.lit_by, lamps))
-        parts.append(_without(model, fold, shapes, missing, sampled, settings, methods, under_other_lamps))
+        part = _without(model, fold, shapes, missing, sampled, settings, methods, under_other_lamps)
+        refiner = None if refinement is None else refinement.learn(without=fold, textures=under_other_lamps)
+        parts.append(part if refiner is None else replace(part, refiner=refiner))
 
     def images(models: Sequence[AAM]) -> Iterator[LeftOutImage]:
         """Yield some images of each fold, and their copies under other lamps, with the model of the other folds."""
@@ -121,7 +124,7 @@ def calibrated(
                 for relit in copied.relit(j, image, shapes[j], model.response, lamps):
                     yield LeftOutImage(part, relit, shapes[j], entries[j].known, relit=True)
 
-    near = fits_near(model, images(parts), methods)
+    near, is_refined = _best_near(fits_near(model, images(parts), methods), refinement)
     if regression is not None and regression.is_needed(near):
         steps.total += len(folds) * learning_cost(model.n_textures) + cost_of_fits(folds)
         data = regression.data()
@@ -130,11 +133,15 @@ def calibrated(
             steps.next(f"regressor without part {i + 1} of {len(folds)}", learning_cost(model.n_textures))
             regressor = data.learn(shape_model_of(part.views), without=fold)
             with_regressors.append(replace(part, regressor=regressor))
-        near_regressed = fits_near(model, images(with_regressors), methods)
-        if regression.helps(near, near_regressed):
-            near = near_regressed
+        regressed = _best_near(fits_near(model, images(with_regressors), methods), refinement)
+        if regression.helps(near, regressed[0]):
+            near, is_refined = regressed
             parts = with_regressors
             model = replace(model, regressor=data.learn(shape_model_of(model.views)))
+    if is_refined and refinement is not None:
+        model = replace(model, refiner=refinement.learn())
+    else:
+        parts = [part if part.refiner is None else replace(part, refiner=None) for part in parts]
     tried = with_distant_and_wrong_fits(model, images(parts), methods, near)
     reliabilities = calibrate(model, tried, methods)
     for view in VIEWS:
@@ -146,6 +153,17 @@ def calibrated(
     of_first = tried.get(methods[0].name, LeftOutFits())
     card = replace(model.card, accuracy=of_first.describe())
     return replace(model, failing_methods=failing, card=card)
+
+
+def _best_near(
+    fits: Mapping[str, Sequence[LeftOutFits]], refinement: Refinement | None
+) -> tuple[dict[str, LeftOutFits], bool]:
+    """Return the best fits from near the objects of each method, and whether they are refined, since that helps."""
+    if refinement is not None:
+        refined = least_shrunk_of_each(fits, refined=True)
+        if refinement.helps(refined):
+            return refined, True
+    return least_shrunk_of_each(fits, refined=False), False
 
 
 def can_be_calibrated(method: Method) -> bool:
@@ -163,74 +181,6 @@ def fitted_of(fold: np.ndarray, folds: list[np.ndarray]) -> np.ndarray:
     most = max(1, LEFT_OUT_PICTURES // len(folds))
     n_fitted = min(most, len(fold))
     return fold[np.linspace(0, len(fold) - 1, n_fitted).astype(int)]
-
-
-def objects_of(names: Sequence[str]) -> dict[str, list[int]]:
-    """Group samples by object if names such as 07-1, 07-2 or anna1, anna2 identify it; else return nothing.
-
-    Both sides of an individual are of one object, in names (fly1_left) and in folders (left/fly1). There must be at
-    least three objects, none of which has more than half of the images.
-    """
-    images = [FILE_SUFFIX.sub("", image_of(name)) for name in names]
-    for objects in (*_individuals_of(images), [_without_number(image) for image in images]):
-        groups: dict[str, list[int]] = {}
-        for i, name in enumerate(objects):
-            groups.setdefault(name, []).append(i)
-        if len(groups) >= 3 and max(map(len, groups.values())) <= len(names) / 2:
-            return groups
-    return {}
-
-
-def _individuals_of(images: Sequence[str]) -> list[list[str]]:
-    """Return what the individuals may be called of which images show both sides, the likeliest first; else nothing."""
-    named = in_places_or_names(images)
-    of_left, of_right = ({each.rest for each in named if each.side == side} for side in (LEFT, RIGHT))
-    if not of_left & of_right:
-        return []
-    without_side = [each.rest for each in named]
-    return [list(map(_individual, images, without_side)), without_side]
-
-
-def _individual(image: str, without_side: str) -> str:
-    """Return the name of an individual, without what may be the number of its image: fly1_left_2, left/fly1_2."""
-    folder, slash, name = without_side.rpartition("/")
-    of_image = image.rpartition("/")[2]
-    alike = takewhile(lambda letters: letters[0] == letters[1], zip(of_image, name, strict=False))
-    before_side = "".join(letter for letter, _ in alike).rstrip("-_. ")
-    if of_image != name and before_side:
-        return folder + slash + before_side
-    return AFTER_SEPARATOR.sub("", without_side)
-
-
-def _without_number(image: str) -> str:
-    """Return the name of an image without its number, or as it is if it is a number."""
-    return NUMBER_OF_IMAGE.sub("", image) or image
-
-
-def groups_of(names: Sequence[str]) -> list[np.ndarray]:
-    """Group samples by object if their names identify it (:func:`objects_of`); else each is a group."""
-    groups = list(objects_of(names).values()) or [[i] for i in range(len(names))]
-    return [np.array(group) for group in groups]
-
-
-def describe_objects(names: Sequence[str]) -> str:
-    """Return which samples are left out together, if any are."""
-    counts = {name: len(members) for name, members in objects_of(names).items()}
-    if max(counts.values(), default=1) == 1:
-        return ""
-    shown = some_names([f"{name} ({count})" for name, count in counts.items()], 4)
-    return f"images of the same object, by their names: {shown}; cross-validation leaves them out together"
-
-
-def folds_of(names: Sequence[str], most: int = LEFT_OUT_FOLDS) -> list[np.ndarray]:
-    """At most so many folds of samples, by object if their names identify it (:func:`objects_of`)."""
-    samples_of_objects = groups_of(names)
-    n_objects = len(samples_of_objects)
-    folds = []
-    for objects in np.array_split(np.arange(n_objects), min(n_objects, most)):
-        samples = [sample for i in objects for sample in samples_of_objects[i]]
-        folds.append(np.array(sorted(samples)))
-    return folds
 
 
 def _without(

@@ -8,7 +8,7 @@ import numpy as np
 from liaam.fitting.quality import expanded_covariance, fitted_covariances
 from liaam.io.files import count_of
 from liaam.model.contours import Contours, contour_turns, outline_errors
-from liaam.model.shape import ShapeModel, diagonal_of
+from liaam.model.shape import ShapeModel, diagonal_of, expanded_about
 from liaam.training.covariances import surprise
 from liaam.training.presence import AgreementOfFit
 
@@ -49,6 +49,8 @@ class LeftOutFit:
         Factor on the distance of the fitted shape from the mean.
     agreement : AgreementOfFit, optional
         Of right fits of methods that say which landmarks are present.
+    refinement : (n, 2) float64, optional
+        What a refiner has added to the landmarks, pixels of the frame; None without.
     """
 
     near: bool
@@ -63,6 +65,7 @@ class LeftOutFit:
     covariance: np.ndarray
     expansion: float = 1.0
     agreement: AgreementOfFit | None = None
+    refinement: np.ndarray | None = None
 
     @property
     def right(self) -> bool:
@@ -80,14 +83,23 @@ class LeftOutFit:
         return self.landmarks_at(self.expansion)
 
     def landmarks_at(self, expansion: float) -> np.ndarray:
-        """Return the landmarks (n, 2) of the shape at as many times its distance from the mean."""
-        return self.shapes.shape(self.shapes.expanded(self.p, expansion))
+        """Return the landmarks (n, 2) with the shape at as many times its distance from the mean."""
+        if self.refinement is None:
+            return self.shapes.shape(self.shapes.expanded(self.p, expansion))
+        return expanded_about(self.shapes.mean, self.shapes.shape(self.p) + self.refinement, expansion)
 
     def expanded(self, expansion: float) -> "LeftOutFit":
         """Return the fit with its shape at as many times its distance from the mean."""
-        fit = replace(self, expansion=expansion)
-        errors = outline_errors(fit.landmarks, fit.truth, fit.contours)[fit.known]
-        return replace(fit, error=float(errors.mean() / diagonal_of(fit.truth)))
+        return replace(self, expansion=expansion)._with_error()
+
+    def unrefined(self) -> "LeftOutFit":
+        """Return the fit without what a refiner has added."""
+        return self if self.refinement is None else replace(self, refinement=None)._with_error()
+
+    def _with_error(self) -> "LeftOutFit":
+        """Return the fit with the error of its landmarks."""
+        errors = outline_errors(self.landmarks, self.truth, self.contours)[self.known]
+        return replace(self, error=float(errors.mean() / diagonal_of(self.truth)))
 
     @property
     def errors(self) -> np.ndarray:
@@ -111,14 +123,9 @@ class LeftOutFit:
         Landmarks that are not known count as right, and the result is divided by the share of the others.
         """
         compared = np.where(self.known[:, None], self.truth, self.landmarks)
-        error = self.shapes.parameters(compared) - self._expanded_p
+        error = self.shapes.parameters(compared) - self.shapes.parameters(self.landmarks)
         stated = expanded_covariance(self.covariance, len(self.p), self.expansion)
         return surprise(error, stated) / float(self.known.mean())
-
-    @property
-    def _expanded_p(self) -> np.ndarray:
-        """Parameters (n_p,) of the shape at its distance from the mean."""
-        return self.shapes.expanded(self.p, self.expansion)
 
     @cached_property
     def _turns(self) -> np.ndarray:
@@ -167,6 +174,10 @@ class LeftOutFits:
         """Return the fits with shapes at as many times their distance from the mean."""
         fits = self.fits if expansion == 1.0 else [fit.expanded(expansion) for fit in self.fits]
         return replace(self, fits=fits, expansion=expansion)
+
+    def unrefined(self) -> "LeftOutFits":
+        """Return the fits without what refiners have added."""
+        return replace(self, fits=[fit.unrefined() for fit in self.fits])
 
     def with_others(self, fits: list[LeftOutFit]) -> "LeftOutFits":
         """Return these fits with other ones after them, whose shapes are expanded alike."""

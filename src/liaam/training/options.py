@@ -92,6 +92,10 @@ class TrainingOptions:
         method start from and weigh in. It helps with objects that vary much. ``auto``: if without it some fits to
         left-out images fail, and fewer fail with it; not if the images are relit by lamps, whose light the regressor
         does not learn, nor if all of the variance is kept or no images are left out.
+    refiner : bool or "auto"
+        Whether to learn also a refiner (:mod:`liaam.model.regressor`), a regression that moves the landmarks of fits
+        from where they are to where they should be. ``auto``: if fits to left-out images are nearer with it; not if all
+        of the variance is kept or no images are left out.
     leave_out : bool
         Whether to leave images out in turn and fit them, to calibrate ``FitResult.quality`` and
         ``landmark_covariances``. This doubles the time of training.
@@ -111,6 +115,7 @@ class TrainingOptions:
     sides: str = AUTO
     shapes: int | str = AUTO
     regressor: bool | str = AUTO
+    refiner: bool | str = AUTO
     leave_out: bool = True
     strict: bool = False
 
@@ -131,8 +136,9 @@ class TrainingOptions:
         if self.sides not in SIDES:
             raise TrainingError(f"sides {self.sides!r}: give {', '.join(SIDES)}")
         chosen(self.methods)
-        if self.regressor != AUTO and not isinstance(self.regressor, bool):
-            raise TrainingError(f"regressor {self.regressor!r}: give True, False or '{AUTO}'")
+        for name, choice in (("regressor", self.regressor), ("refiner", self.refiner)):
+            if choice != AUTO and not isinstance(choice, bool):
+                raise TrainingError(f"{name} {choice!r}: give True, False or '{AUTO}'")
         for prior in self.priors(0).values():
             check_prior(prior)
         for view, blurs in self.blurs_by_view.items():
@@ -177,6 +183,13 @@ class TrainingOptions:
         if self.regressor == AUTO:
             return not under_lamps and not self.keeps_all
         return bool(self.regressor)
+
+    @property
+    def learns_refiner(self) -> bool:
+        """Whether to learn a refiner."""
+        if self.refiner == AUTO:
+            return self.leave_out and not self.keeps_all
+        return bool(self.refiner)
 
     def priors(self, n_points: int) -> dict[str, str]:
         """Prior of the shapes by view, for a number of landmarks."""

@@ -15,7 +15,7 @@ from liaam.model.point_map import PointMap, learn_point_map
 from liaam.model.sides import reflected_points
 from liaam.photometry.encoding import as_colour
 from liaam.training.entries import Entry, image_of
-from liaam.training.left_out import folds_of
+from liaam.training.objects import folds_of
 
 Points = str | os.PathLike[str] | Callable[[np.ndarray], np.ndarray | None] | Sequence[np.ndarray | None] | np.ndarray
 """A folder of landmark files or a name of :data:`liaam.fitting.landmarkers.LANDMARKERS`; a function from an image to

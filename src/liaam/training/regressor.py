@@ -182,12 +182,15 @@ class Samples:
         True and present landmarks.
     blocks : list of arrays of int
         Samples that are left out together.
+    known : (N, n) bool
+        Which of the true landmarks are known; the others are estimates, which nothing is learnt from.
     """
 
     histograms: list[OrientationHistograms]
     truths: np.ndarray
     shapes: np.ndarray
     blocks: list[np.ndarray]
+    known: np.ndarray
 
 
 def _samples(views: Views, mean: np.ndarray, n_starts: int, groups: Sequence[np.ndarray]) -> Samples:
@@ -203,6 +206,7 @@ def _samples(views: Views, mean: np.ndarray, n_starts: int, groups: Sequence[np.
         truths=views.shapes[owners],
         shapes=np.array(shapes),
         blocks=[np.flatnonzero(np.isin(owners, group)) for group in groups],
+        known=np.ones((len(owners), len(mean)), bool),
     )
 
 
@@ -246,13 +250,15 @@ def _learn_step(
     weights = np.zeros((n, N_FEATURES, 2), np.float32)
     offsets = np.zeros((n, 2))
     predicted = np.zeros_like(wanted)
+    errors = np.zeros((n, 2, 2))
     for j in range(n):
-        fitted = _ridge_regression(features[:, j], wanted[:, j], ridge, samples.blocks)
+        known = samples.known[:, j]
+        fitted = _ridge_regression(features[:, j], wanted[:, j], ridge, samples.blocks, known)
         weights[j] = fitted.weights
         offsets[j] = fitted.offset
         predicted[:, j] = fitted.left_out
-    away = wanted - predicted
-    errors = np.einsum("ija,ijb->jab", away, away) / len(away)
+        away = (wanted[:, j] - fitted.left_out)[known]
+        errors[j] = away.T @ away / len(away)
     step = RegressionStep(spacing, weights, offsets, errors)
     gain = gain_of(covariance, errors)
     shapes = [
@@ -274,27 +280,29 @@ class _LinearFit:
 
 
 def _ridge_regression(
-    features: np.ndarray, wanted: np.ndarray, ridge: float, blocks: Sequence[np.ndarray]
+    features: np.ndarray, wanted: np.ndarray, ridge: float, blocks: Sequence[np.ndarray], known: np.ndarray
 ) -> _LinearFit:
     """Regress (N, 2) numbers on features (N, f), and predict each block of samples from the others.
 
-    Without the samples of block b, residuals r become (I - H_bb)^-1 r_b, with H = X (X'X + ridge I)^-1 X'.
+    Without the samples of block b, residuals r become (I - H_bb)^-1 r_b, with H = X (X'X + ridge I)^-1 X'. Of samples
+    whose numbers are not ``known`` (N,) nothing is learnt, so that they are predicted as they are.
     """
-    middle = features.mean(axis=0, dtype=np.float64)
+    middle = features[known].mean(axis=0, dtype=np.float64)
     x = features - middle
-    mean_wanted = wanted.mean(axis=0)
+    mean_wanted = wanted[known].mean(axis=0)
     y = wanted - mean_wanted
-    normal = x.T @ x
-    normal[np.diag_indices_from(normal)] += ridge * np.square(x).sum() / len(x) + 1e-12
+    learnt = x[known]
+    normal = learnt.T @ learnt
+    normal[np.diag_indices_from(normal)] += ridge * np.square(learnt).sum() / len(learnt) + 1e-12
     inverse = np.linalg.inv(normal)
     # Rounded to half precision, as a file holds them
-    weights = (inverse @ (x.T @ y)).astype(np.float16).astype(np.float32)
-    fitted = x @ weights
-    left_out = np.empty_like(y)
-    for block in blocks:
+    weights = (inverse @ (learnt.T @ y[known])).astype(np.float16).astype(np.float32)
+    left_out = (x @ weights).astype(y.dtype)
+    for all_of_block in blocks:
+        block = all_of_block[known[all_of_block]]
         of_block = x[block]
         leverage = of_block @ inverse @ of_block.T
-        residual = np.linalg.solve(np.eye(len(block)) - leverage, y[block] - fitted[block])
+        residual = np.linalg.solve(np.eye(len(block)) - leverage, y[block] - left_out[block])
         left_out[block] = y[block] - residual
     return _LinearFit(weights, mean_wanted - middle @ weights, mean_wanted + left_out)
 

@@ -66,10 +66,12 @@ class LeftOutImage:
         return replace(self, image=reflected_image(self.image), points=points)
 
 
-def fits_near(model: AAM, pictures: Iterable[LeftOutImage], methods: Sequence[Method]) -> dict[str, LeftOutFits]:
+def fits_near(
+    model: AAM, pictures: Iterable[LeftOutImage], methods: Sequence[Method]
+) -> dict[str, Sequence[LeftOutFits]]:
     """Fit left-out images from starts near the object.
 
-    Each method fits with several weights of the prior on the shape at the finest level, of which the best is kept.
+    Each method fits with several weights of the prior on the shape at the finest level, all of it first.
 
     Parameters
     ----------
@@ -81,8 +83,8 @@ def fits_near(model: AAM, pictures: Iterable[LeftOutImage], methods: Sequence[Me
 
     Returns
     -------
-    dict of LeftOutFits
-        By the names of the methods.
+    dict of sequences of LeftOutFits
+        By the names of the methods, with each weight, for :func:`least_shrunk_of_each`.
     """
     fits = {method.name: [LeftOutFits(weight) for weight in prior_weights(model)] for method in methods}
     candidates = list(chain.from_iterable(fits.values()))
@@ -93,7 +95,15 @@ def fits_near(model: AAM, pictures: Iterable[LeftOutImage], methods: Sequence[Me
             if _can_fit(fitter, picture):
                 candidate.n_near += 1
                 candidate.fits.extend(filter(None, [_fit(picture, fitter, start, near=True)]))
-    return {name: least_shrunk(of_method) for name, of_method in fits.items()}
+    return dict(fits)
+
+
+def least_shrunk_of_each(fits: Mapping[str, Sequence[LeftOutFits]], *, refined: bool) -> dict[str, LeftOutFits]:
+    """Return the best of each method's fits with several weights of the prior, with or without their refiners."""
+    best = {}
+    for name, candidates in fits.items():
+        best[name] = least_shrunk(candidates if refined else [each.unrefined() for each in candidates])
+    return best
 
 
 def with_distant_and_wrong_fits(
@@ -207,6 +217,7 @@ def _fit(picture: LeftOutImage, fitter: Fitter, start: np.ndarray | Detection, n
     agreement = None
     if near and share <= RIGHT and can_be_judged(result.method):
         agreement = agreement_of(fitter, picture.image, result, known, has_background=not picture.relit)
+    to_frame = result.pose.inverse()
     return LeftOutFit(
         near=near,
         error=share,
@@ -214,11 +225,13 @@ def _fit(picture: LeftOutImage, fitter: Fitter, start: np.ndarray | Detection, n
         unit=result.residual_variance,
         shapes=fitter.shapes,
         contours=model.contours,
-        truth=result.pose.inverse()(picture.points),
+        truth=to_frame(picture.points),
         known=known,
         p=result.p,
         covariance=result.covariance,
         agreement=agreement,
+        # Models without an image are not calibrated, so that nothing else has moved the landmarks.
+        refinement=None if result.shift is None else result.shift @ to_frame.matrix.T,
     )
 
 

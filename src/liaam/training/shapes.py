@@ -16,7 +16,7 @@ from liaam.model.file_format import MOST_SHAPES
 from liaam.model.shape import aligned_to, deviations_from, procrustes_mean
 from liaam.model.shape_prior import fit_prior, spread_points
 from liaam.training.entries import FEWEST
-from liaam.training.left_out import LEFT_OUT_FOLDS, objects_of
+from liaam.training.objects import LEFT_OUT_FOLDS, objects_of
 from liaam.training.options import AUTO
 
 LEAST_GROUP = 8  # Fewest images of a group that is found

@@ -28,6 +28,7 @@ from liaam.progress import Progress
 from liaam.training.entries import Entry
 from liaam.training.lamps import Copies
 from liaam.training.options import Blurs
+from liaam.training.refiner import Refinement
 from liaam.training.search_filter import FilterLearner
 
 # Appearances that are learnt from the textures of another
@@ -117,11 +118,12 @@ def sample_all(
     copied: Copies,
     encoder: Encoder | None,
     filters: FilterLearner,
+    refinement: Refinement | None = None,
 ) -> Sampled:
     """Sample the textures of all entries and their copies at the views' levels, for the appearances to learn.
 
     ``varied`` is sampled only with relit copies, and ``features`` only with a function of the user. ``filters`` sees
-    all images and copies.
+    all images and copies, and ``refinement`` those that refiners learn from.
 
     Grey images (mask ``grey``) among colour images have no colours to learn: only their gradients are sampled.
     """
@@ -145,8 +147,10 @@ def sample_all(
         steps.next(entry.name)
         image = camera.flatten(as_colour(entry.read_image(), entry.name))
         has_colour = not grey[i]
-        filters.add(image, entry.points, entry.known)
         row = int(first_rows[i])
+        filters.add(image, entry.points, entry.known)
+        if refinement is not None:
+            refinement.see(row, image, entry.points, entry.known)
         for store in stores_of_copies:
             store.add(row, image, entry.points, entry.known, camera, has_colour)
         for row_of_coloured in np.flatnonzero(coloured == i):  # one row, or none
@@ -157,6 +161,8 @@ def sample_all(
             steps.next(f"a copy of {entry.name}")
             known = copied.known_of(i, j, entry.known)
             filters.add(copy, points, known)
+            if refinement is not None:
+                refinement.see(row + 1 + j, copy, points, known)
             for store in stores_of_copies:
                 store.add(row + 1 + j, copy, points, known, camera, has_colour)
     textures = {name: store.textures() for name, store in stores.items()}

@@ -45,10 +45,12 @@ from liaam.training.features import encoder_of
 from liaam.training.filling import is_enough
 from liaam.training.images import check_images
 from liaam.training.lamps import Copies, LearntLamps, learn_lamps
-from liaam.training.left_out import ViewSettings, calibrated, can_be_calibrated, cost_of_fits, folds_of, groups_of
+from liaam.training.left_out import ViewSettings, calibrated, can_be_calibrated, cost_of_fits
+from liaam.training.objects import folds_of, groups_of
 from liaam.training.options import AUTO, TrainingOptions
 from liaam.training.points import Points, map_of_points, points_of
 from liaam.training.poses import poses_of
+from liaam.training.refiner import Refinement, RefinerLearner, seen_of
 from liaam.training.regressor import LEAST_OBJECTS, Regression, RegressorData
 from liaam.training.rotations import rotations_of
 from liaam.training.search_filter import FilterLearner
@@ -254,13 +256,22 @@ def _train_one(data: TrainingData, points: Points | None, task: _Task) -> AAM:
         features=None if encoder is None else encoder.features,
         is_colour=not grey.all(),
     )
+    groups = groups_of([entry.name for entry in entries])
     regression = None
     if options.learns_regressor(under_lamps=lamps is not None):
-        groups = groups_of([entry.name for entry in entries])
         regression = Regression(
             data=partial(RegressorData.of, entries, shapes.landmarks, model, groups),
             n_objects=len(groups),
             forced=options.regressor is True,
+        )
+    refinement = None
+    if options.learns_refiner:
+        refinement = Refinement(
+            learner=RefinerLearner(shapes.mean, camera.response),
+            seen=seen_of(copies.owners),
+            owners=copies.owners,
+            groups=groups,
+            forced=options.refiner is True,
         )
     appearance_names = _appearances_to_learn(options, has_features=encoder is not None)
     sides = counted(data.sides, entries)
@@ -268,7 +279,7 @@ def _train_one(data: TrainingData, points: Points | None, task: _Task) -> AAM:
     with reported("training", task.progress) as report:
         steps = _steps(model, options, shapes.folds, report)
         filters = FilterLearner(model, blurs[MESH][0])  # which sees all images and copies while they are sampled
-        sampled = sample_all(entries, grey, model, blurs, appearance_names, steps, copies, encoder, filters)
+        sampled = sample_all(entries, grey, model, blurs, appearance_names, steps, copies, encoder, filters, refinement)
         model = replace(model, search_filter=filters.learnt())
         model = _with_appearances(model, sampled, appearance_names, shapes.folds, options, steps)
         _check_cost(model)
@@ -285,15 +296,25 @@ def _train_one(data: TrainingData, points: Points | None, task: _Task) -> AAM:
                 folds=shapes.folds,
                 steps=steps,
                 regression=regression,
+                refinement=refinement,
                 has_sides=sides is not None,
             )
-        elif regression is not None and regression.forced:
-            model = replace(model, regressor=regression.data().learn(shape_model_of(model.views)))
+        else:
+            if regression is not None and regression.forced:
+                model = replace(model, regressor=regression.data().learn(shape_model_of(model.views)))
+            if refinement is not None and refinement.forced:
+                model = replace(model, refiner=refinement.learn())
         steps.next("trained", 0)
     if options.regressor is True and model.regressor is None:
         warnings.warn(
             f"the model has no regressor, which is learnt from {LEAST_OBJECTS + 1} objects with all landmarks at "
             "least: give more of them",
+            stacklevel=4,  # the caller of train, which is decorated
+        )
+    if options.refiner is True and model.refiner is None:
+        warnings.warn(
+            f"the model has no refiner, which is learnt from {LEAST_OBJECTS} objects at least that show each landmark: "
+            "give more of them",
             stacklevel=4,  # the caller of train, which is decorated
         )
     model = replace(model, sides=sides)
