@@ -36,7 +36,7 @@ TURN = 1.5
 SHAPE = 0.35
 VARIANCE = 0.99  # Fraction of the variance of shapes that their modes explain
 MOST_SEEN = 200  # Largest number of images and copies to learn from: each takes half a megabyte
-STANDARD_ERRORS = 2.0  # By which the mean of the logarithms of these fits' errors must be smaller
+STANDARD_ERRORS = 1.0  # By which the mean of the logarithms of these fits' errors must be smaller
 LEAST_OBJECTS = 4  # Least number of objects to learn from, and of fits to judge by
 
 
