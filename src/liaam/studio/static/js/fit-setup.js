@@ -4,7 +4,7 @@ import { api } from "./api.js";
 import { expert } from "./expert.js";
 import { entries, modelNeeded, offer } from "./fit-draw.js";
 import { AUTO, factsOf, objectOf, verdictOf } from "./fit-run.js";
-import { lightQuery } from "./relight.js";
+import { balanceQuery, lightQuery } from "./relight.js";
 import { sidesInWords } from "./sides.js";
 import { button, h, iconButton, saveFile, segmented } from "./ui.js";
 
@@ -293,8 +293,10 @@ export class ExportMenu {
   #address(what) {
     const { fit: { id }, lights } = this.#tab;
     const { light } = what === "relit" ? lightQuery(lights) : { light: null };
-    const opacity = SHOWN_OVER.includes(what) ? this.#tab.opacityOf(what) : 1;
-    return api.url("fits/{id}/export", { id, what, light, opacity: opacity < 1 ? opacity : null });
+    const isShown = SHOWN_OVER.includes(what);
+    const opacity = isShown ? this.#tab.opacityOf(what) : 1;
+    const balance = isShown ? balanceQuery(this.#tab.balance.corrects) : {};
+    return api.url("fits/{id}/export", { id, what, light, opacity: opacity < 1 ? opacity : null, ...balance });
   }
 
   /** Save a file of the fit without the menu. */

@@ -255,6 +255,9 @@ export class Tab extends SourceTab {
   /** The lights of the view Relight: {lamps, ambient}. */
   get lights() { return this.#view.light; }
 
+  /** Whether the colour of the light is corrected. */
+  get balance() { return this.#view.balance; }
+
   /** Opacity of a view. */
   opacityOf(view) { return this.#view.opacityOf(view); }
 
