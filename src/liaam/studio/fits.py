@@ -466,8 +466,8 @@ class Fits:
     ) -> tuple[str, str, bytes]:
         """Return the name, media type and content of a file, one of :data:`FILES`.
 
-        The light is for ``relit``, and the opacity and the balance are for ``relit`` and ``flat``. With the length of a ``pixel`` and its
-        unit, the overlay has a scale bar.
+        The light is for ``relit``, and the opacity and the balance are for ``relit`` and ``flat``. With the length of a
+        ``pixel`` and its unit, the overlay has a scale bar.
         """
         if what not in FILES:
             raise Refusal(422, f"a fit cannot be exported as '{what[:40]}': choose one of {', '.join(FILES)}")

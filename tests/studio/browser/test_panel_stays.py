@@ -154,7 +154,8 @@ def test_names_of_points_are_whole_on_a_tablet(open_page, serve, marked):
 def test_no_choice_of_the_list_is_cut(serve, page, marked):
     page.goto(serve(marked).address)
     opened(page, NAMES[0])
-    cut = """() => [...document.querySelectorAll(".strip-head select")].filter((each) => each.offsetParent).flatMap((select) => {
+    cut = """() => [...document.querySelectorAll(".strip-head select")].flatMap((select) => {
+      if (!select.offsetParent) return [];
       const ctx = new OffscreenCanvas(1, 1).getContext("2d");
       const style = getComputedStyle(select);
       ctx.font = `${style.fontWeight} ${style.fontSize} ${style.fontFamily}`;
