@@ -45,6 +45,7 @@ def measured(model: AAM, pair: LitPair, relighter: Relighter) -> tuple[float, ..
     untouched = log_light(picture, relighter.response)
     made = untouched.copy()
     made[relighter.region.box] = relighter.log_flat
+    made += relighter.colour.correction()
     alone, _ = paint(picture, shape, relighter.model, relighter.appearance.log_rgb)
     errors = flat_error(relighter.model, alone, shape, pair.flat), flat_error(model, made, shape, pair.flat)
     truth = eight_bits(np.log(np.maximum(pair.flat.linear, 1e-4)), relighter.response)

@@ -16,16 +16,17 @@ import pytest
 from contract_checks import check_answer, faults as differences
 from PIL import Image
 
+from liaam.datasets import load_face
 from liaam.errors import MethodError, StartError
 from liaam.fitting import FitStatus, Fitter
 from liaam.fitting.methods import DEFAULT_METHOD
 from liaam.fitting.solution import residual_at
 from liaam.fitting.specimens import FittedSpecimens
-from liaam.io import Landmarks, decode_image, read_landmarks, write_image, write_landmarks
-from liaam.model import AAM, SURROUNDINGS
+from liaam.io import Landmarks, decode_image, read_image, read_landmarks, write_image, write_landmarks
+from liaam.model import AAM, SURROUNDINGS, load_model
 from liaam.model.shape import diagonal_of
 from liaam.morphometry import read_specimens
-from liaam.photometry import to_linear
+from liaam.photometry import linear_to_srgb, srgb_to_linear, to_linear
 from liaam.relighting import Lamp
 from liaam.relighting.lamp import AMBIENT
 from liaam.studio import contract, layers
@@ -513,6 +514,26 @@ class TestLight:
         assert np.array_equal(picture, decode_image((fits.project.root / "lit.png").read_bytes()))
         assert np.abs(whole - picture).max() > 20
         assert np.abs(saved(0.35) - (picture + 0.35 * (whole - picture))).max() <= 0.5
+
+    def test_the_colour_of_the_light_is_corrected_or_kept_in_the_whole_picture(self, tmp_path):
+        photograph = read_image(load_face().image)
+        light = srgb_to_linear(photograph / 255.0) * np.exp((-0.3, 0.0, 0.4))
+        blue = np.rint(255 * linear_to_srgb(np.clip(light, 0.0, 1.0))).astype(np.uint8)
+        write_image(tmp_path / "blue.png", blue)
+        fits = make_fits(tmp_path, load_model("face"))
+        fitted = fit(fits, "blue.png")
+        wall = np.s_[:40, :80]
+        for what in ("flat", "relit"):
+            kept, corrected = (
+                decode_image(fits.export(fitted, what, (FRONT, 0.25), balance=balance)[2]) for balance in (False, True)
+            )
+            assert np.abs(kept[wall].astype(int) - blue[wall]).max() <= 1, what
+            assert corrected[wall][..., 2].mean() < 0.85 * kept[wall][..., 2].mean(), what
+        for balance in (False, True):
+            drawn, facts = fits.layer(fitted, "flat", 615, balance)
+            assert (facts or {}).get("colour") == "blue"
+            exported = decode_image(fits.export(fitted, "flat", (FRONT, 0.25), balance=balance)[2])
+            assert np.array_equal(decode_image(drawn), exported)
 
     def test_from_the_front_is_flat(self, fits, fitted):
         flat = decode_image(fits.layer(fitted, "flat", 320)[0]).astype(int)

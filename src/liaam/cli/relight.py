@@ -45,6 +45,14 @@ def relight(
     colour: Annotated[
         str, typer.Option(metavar="R,G,B", help="Colour of the lamp: linear red, green and blue, 0 to 1.")
     ] = "1,1,1",
+    balance: Annotated[
+        bool,
+        typer.Option(
+            "--balance/--no-balance",
+            help="Correct the colour of the light in the whole image, if it is clearly orange, blue, green or so. "
+            "--no-balance keeps it, on the object as well.",
+        ),
+    ] = True,
     output: Annotated[
         Path | None,
         typer.Option(
@@ -105,7 +113,7 @@ def relight(
             other, result = separated(fitter, read_image(like), None, str(like))
             report.add_fit(like, result, "its light was used although the fit may be wrong")
             n_done = 1
-        change = Change(lamps=lamps, other=other, ambient=ambient, strength=strength, init=init, certainty=certainty)
+        change = Change(lamps, other, ambient, strength, balance, init, certainty)
         for image, path in zip(images, outputs, strict=True):
             progress(n_done, n_images, image.name)
             n_done += 1
@@ -132,6 +140,8 @@ class Change:
         Fraction of ambient light beside lamps.
     strength : float
         Share of the change of light.
+    balance : bool
+        Whether the colour of the light is corrected in the whole image.
     init : str, optional
         Start of the fits, as in the command.
     certainty : bool
@@ -142,6 +152,7 @@ class Change:
     other: "Relighter | None"
     ambient: float
     strength: float
+    balance: bool
     init: str | None
     certainty: bool
 
@@ -176,6 +187,12 @@ class RelightReport:
         if self.strict:
             self.failed = True
 
+    def add_colour(self, image: Path, relighter: "Relighter", balance: bool) -> None:
+        """Add that the light of an image has another colour than that of training, and what was done about it."""
+        if relighter.colour.is_found:
+            done = "corrected in the whole image" if balance else "kept"
+            self.advice[f"the light is {relighter.colour}: {done}"].append(image.name)
+
     def show(self, output: Path | None) -> None:
         """Print where the results are, and the advice."""
         if self.written:
@@ -194,7 +211,9 @@ def relight_file(fitter: "Fitter", image: Path, path: Path, change: Change, repo
         action = "nothing was written"
     else:
         action = "the image was relit all the same: check it"
-        write_image(path, shown(relighter, change.lamps, change.other, change.ambient, change.strength))
+        light = change.lamps, change.other, change.ambient
+        write_image(path, shown(relighter, *light, change.strength, change.balance))
+        report.add_colour(image, relighter, change.balance)
         report.written.append(path)
         if change.certainty:
             write_image(map_of(path), picture_of_certainty(relighter))

@@ -8,7 +8,8 @@ surface, and ``relighter`` combines them for one image.
 
 from liaam.relighting.appearance import ShadowFree, shadow_free
 from liaam.relighting.lamp import Lamp
+from liaam.relighting.light_colour import LightColour
 from liaam.relighting.painting import paint, without_shading
 from liaam.relighting.relighter import Relighter, relight
 
-__all__ = ["Lamp", "Relighter", "ShadowFree", "paint", "relight", "shadow_free", "without_shading"]
+__all__ = ["Lamp", "LightColour", "Relighter", "ShadowFree", "paint", "relight", "shadow_free", "without_shading"]

@@ -12,7 +12,7 @@ from liaam.relighting.painting import Region, averages, mean_of, smoothstep
 CLIPPED = math.log(0.95)  # Logarithm of light from which a channel counts as clipped
 BRIGHT = math.log(0.6)  # That from which brightened pixels approach white gradually, instead of being clipped
 COLOUR_REACH = 2.0  # Radius within which the colour around clipped highlights is averaged, in reaches
-TONED = 0.05  # Standard deviation of log-chromaticities of an object in black and white, which has one tone
+TONED = 0.08  # Standard deviation of log-chromaticities of an object in black and white, which has one tone
 POWER = 4.0  # Power of light that weighs it: gloss has the lamp's colour, and is nearly as bright where not clipped
 FALLBACK = 0.01  # Weight of the object's mean colour, for highlights larger than COLOUR_REACH
 WHOLLY_CLIPPED = 0.25  # Share of wholly clipped pixels around one from which its light counts as unknown
@@ -44,7 +44,7 @@ def spared(
         The light to remove instead, and the logarithms of the image's light from which it is removed.
     """
     colours = small - mean_of(small)[..., None]
-    if np.var(colours, axis=(0, 1), where=around.inside[..., None]).sum() < TONED**2:
+    if is_toned(small[around.inside]):
         light = np.repeat(mean_of(light)[..., None], 3, axis=2)
     is_clipped = reduce(cv2.max, cv2.split(log_rgb)) >= CLIPPED
     unknown = around.gloss  # how little of a pixel's light is known, 0 to 1
@@ -56,6 +56,12 @@ def spared(
         return light, log_rgb
     colour = _colour_around(small, colours, is_clipped, around, region)
     return light, _beyond_white(log_rgb, is_clipped, colour, around, region)
+
+
+def is_toned(log_rgb: np.ndarray) -> bool:
+    """Whether an object of logarithms of light (n, 3) is black and white, in one tone."""
+    colours = log_rgb - log_rgb.mean(axis=1, keepdims=True)
+    return bool(np.var(colours, axis=0).sum() < TONED**2)
 
 
 def _near_wholly_clipped(log_rgb: np.ndarray, region: Region) -> np.ndarray:

@@ -31,6 +31,7 @@ from liaam.relighting.lamp import (
     surface_of,
     surface_on_image,
 )
+from liaam.relighting.light_colour import LightColour, balanced, balanced_picture
 from liaam.relighting.painting import REACH, Region, averages, box_of, eight_bits, log_light, paint, seen_triangles
 from liaam.relighting.shading import SQUARE, Shading, find_shading, light_on_frame, light_on_image, noise_of_log
 
@@ -92,7 +93,8 @@ class Relighter:
         The part of the image that may change, (bh, bw) pixels, and its resolution of light, (lh, lw). There are no
         pixels if the object is outside the image.
     log_flat : (bh, bw, 3) float32
-        Logarithm of light with the object under the training light. Clipped highlights may have more than white.
+        Logarithm of light with the object under the training light, but in the colour of the image's light. Clipped
+        highlights may have more than white.
     log_own : (bh, bw, 3) float32
         That of the image.
     surroundings : Surroundings
@@ -144,7 +146,7 @@ class Relighter:
         camera = fitter.camera or model.camera
         shape = result.registered
         if len(seen_triangles(image, shape, model)):
-            appearance, shading = find_shading(model, image, shape, camera.response)
+            appearance, shading = find_shading(model, image, shape, camera.response, result.status.ok)
             if steadied is not None:
                 shading = steadied(shading)
             flat = _without_light(model, image, shape, camera.response, shading)
@@ -165,12 +167,18 @@ class Relighter:
             surroundings=flat.surroundings,
         )
 
-    def flat(self, strength: float = 1.0) -> np.ndarray:
+    @property
+    def colour(self) -> LightColour:
+        """Colour of the light of the whole image."""
+        return self.frame_shading.colour
+
+    def flat(self, strength: float = 1.0, balance: bool = True) -> np.ndarray:
         """Return the image with the object under the training light, (h, w, 3) uint8.
 
-        ``strength`` is the share of the change of light, from 0 for the image as it is to 1.
+        ``strength`` is the share of the change of light, from 0 for the image as it is to 1. With ``balance``, the
+        colour of the light (:attr:`colour`) is taken off the whole image; else it stays, on the object as well.
         """
-        return self._changed(strength=strength)
+        return self._changed(None, strength, self._correction(balance))
 
     def shading(self) -> np.ndarray:
         """Return the removed shading, (h, w, 3) float32: log(image / flat image), 0 outside the mesh."""
@@ -199,7 +207,9 @@ class Relighter:
         """Mean certainty inside the mesh; 0 if the object is outside the image."""
         return float(np.nanmean(self.certainty())) if self.inside.any() else 0.0
 
-    def under(self, light: LampsLike, ambient: float = AMBIENT, strength: float = 1.0) -> np.ndarray:
+    def under(
+        self, light: LampsLike, ambient: float = AMBIENT, strength: float = 1.0, balance: bool = True
+    ) -> np.ndarray:
         """Return the image with the object under distant lamps, (h, w, 3) uint8.
 
         Uses Lambert's law on the model's surface, relative to a frontal lamp: under one white lamp from (0, 0, 1) the
@@ -217,6 +227,8 @@ class Relighter:
             Fraction of white ambient light, 0 to 1.
         strength : float
             Share of the change of light, from 0 for the image as it is to 1.
+        balance : bool
+            Whether the colour of the image's light is taken off the whole image, so that the lamps have their own.
 
         Raises
         ------
@@ -231,12 +243,14 @@ class Relighter:
         frontal = light_of([Lamp((0.0, 0.0, 1.0))], self.normals, ambient)
         loss = float(frontal[self.inside].mean() / under_lamps[self.inside].mean())
         exposure = min(loss**0.5, LONGEST)
-        return self._changed(self.surroundings.share * np.log(exposure * under_lamps / frontal), strength)
+        change = self.surroundings.share * np.log(exposure * under_lamps / frontal)
+        return self._changed(change, strength, self._correction(balance))
 
-    def like(self, other: "Relighter", strength: float = 1.0) -> np.ndarray:
+    def like(self, other: "Relighter", strength: float = 1.0, balance: bool = True) -> np.ndarray:
         """Return the image with the object under the light of another fitted image, (h, w, 3) uint8.
 
-        ``strength`` is the share of the change of light, from 0 for the image as it is to 1.
+        ``strength`` is the share of the change of light, from 0 for the image as it is to 1. With ``balance``, the
+        whole image takes the colour of the other's light; else it keeps its own.
 
         Raises
         ------
@@ -252,7 +266,12 @@ class Relighter:
         shading = other.frame_shading
         on_mesh, _ = paint(self.inside, self.region.shape, self.model, shading.log)
         around = light_on_image(self.model, shading.coordinates, self.region)
-        return self._changed(self.surroundings.spread(on_mesh, around), strength)
+        correction = self._correction(balance, other.colour)
+        return self._changed(self.surroundings.spread(on_mesh, around), strength, correction)
+
+    def _correction(self, balance: bool, to: LightColour | None = None) -> np.ndarray:
+        """Return logarithms of the gains (3,) of the whole image that bring its light to a colour, or 0."""
+        return self.colour.correction(to) if balance else np.zeros(3)
 
     @property
     def nbytes(self) -> int:
@@ -298,20 +317,25 @@ class Relighter:
         share = np.exp(-0.5 * np.square(relative)).astype(np.float32)
         return fine * share
 
-    def _changed(self, change: np.ndarray | None = None, strength: float = 1.0) -> np.ndarray:
+    def _changed(self, change: np.ndarray | None, strength: float, correction: np.ndarray) -> np.ndarray:
         """Return the flat image, with a change of log light (lh, lw, 1 or 3); noise stays low.
 
-        ``strength`` is the share of the way from the logarithm of the image's own light to that.
+        ``strength`` is the share of the way from the logarithm of the image's own light to that, and to the whole
+        image with its channels changed by the logarithms of gains in ``correction`` (3,).
         """
         check_strength(strength)
-        picture = self.picture.copy()
         if not self.inside.any():
-            return picture
+            return self.picture.copy()
+        correction = strength * correction
+        is_balanced = bool(correction.any())
+        picture = balanced_picture(self.picture, correction, self.response) if is_balanced else self.picture.copy()
         log_rgb = self.log_flat
         if change is not None:
             log_rgb = log_rgb + self.region.enlarged(change).reshape(*log_rgb.shape[:2], -1)
         if strength < 1.0:
             log_rgb = self.log_own + np.float32(strength) * (log_rgb - self.log_own)
+        if is_balanced:
+            log_rgb = balanced(log_rgb, self.log_own, correction)
         stored = eight_bits(log_rgb, self.response)
         excess = self._excess(stored)
         if (excess > 0.0).any():
@@ -342,7 +366,12 @@ def _no_shading(model: AAM) -> Shading:
     """Return the light of training, without any uncertainty."""
     modes, _ = light_on_frame(model)
     mean = model.levels[-1].appearances["log"].mean
-    return Shading(coordinates=np.zeros(len(modes)), log=np.zeros_like(mean), deviation=np.zeros_like(mean[:, 0]))
+    return Shading(
+        coordinates=np.zeros(len(modes)),
+        log=np.zeros_like(mean),
+        deviation=np.zeros_like(mean[:, 0]),
+        colour=LightColour.unknown(),
+    )
 
 
 def _without_light(
@@ -377,6 +406,7 @@ def relight(
     like=None,
     ambient: float = AMBIENT,
     strength: float = 1.0,
+    balance: bool = True,
     init=None,
     like_init=None,
     method: str | Method = DEFAULT_METHOD,
@@ -400,6 +430,9 @@ def relight(
         Fraction of ambient light with ``light``, 0 to 1.
     strength : float
         Share of the change of light, from 0 for the image as it is to 1.
+    balance : bool
+        Whether the colour of the light is corrected, in the whole image: by default, if it differs clearly from that
+        of the training images. Else the image keeps the colour of its light, the object as well.
     init, like_init : start, optional
         Starts of the fits to the two images, as for :func:`liaam.fit`. By default the objects are searched for.
     method : str or Method
@@ -441,7 +474,7 @@ def relight(
     _warn(result, "image")
     if relighter.certain < UNCERTAIN:
         warnings.warn(f"image: {uncertainty_of(relighter)}", stacklevel=2)
-    return shown(relighter, lamps, other, ambient, strength)
+    return shown(relighter, lamps, other, ambient, strength, balance)
 
 
 def lamps_of(light: LampsLike) -> list[Lamp]:
@@ -463,13 +496,14 @@ def shown(
     other: Relighter | None = None,
     ambient: float = AMBIENT,
     strength: float = 1.0,
+    balance: bool = True,
 ) -> np.ndarray:
     """Show an object under lamps, or the light of another image, or that of training."""
     if other is not None:
-        return relighter.like(other, strength)
+        return relighter.like(other, strength, balance)
     if lamps is not None:
-        return relighter.under(lamps, ambient, strength)
-    return relighter.flat(strength)
+        return relighter.under(lamps, ambient, strength, balance)
+    return relighter.flat(strength, balance)
 
 
 def separated(fitter: Fitter, image, init=None, name: str = "image") -> tuple[Relighter, FitResult]:

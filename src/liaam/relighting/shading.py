@@ -17,6 +17,12 @@ light is 0 with the probability that the data give to it, and its coordinates ar
 is darker or redder as a whole is no evidence of another light, as its level c explains it; under another light, the
 level is removed as well.
 
+The colour of the light of the whole picture is estimated first (:func:`colour_on_object`), by the same model with a
+wide prior of c: it is the mean colour of c and of the modes of light. Persons differ in colour less than lights do, and
+their lips, brows and whites of the eyes do not differ as under another light. Light of the object's own colour is
+limited to what its surroundings share (:meth:`LightColour.shared_with`). The rest is estimated from the image without
+that colour, and has no mean colour of its own.
+
 What the modes leave is light mostly where light varies, as along the edge of a shadow. It is not light where it is far
 from the median of its surroundings, as marks are, nor where both halves of a symmetric object share it, under light
 that they do not share. Elsewhere it stays in the picture, as beards, glasses and moles do, which no model knows.
@@ -39,6 +45,8 @@ from liaam.photometry.invariant import CHROMATICITY, THETA_DEFAULT, temperature_
 from liaam.photometry.noise import noise_deviation
 from liaam.photometry.response import log_slope
 from liaam.relighting.appearance import ShadowFree
+from liaam.relighting.highlights import is_toned
+from liaam.relighting.light_colour import RENDERED, LightColour, colour_around
 from liaam.relighting.painting import Region, smoothstep
 from liaam.training.textures import sample_appearance
 from liaam.workers import one_numpy_thread
@@ -64,6 +72,7 @@ AT_THE_BORDER = 0.5  # The same at the mesh's border, where a landmark one pixel
 SOFT_EDGE = 0.05  # Depth at which that has fallen to 0
 LEVEL = 0.3  # Standard deviation of the brightness of an image's level
 TINT = 0.1  # That of each of its two colours
+TINT_OF_LIGHT = 0.4  # The same before the colour of the light is known: from daylight to candles
 FREEDOM = 2.0  # Degrees of freedom of Student's t distribution of the errors
 PASSES = 3  # More make no visible difference
 
@@ -126,11 +135,16 @@ def _smooth_modes(model: AAM) -> np.ndarray:
 
 @one_numpy_thread()
 def light_on_image(model: AAM, coordinates: np.ndarray, region: Region) -> np.ndarray:
-    """Return the change of log light around an object in a region of an image, (h, w, 3) float32; 0 without lamps."""
+    """Return the change of log light around an object in a region of an image, (h, w, 3) float32; 0 without lamps.
+
+    On the object, its mean has no colour.
+    """
     if model.light is None or not coordinates.any():
         return np.zeros((*region.small[::-1], 3), np.float32)
-    change = np.tensordot(coordinates.astype(np.float32), model.light.modes, axes=1)
-    return field_on_image(change, model.light.mean, region)
+    coordinates = coordinates.astype(np.float32)
+    change = np.tensordot(coordinates, model.light.modes, axes=1)
+    on_frame = np.tensordot(coordinates, light_on_frame(model)[0], axes=1)
+    return field_on_image(change - colour_of(on_frame), model.light.mean, region)
 
 
 def field_on_image(field: np.ndarray, mean: np.ndarray, region: Region) -> np.ndarray:
@@ -151,28 +165,15 @@ def appearance_in_light(
     and the logarithm of the image's level (3,), times the probability of another light than that of training.
     """
     appearance = model.levels[-1].appearances["log"]
-    of_lamps, unexplained = light_on_frame(model)
-    pixels, together = _samples(model)
-    part = appearance.at(pixels)
-    levels = np.array([np.full(3, LEVEL), *(TINT * CHROMATICITY)], np.float32)
-    of_levels = np.broadcast_to(levels[:, None], (3, len(pixels), 3))
-    of_light = np.concatenate([of_lamps[:, pixels], of_levels])
-    whitened = _whitening(part.unexplained, noise[pixels], unexplained[pixels])
-    target = np.einsum("nc,ncd->nd", log[pixels] - part.mean, whitened).ravel()
-    modes = np.einsum("mnc,ncd->mnd", np.concatenate([part.modes, of_light]), whitened, optimize=True)
-    modes = modes.reshape(len(modes), -1)
-    precision = np.concatenate([1.0 / np.maximum(appearance.eigenvalues, 1e-12), np.ones(len(of_light))])
-    counts = (usable * (appearance.usable > 0))[pixels]
-    coordinates, hessian = _robust_coordinates(modes, target, counts, precision, together)
+    coordinates, covariance, _ = _joint_estimate(model, log, usable, noise, TINT)
 
     # The light is 0 with the probability that the data give to it.
     n = appearance.n_modes
     light_part = slice(n, -3)
-    covariance = np.linalg.inv(hessian)
     light = coordinates[light_part]
     variance = covariance[light_part, light_part]
     same = as_in_training(light, variance)
-    level = np.float32(1.0 - same) * (coordinates[-3:].astype(np.float32) @ levels)
+    level = np.float32(1.0 - same) * (coordinates[-3:].astype(np.float32) @ _levels(TINT))
     coordinates = coordinates - same * covariance[:, light_part] @ np.linalg.solve(variance, light)
     spread = (1.0 - same) * (variance + same * np.outer(light, light))
     deviations = np.sqrt(np.diag(covariance)[:n])
@@ -181,6 +182,75 @@ def appearance_in_light(
         spread,
         level,
     )
+
+
+def _joint_estimate(
+    model: AAM, log: np.ndarray, usable: np.ndarray, noise: np.ndarray, tint: float
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Estimate the coordinates of appearance, light and level, whose colours have the standard deviation ``tint``.
+
+    Return them, (n_modes + k + 3,), their covariance, and the modes of light and level at samples, (k + 3, s, 3).
+    Other arguments are those of :func:`appearance_in_light`.
+    """
+    appearance = model.levels[-1].appearances["log"]
+    of_lamps, unexplained = light_on_frame(model)
+    pixels, together = _samples(model)
+    part = appearance.at(pixels)
+    of_levels = np.broadcast_to(_levels(tint)[:, None], (3, len(pixels), 3))
+    of_light = np.concatenate([of_lamps[:, pixels], of_levels])
+    whitened = _whitening(part.unexplained, noise[pixels], unexplained[pixels])
+    target = np.einsum("nc,ncd->nd", log[pixels] - part.mean, whitened).ravel()
+    modes = np.einsum("mnc,ncd->mnd", np.concatenate([part.modes, of_light]), whitened, optimize=True)
+    modes = modes.reshape(len(modes), -1)
+    precision = np.concatenate([1.0 / np.maximum(appearance.eigenvalues, 1e-12), np.ones(len(of_light))])
+    counts = (usable * (appearance.usable > 0))[pixels]
+    coordinates, hessian = _robust_coordinates(modes, target, counts, precision, together)
+    return coordinates, np.linalg.inv(hessian), of_light
+
+
+def _levels(tint: float) -> np.ndarray:
+    """Return modes of the level of an image, (3, 3) float32: its brightness and its two colours."""
+    return np.array([np.full(3, LEVEL), *(tint * CHROMATICITY)], np.float32)
+
+
+def colour_on_object(model: AAM, log: np.ndarray, usable: np.ndarray, noise: np.ndarray) -> LightColour | None:
+    """Estimate the colour of the light of an image on the reference frame; arguments as of :func:`appearance_in_light`.
+
+    None for an object in black and white, with or without a tone, which does not show the colour of its light.
+    """
+    seen = log[usable > 0]
+    if len(seen) < 2 or is_toned(seen):
+        return None
+    coordinates, covariance, of_light = _joint_estimate(model, log, usable, noise, TINT_OF_LIGHT)
+    n = model.levels[-1].appearances["log"].n_modes
+    colours = CHROMATICITY @ of_light.mean(axis=1).T  # (2, k + 3): mean colour of each mode
+    chromaticity = colours @ coordinates[n:]
+    own = own_colour(model)
+    errors = _errors_of_colour(model) + np.square(RENDERED / max(float(np.linalg.norm(own)), 1e-9)) * np.outer(own, own)
+    return LightColour(chromaticity, colours @ covariance[n:, n:] @ colours.T + errors)
+
+
+@lru_cache(maxsize=4)
+def _errors_of_colour(model: AAM) -> np.ndarray:
+    """Return the covariance (2, 2) of the model's errors of colour on left-out images.
+
+    A whole object may share them.
+    """
+    unexplained = model.levels[-1].appearances["log"].unexplained
+    if unexplained is None:
+        return UNKNOWN**2 * np.eye(2)
+    return CHROMATICITY @ unexplained.mean(axis=0) @ CHROMATICITY.T
+
+
+def own_colour(model: AAM) -> np.ndarray:
+    """Return the mean log-chromaticity of the object under the training light, (2,)."""
+    return CHROMATICITY @ model.levels[-1].appearances["log"].mean.mean(axis=0, dtype=np.float64)
+
+
+def colour_of(light: np.ndarray) -> np.ndarray:
+    """Return the mean colour of logarithms of light (n, 3), (3,) float32, which has no brightness."""
+    mean = light.mean(axis=0)
+    return mean - mean.mean()
 
 
 def _samples(model: AAM) -> tuple[np.ndarray, float]:
@@ -244,22 +314,50 @@ class Shading:
     """Light of a fitted image relative to the training light, on the pixels of the reference frame.
 
     The coordinates (k,) of its modes, its logarithm (n_pixels, 3) float32, and the standard deviation of that,
-    (n_pixels,) float32.
+    (n_pixels,) float32. Its mean has no colour, which is that of the whole image, ``colour``.
     """
 
     coordinates: np.ndarray
     log: np.ndarray
     deviation: np.ndarray
+    colour: LightColour
 
     __repr__ = short_repr
 
+    def towards(self, other: "Shading", share: float) -> "Shading":
+        """Return the light at a share of the way to another."""
+
+        def mixed(one: np.ndarray, two: np.ndarray) -> np.ndarray:
+            return one + share * (two - one)
+
+        return Shading(
+            coordinates=mixed(self.coordinates, other.coordinates),
+            log=mixed(self.log, other.log),
+            deviation=mixed(self.deviation, other.deviation),
+            colour=LightColour(
+                mixed(self.colour.chromaticity, other.colour.chromaticity),
+                mixed(self.colour.covariance, other.colour.covariance),
+            ),
+        )
+
 
 @one_numpy_thread()  # so that the bits do not depend on the number of threads
-def find_shading(model: AAM, image: np.ndarray, shape: np.ndarray, response: Response) -> tuple[ShadowFree, Shading]:
-    """Estimate the appearance and the light of an image (h, w, 3) with fitted landmarks (n, 2)."""
+def find_shading(
+    model: AAM, image: np.ndarray, shape: np.ndarray, response: Response, trusted: bool = True
+) -> tuple[ShadowFree, Shading]:
+    """Estimate the appearance and the light of an image (h, w, 3) with fitted landmarks (n, 2).
+
+    The colour of the whole image's light is estimated only if the landmarks are ``trusted``.
+    """
     log, usable = sample_appearance(image, shape, model.warp, "log", response, model.levels[-1].blur)
     deviation = noise_deviation(image, response) / max(1.0, align(model.shape_model.mean, shape).scale)
     noise = np.square(noise_of_log(np.exp(log), deviation)).astype(np.float32)
+    colour = colour_on_object(model, log, usable, noise) if trusted else None
+    if colour is None:
+        colour = LightColour.unknown()
+    else:
+        colour = colour.shared_with(colour_around(image, shape, response), own_colour(model))
+    log = log - colour.log.astype(np.float32)
     appearance, covariance, level = appearance_in_light(model, log, usable, noise)
     modes, _ = light_on_frame(model)
     lit = np.tensordot(appearance.light.astype(np.float32), modes, axes=1) + level
@@ -276,7 +374,8 @@ def find_shading(model: AAM, image: np.ndarray, shape: np.ndarray, response: Res
     brightness = modes.mean(axis=2)
     variance = np.einsum("kn,kl,ln->n", brightness, covariance, brightness, optimize=True) + share * uncertain
     deviation = np.sqrt(np.maximum(variance, 0.0))
-    return appearance, Shading(appearance.light, light.astype(np.float32), deviation.astype(np.float32))
+    light = (light - colour_of(light)).astype(np.float32)
+    return appearance, Shading(appearance.light, light, deviation.astype(np.float32), colour)
 
 
 def _variation_of_light(model: AAM, bright: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

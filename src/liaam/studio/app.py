@@ -63,6 +63,7 @@ from liaam.studio.training import Trainer
 
 IMAGE_SIZE = 2048  # default longest side of an image, pixels
 CHROMA_SIZE = 640  # of its invariant
+KEEP = "0"  # balance of a request that keeps the colour of the light
 KEPT = {"cache-control": "private, max-age=86400, immutable"}  # headers of answers that never change
 METHODS_TO_CHOOSE: list[contract.Method] = [
     {"name": each.name, "summary": each.summary, "needs_colour": each.needs_colour} for each in METHODS.values()
@@ -454,22 +455,25 @@ class Studio:
                 self.project.mark_unreadable(picture, fault)
             raise
 
-    def _layer(self, request: Request, asked: contract.ImageQuery) -> Response:
+    def _layer(self, request: Request, asked: contract.LayerQuery) -> Response:
         fit = self.fits.get(request.path_params["id"])
         what = request.path_params["layer"]
-        data, facts = self.fits.layer(fit, what, checked_size(asked.size, LAYER_SIZE))
+        data, facts = self.fits.layer(fit, what, checked_size(asked.size, LAYER_SIZE), asked.balance != KEEP)
         return Response(data, media_type="image/png", headers={**KEPT, "x-scale": json.dumps(facts)})
 
     def _relit(self, request: Request, asked: contract.LightQuery) -> Response:
         fit = self.fits.get(request.path_params["id"])
         light = light_of(asked.light)
-        image, _ = self.fits.draw(fit, "relit", checked_size(asked.size, LAYER_SIZE), light)
+        size = checked_size(asked.size, LAYER_SIZE)
+        image, _ = self.fits.draw(fit, "relit", size, light, balance=asked.balance != KEEP)
         return Response(jpeg_bytes(image), media_type="image/jpeg", headers=KEPT)
 
     def _export_fit(self, request: Request, asked: contract.FitFileQuery) -> Response:
         fit = self.fits.get(request.path_params["id"])
         light = light_of(asked.light)
-        name, kind, data = self.fits.export(fit, asked.what, light, self._pixel_of(fit), opacity_of(asked.opacity))
+        opacity = opacity_of(asked.opacity)
+        pixel = self._pixel_of(fit)
+        name, kind, data = self.fits.export(fit, asked.what, light, pixel, opacity, asked.balance != KEEP)
         return attachment(name, data, kind)
 
     def _fit(self, request: Request, data: Any) -> contract.Fit:

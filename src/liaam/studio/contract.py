@@ -692,6 +692,7 @@ class LayerChange(TypedDict):
     """What the flat picture changes, sent beside it."""
 
     even: Annotated[bool, "Whether the light is so much as in training that nothing that can be seen is taken off."]
+    colour: Annotated[str, "Name of the colour of the light, such as orange; empty: as in training."]
 
 
 class LayerPlace(TypedDict):
@@ -817,11 +818,20 @@ class UploadQuery(FileQuery):
 
 
 @dataclass(frozen=True, kw_only=True)
+class LayerQuery(Query):
+    """Asks for a layer of a fit in a size."""
+
+    size: Annotated[str | None, "Longest side in pixels."] = None
+    balance: Annotated[str, "0: the flat picture keeps the colour of its light."] = ""
+
+
+@dataclass(frozen=True, kw_only=True)
 class LightQuery(Query):
     """Asks for the object of a fit under another light."""
 
     light: Annotated[str | None, "A SentLight as JSON; null: one lamp beside the camera."] = None
     size: str | None = None
+    balance: Annotated[str, "0: the picture keeps the colour of its own light."] = ""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -831,6 +841,7 @@ class FitFileQuery(Query):
     what: str = ""
     light: Annotated[str | None, "A SentLight as JSON, for a relit picture."] = None
     opacity: Annotated[str | None, "Of a flat or relit picture over the picture, 0 to 1; null: 1."] = None
+    balance: Annotated[str, "0: a flat or relit picture keeps the colour of its own light."] = ""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -905,7 +916,7 @@ ROUTES = {
     "POST fits/all": Endpoint(Fits, body=FitAll),
     "GET fits/table": Endpoint(bytes, FitsQuery),
     # The header x-scale has a ColourScale, a LayerChange or a LayerPlace.
-    "GET fits/{id}/layers/{layer}": Endpoint(bytes, ImageQuery),
+    "GET fits/{id}/layers/{layer}": Endpoint(bytes, LayerQuery),
     "GET fits/{id}/relit": Endpoint(bytes, LightQuery),
     "GET fits/{id}/export": Endpoint(bytes, FitFileQuery),
     "POST recordings": Endpoint(bytes, body=bytes),

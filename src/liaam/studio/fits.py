@@ -211,7 +211,7 @@ class Fits:
         self._fits: Kept[str, Fit] = Kept(settings.fits_kept)
         self._fitters: Kept[tuple[int, str, bool, str], Fitter] = Kept(FITTERS_KEPT)
         self._found: Kept[tuple[str, str, tuple[int, ...], int], Sequence[Detection]] = Kept(settings.fits_kept)
-        self._layers: Kept[tuple[str, str, int], tuple[bytes, LayerFacts]] = Kept(
+        self._layers: Kept[tuple[str, str, int, bool], tuple[bytes, LayerFacts]] = Kept(
             LAYER_BYTES, lambda layer: len(layer[0])
         )
         self._lights: Kept[tuple[str, tuple[int, int]], Relighter] = Kept(LIGHT_BYTES, lambda light: light.nbytes)
@@ -403,24 +403,30 @@ class Fits:
         """Return the fit with an id."""
         return self._fits.found(number, "this fit is no longer kept: fit again")
 
-    def layer(self, fit: Fit, what: str, size: int) -> tuple[bytes, LayerFacts]:
+    def layer(self, fit: Fit, what: str, size: int, balance: bool = True) -> tuple[bytes, LayerFacts]:
         """Return :meth:`draw` as PNG."""
         if what not in layers.LAYERS:
             raise Refusal(404, f"there is no layer '{what[:40]}': choose one of {', '.join(layers.LAYERS)}")
 
         def make() -> tuple[bytes, LayerFacts]:
-            image, facts = self.draw(fit, what, size)
+            image, facts = self.draw(fit, what, size, balance=balance)
             return png_bytes(image), facts
 
-        return self._layers.get((fit.id, what, size), make)
+        return self._layers.get((fit.id, what, size, balance), make)
 
     def draw(
-        self, fit: Fit, what: str, size: int | None, light: Lighting | None = None, opacity: float = 1.0
+        self,
+        fit: Fit,
+        what: str,
+        size: int | None,
+        light: Lighting | None = None,
+        opacity: float = 1.0,
+        balance: bool = True,
     ) -> tuple[np.ndarray, LayerFacts]:
         """Draw a layer of the whole picture as (h, w, 4) or (h, w, 3) uint8, its longest side at most ``size``.
 
         Also return its colours, or its place. The ``light`` is for ``relit``; the ``opacity``, over the picture itself,
-        for ``relit`` and ``flat``.
+        and the ``balance`` of the colour of the light are for ``relit`` and ``flat``.
         """
         if what == "overlay":
             from liaam.plotting import overlay_of_fit  # heavy: imported when first needed
@@ -437,25 +443,31 @@ class Fits:
             layer, box = layers.normals_layer(relighter)
             return layer, {"box": box}
         if what == "shading":
-            even = layers.is_even(relighter, relighter.flat())
+            even = layers.is_even(relighter, relighter.flat(balance=False))
             return layers.shading_layer(relighter, to), {"limit": layers.SHADING_LIMIT, "what": "light", "even": even}
         facts: LayerFacts = None
         if what == "relit" and light:
-            image = relighter.under(*light)
+            image = relighter.under(*light, balance=balance)
         else:
-            image = relighter.flat()
-            facts = {"even": layers.is_even(relighter, image)}
+            image = relighter.flat(balance=balance)
+            facts = {"even": layers.is_even(relighter, image), "colour": relighter.colour.name}
         if opacity < 1.0:  # as the page draws it: in stored values
             image = np.rint(relighter.picture + opacity * (image - np.float32(relighter.picture))).astype(np.uint8)
         return averaged(image, to), facts
 
     def export(
-        self, fit: Fit, what: str, light: Lighting, pixel: tuple[float, str] | None = None, opacity: float = 1.0
+        self,
+        fit: Fit,
+        what: str,
+        light: Lighting,
+        pixel: tuple[float, str] | None = None,
+        opacity: float = 1.0,
+        balance: bool = True,
     ) -> tuple[str, str, bytes]:
         """Return the name, media type and content of a file, one of :data:`FILES`.
 
-        The light is for ``relit``, and the opacity for ``relit`` and ``flat``. With the length of a ``pixel`` and its
-        unit, the overlay has a scale bar.
+        The light is for ``relit``, and the opacity and the balance are for ``relit`` and ``flat``. With the length of a
+        ``pixel`` and its unit, the overlay has a scale bar.
         """
         if what not in FILES:
             raise Refusal(422, f"a fit cannot be exported as '{what[:40]}': choose one of {', '.join(FILES)}")
@@ -464,7 +476,7 @@ class Fits:
         if what == "crop":
             return f"{stem}_crop.png", media_type, png_bytes(self.crop(fit))
         if media_type == "image/png":
-            image, _ = self.draw(fit, what, None, light, opacity)
+            image, _ = self.draw(fit, what, None, light, opacity, balance)
             if what == "overlay" and pixel is not None:
                 length, unit = pixel
                 image = with_scale_bar(image, length * fit.source.size[0] / image.shape[1], unit)

@@ -1,6 +1,7 @@
 """Remove the shading from a video: show each frame's object under the training light, without flicker.
 
-The light changes slowly, so that of the frames is averaged over time. Everything else is of each frame.
+The light changes slowly, so that of the frames is averaged over time. Everything else is of each frame. The colour of
+the light stays: frames in which the object is not seen could not be corrected like the others.
 """
 
 from dataclasses import dataclass, field, replace
@@ -73,14 +74,12 @@ class ShadingRemover:
             self.reset()
         return Relighter.of(
             self.fitter, image, replace(result, landmarks=landmarks), name="the video", steadied=self._steadied
-        ).flat()
+        ).flat(balance=False)
 
     def _steadied(self, now: Shading) -> Shading:
         """Return the running average of the light."""
         before = self._before or now
         self._frames = self._frames + 1
         share = max(SHARE, min(FIRST_SHARE, 1.0 / self._frames))
-        names = ("coordinates", "log", "deviation")
-        averages = (getattr(before, n) + share * (getattr(now, n) - getattr(before, n)) for n in names)
-        self._before = Shading(*averages)
+        self._before = before.towards(now, share)
         return self._before

@@ -730,6 +730,8 @@ interface ColourScale {
 interface LayerChange {
   /** Whether the light is so much as in training that nothing that can be seen is taken off. */
   even: boolean;
+  /** Name of the colour of the light, such as orange; empty: as in training. */
+  colour: string;
 }
 
 /** The part of the picture that a layer covers, sent beside it. */
@@ -853,11 +855,21 @@ interface UploadQuery {
   method?: string | number;
 }
 
+/** Asks for a layer of a fit in a size. */
+interface LayerQuery {
+  /** Longest side in pixels. */
+  size?: string | number;
+  /** 0: the flat picture keeps the colour of its light. */
+  balance?: string | number;
+}
+
 /** Asks for the object of a fit under another light. */
 interface LightQuery {
   /** A SentLight as JSON; null: one lamp beside the camera. */
   light?: string | number;
   size?: string | number;
+  /** 0: the picture keeps the colour of its own light. */
+  balance?: string | number;
 }
 
 /** Asks for a file of a fit. */
@@ -867,6 +879,8 @@ interface FitFileQuery {
   light?: string | number;
   /** Of a flat or relit picture over the picture, 0 to 1; null: 1. */
   opacity?: string | number;
+  /** 0: a flat or relit picture keeps the colour of its own light. */
+  balance?: string | number;
 }
 
 /** Says which fits are in a table. */
@@ -1053,7 +1067,7 @@ interface Routes {
     GET: { file: Blob };
   };
   "fits/{id}/layers/{layer}": {
-    fields: { id: string | number; layer: string | number } & ImageQuery;
+    fields: { id: string | number; layer: string | number } & LayerQuery;
     GET: { file: Blob };
   };
   "fits/{id}/relit": {

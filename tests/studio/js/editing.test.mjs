@@ -541,6 +541,8 @@ test("where a point is, what comes next, and what is missing", () => {
   assert.equal(words.tallyOf(marking({ points: TRIANGLE, source: "layout" }).made), "mean shape");
   const proposal = marking({ points: [...TRIANGLE.slice(0, 2), null], source: "proposal", absent: [2] }).made;
   assert.equal(words.tallyOf(proposal), "2 of 3 proposed, 1 absent");
+  assert.equal(words.tallyOf(marking({ points: TRIANGLE, source: "proposal" }).made), "3 proposed");
+  assert.equal(words.tallyOf(marking({ points: TRIANGLE }).made), "3 points");
   assert.match(words.promptOf(proposal), /^Placed by the model \(tip absent: U if not\)/);
   assert.match(words.promptOf(made), /^1 point is missing/);
   made.select([1]);

@@ -1,5 +1,8 @@
 // Texts of the Annotate tab: prompts, descriptions, and announcements for screen readers.
 
+/** How the points of a picture are accepted: screens that are touched have no keys. */
+export const DONE_KEY = globalThis.matchMedia?.("(pointer: coarse)").matches ? "tap Accept" : "press Enter";
+
 export const several = (number, what) => `${number} ${what}${number === 1 ? "" : "s"}`;
 
 /** What a set of landmarks is called; the first one has no name. */
@@ -13,14 +16,14 @@ export function promptOf({ state, book, placing, names, active, missing, absent 
     const lacks = absent.length ? ` (${listed(names, absent)} absent: U if not)` : "";
     if (book.nothing) return "The model found nothing here, so these points are a guess: drag them into place, or skip the picture";
     return book.doubtful
-      ? `Placed by the model with low confidence${lacks}: check every point, drag wrong ones, then press Enter`
-      : `Placed by the model${lacks}: drag wrong points, then press Enter`;
+      ? `Placed by the model with low confidence${lacks}: check every point, drag wrong ones, then ${DONE_KEY}`
+      : `Placed by the model${lacks}: drag wrong points, then ${DONE_KEY}`;
   }
   if (state.source === "layout") return "Mean shape: move it into place by its frame, then drag single points";
   if (placing) return `Click ${names[active]}`;
   const are = missing.length === 1 ? "point is" : "points are";
   if (missing.length) return `${missing.length} ${are} missing: select one in the list, then click its position`;
-  return proposed ? `${several(proposed, "point")} as proposed: drag wrong ones, then press Enter` : "";
+  return proposed ? `${several(proposed, "point")} as proposed: drag wrong ones, then ${DONE_KEY}` : "";
 }
 
 /** Which points lie outside a picture of a size, where they are easily lost; "" if none does. */
@@ -37,8 +40,11 @@ export function tallyOf({ points, missing, invisible, state, absent = [] }) {
   if (state.source === "layout") return "mean shape"; // no point has a place of its own
   const more = { invisible: invisible.size, absent: absent.length };
   const words = Object.entries(more).map(([what, count]) => count && `, ${count} ${what}`);
-  const placed = `${points.length - missing.length - absent.length} of ${points.length}`;
-  return [placed, state.source === "proposal" && " proposed", ...words].filter(Boolean).join("");
+  const isProposed = state.source === "proposal";
+  const lacking = missing.length + absent.length;
+  const placed = lacking ? `${points.length - lacking} of ${points.length}${isProposed ? " proposed" : ""}`
+    : isProposed ? `${points.length} proposed` : several(points.length, "point");
+  return [placed, ...words].filter(Boolean).join("");
 }
 
 const SOURCES = {
@@ -69,9 +75,9 @@ export const called = (names, indices) => (indices.length === 1 ? names[indices[
 /** Message about missing points, which may be left out on purpose. */
 export function missingText(names, left) {
   const [what, them] = left.length === 1 ? [`'${names[left[0]]}' is`, "it"] : [`${left.length} points are`, "them"];
-  return `${what} still missing here. Place ${them}, or press Enter again to continue without ${them}.`;
+  return `${what} still missing here. Place ${them}, or ${DONE_KEY} again to continue without ${them}.`;
 }
 
 export const UNTOUCHED =
-  "This is the mean shape, and no point of it was moved. Move it into place, or press Enter again to leave the " +
+  `This is the mean shape, and no point of it was moved. Move it into place, or ${DONE_KEY} again to leave the ` +
   "picture without points.";

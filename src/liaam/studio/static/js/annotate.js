@@ -29,6 +29,8 @@ const SEND_KEPT_AFTER = 500; // milliseconds until marks of an earlier page are 
 // a gesture is in progress, so that there is neither a frame nor the name of the next point.
 const BUSY = { hovered: -1, gesture: {}, pointer: null };
 
+const NEAR = 24; // css pixels around the sketch of the points, within which the pointer sees through it
+
 export class Tab {
   shortcuts = SHORTCUTS;
   shown = new Shown();
@@ -55,6 +57,10 @@ export class Tab {
     viewer.canvas.setAttribute("aria-describedby", "annotate-text");
     const cover = h("div.annotate-cover", { hidden: true }); // the opening's
     this.#container.append(this.#prompt, this.#hint, cover, this.#alternative, this.#spoken);
+    this.#container.addEventListener("pointermove", ({ clientX: x, clientY: y }) => {
+      const { left, right, top, bottom } = this.#hint.getBoundingClientRect();
+      this.#hint.classList.toggle("under", x > left - NEAR && x < right + NEAR && y > top - NEAR && y < bottom + NEAR);
+    });
     this.marking = new Marking({
       template: () => this.template, locked: state.readOnly,
       onchange: () => this.#changed(),

@@ -1,6 +1,6 @@
 // The model's help: training in the background, and the choice of the next picture.
 
-import { percent, several } from "./annotate-words.js";
+import { DONE_KEY, percent, several } from "./annotate-words.js";
 import { openIn } from "./strip-filters.js";
 import { button, dialog, h, icon, listOf } from "./ui.js";
 
@@ -9,7 +9,8 @@ const FEWEST_PLACED = 3; // points that a picture needs for training, if others 
 const AUTO_FIRST = 4; // done pictures after which the first model is trained automatically
 const AUTO_AGAIN = 3; // pictures completed or changed after which it is trained again
 const SHOWN = 5; // slips that are listed before training
-const SLIP = "Move what is wrong, or press Enter if all is right, which marks it as checked.";
+const SLIP = `Move what is wrong, or ${DONE_KEY} if all is right, which marks it as checked.`;
+const OFFERED = "These are the points of the face model that comes with liaam.";
 const AUTO_KEY = "liaam-studio:auto-train";
 const countOf = (/** @type {Picture[]} */ pictures, ...states) => pictures.filter(({ state }) => states.includes(state)).length;
 
@@ -89,7 +90,7 @@ export function reason(picture, pictures, model) {
   if (picture.slip) return `Possible slip: ${picture.slip}.`;
   if (picture.state === "partial") return picture.proposed
     ? `${several(picture.proposed, "point")} of it ${picture.proposed === 1 ? "is" : "are"} still as proposed: correct ` +
-      "what is wrong, then press Enter." : "Some of its points are missing.";
+      `what is wrong, then ${DONE_KEY}.` : "Some of its points are missing.";
   if (picture.state === "unchecked") return "Its points are still the mean shape, so no model is trained on it.";
   if (picture.nothing_found) return nothingIn(model);
   if (picture.uncertainty == null) return "The model has not been fitted to it yet.";
@@ -171,19 +172,22 @@ export function createAssist(app, commands, onexport) {
       go("Measure", "measure", () => app.openTab("measure")), go("Export", "export", onexport),
       go("Fit", "fit", () => app.openTab("fit")), go("Try live", "live", () => app.openTab("live"))));
   const decline = () => api.delete(api.url("model/face")).then(() => state.refresh());
-  const other = button("Use other points…", { small: true, kind: "ghost", testid: "decline-face", onclick: decline });
-  const offered = h("p.small.muted", { hidden: true },
-    "These are the points of the face model that comes with liaam. ", other);
+  const other = button("Use other points…", {
+    small: true, hidden: true, testid: "decline-face", onclick: decline, title: "Make a template of your own",
+  });
   const element = h("section.panel.assist", { "aria-label": "The model's help" },
     h("div.row.assist-head", icon("spark"), count, h("span.grow"),
       h("label.check.small", { title: `Train automatically: ${often}` }, auto, "auto"), train),
-    h("div.row.assist-go", next), h("div.row.assist-pass", pass, sure), running, why, failure, offered, end);
+    h("div.row.assist-go", next, pass),
+    h("div.assist-talk",
+      h("div.assist-words", { tabindex: "0", role: "group", "aria-label": "What to do next" }, why, failure, end),
+      running, sure, other));
 
   async function mayTrain() {
     const wrong = slipped(state.project.pictures);
     if (!wrong.length) return true;
     const lines = wrong.slice(0, SHOWN).map(({ name, slip }) => `${name}: ${slip}`);
-    const advice = h("p.small.muted", "Show “Possible slips” in the list for all. Pictures marked as checked are left out.");
+    const advice = h("p.small.muted", "Show “Slips” in the list for all. Pictures marked as checked are left out.");
     const title = `Points of ${several(wrong.length, "picture")} may be wrong`;
     const answer = await dialog(title, h("div", listOf(lines), advice), [
       { label: "Train anyway", value: "train" },
@@ -250,7 +254,8 @@ export function createAssist(app, commands, onexport) {
     count.title = left ? `${count.textContent} of training` : "";
     const done = forTraining(pictures).length;
     element.hidden = !project.template;
-    offered.hidden = !project.offered || model?.source !== "face";
+    const isOffered = Boolean(project.offered) && model?.source === "face";
+    other.hidden = !isOffered;
     const runs = training?.state === "running";
     running.hidden = !runs;
     const { total = 0, done: ready = 0, what: doing = "" } = training ?? {};
@@ -264,6 +269,7 @@ export function createAssist(app, commands, onexport) {
     train.classList.toggle("primary", !model && done >= LEAST && !runs && !auto.checked);
     end.hidden = !pictures.length || done < LEAST || nextToTeach(pictures, null) !== null || slipped(pictures).length > 0;
     explain(project, done);
+    if (isOffered) why.textContent = `${OFFERED} ${why.textContent}`;
     why.hidden = !end.hidden && why.textContent === allDone(state.folder);
     note(project);
   }
@@ -319,7 +325,7 @@ export function createAssist(app, commands, onexport) {
   state.addEventListener("project", watch);
   refresh();
   watch();
-  /** A button for points that are right at the mean shape. Its place stays, so that nothing moves between pictures. */
-  const offerLayout = (on) => { sure.style.visibility = on ? "" : "hidden"; };
+  /** A button for points that are right at the mean shape. It is where the messages are, whose room stays. */
+  const offerLayout = (on) => { sure.hidden = !on; };
   return { element, notes, offerLayout, left };
 }

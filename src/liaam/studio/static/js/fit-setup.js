@@ -4,7 +4,7 @@ import { api } from "./api.js";
 import { expert } from "./expert.js";
 import { entries, modelNeeded, offer } from "./fit-draw.js";
 import { AUTO, factsOf, objectOf, verdictOf } from "./fit-run.js";
-import { lightQuery } from "./relight.js";
+import { balanceQuery, lightQuery } from "./relight.js";
 import { sidesInWords } from "./sides.js";
 import { button, h, iconButton, saveFile, segmented } from "./ui.js";
 
@@ -27,7 +27,7 @@ export class SetupPanel {
   /** @type {import("./fit.js").Tab} */
   #tab;
   // Elements.
-  #aside; #back; #hint; #label; #method; #mismatch; #needsModel; #ofMethod; #ofSides; #place; #runner; #sides; #starts; #withModel;
+  #aside; #back; #hint; #label; #method; #mismatch; #needsModel; #notes; #ofMethod; #ofSides; #place; #runner; #sides; #starts; #withModel;
 
   /** @param {import("./fit.js").Tab} tab */
   constructor(tab) {
@@ -76,8 +76,12 @@ export class SetupPanel {
       h("div.column.tight", this.#starts.element, this.#hint), this.#ofSides, this.#ofMethod,
       h("div.row", expert.control(), h("span.grow"), this.#runner));
     this.element = h("section.panel", { "aria-label": "Fit" },
-      h("div.row.fit-source", this.#back, this.#label, open), this.#aside, this.#place, this.#needsModel, this.#mismatch, this.#withModel);
+      h("div.row.fit-source", this.#back, this.#label, open), this.#needsModel, this.#withModel);
+    this.#notes = h("section.panel", { "aria-label": "Notes" }, this.#mismatch, this.#aside, this.#place);
   }
+
+  /** What comes and goes, to be shown below what is pressed. */
+  get notes() { return this.#notes; }
 
   /** Show which start is chosen. */
   showStart(value) {
@@ -130,6 +134,7 @@ export class SetupPanel {
     this.#ofMethod.hidden = !expert.on && !this.needsMethod(this.#tab.method);
     this.#mismatch.textContent = mismatch;
     this.#mismatch.hidden = !mismatch;
+    this.#notes.hidden = this.#mismatch.hidden && this.#aside.hidden;
     this.#runner.disabled = !source;
   }
 }
@@ -293,8 +298,10 @@ export class ExportMenu {
   #address(what) {
     const { fit: { id }, lights } = this.#tab;
     const { light } = what === "relit" ? lightQuery(lights) : { light: null };
-    const opacity = SHOWN_OVER.includes(what) ? this.#tab.opacityOf(what) : 1;
-    return api.url("fits/{id}/export", { id, what, light, opacity: opacity < 1 ? opacity : null });
+    const isShown = SHOWN_OVER.includes(what);
+    const opacity = isShown ? this.#tab.opacityOf(what) : 1;
+    const balance = isShown ? balanceQuery(this.#tab.balance.corrects) : {};
+    return api.url("fits/{id}/export", { id, what, light, opacity: opacity < 1 ? opacity : null, ...balance });
   }
 
   /** Save a file of the fit without the menu. */

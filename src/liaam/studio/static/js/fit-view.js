@@ -7,7 +7,7 @@ import { drawFit, drawOver, drawSpecimens, Overlays } from "./fit-draw.js";
 import { objectOf, significant } from "./fit-run.js";
 import { InvariantView } from "./fit-theta.js";
 import { look } from "./look.js";
-import { Light, lightQuery, numbersOf, RoughLight } from "./relight.js";
+import { Balance, balanceQuery, Light, lightQuery, numbersOf, RoughLight } from "./relight.js";
 import { button, FrameMeter, h, press, segmented, slider } from "./ui.js";
 import { Viewer } from "./viewer.js";
 
@@ -73,6 +73,8 @@ export class FitView {
     this.light = new Light(tab.state.project.default_ambient, () => tab.saveRelit());
     this.container.append(this.light.stage);
     this.light.addEventListener("change", () => this.#relight());
+    this.balance = new Balance();
+    this.balance.addEventListener("change", () => this.#rebalance());
     const choices = VIEWS.map(({ name, label, hint }) => ({ value: name, label, title: hint }));
     this.#choice = segmented("View", choices, this.#name, (name) => this.show(name), "layer");
     this.chooser = this.#choice.element;
@@ -209,13 +211,22 @@ export class FitView {
     }
   }
 
+  /** The colour of the light is corrected from now on, or kept. */
+  #rebalance() {
+    for (const layer of ["flat", "relit"]) this.#images.delete(layer);
+    this.#rough = null;
+    this.#moved = this.#isRough = false;
+    this.show(this.#name);
+  }
+
   async #fetch(layer) {
-    const fit = this.#fit;
+    const [fit, { corrects }] = [this.#fit, this.balance];
     if (this.#images.has(layer)) return;
     this.#images.set(layer, null); // requested
+    const query = layer === "flat" ? balanceQuery(corrects) : {};
     try {
-      const { image, scale } = await api.layer(api.url("fits/{id}/layers/{layer}", { id: fit.id, layer, size: LAYER_SIZE }));
-      if (this.#fit !== fit) return;
+      const { image, scale } = await api.layer(api.url("fits/{id}/layers/{layer}", { id: fit.id, layer, size: LAYER_SIZE, ...query }));
+      if (this.#fit !== fit || (layer === "flat" && corrects !== this.balance.corrects)) return;
       this.#images.set(layer, image);
       this.#scales.set(layer, scale);
       this.#changed();
@@ -255,7 +266,8 @@ export class FitView {
     const fit = this.#fit;
     try {
       const size = Math.min(Math.max(fit.width, fit.height), LAYER_SIZE);
-      const { image } = await api.layer(api.url("fits/{id}/relit", { id: fit.id, ...lightQuery(this.light, size) }));
+      const query = { ...lightQuery(this.light, size), ...balanceQuery(this.balance.corrects) };
+      const { image } = await api.layer(api.url("fits/{id}/relit", { id: fit.id, ...query }));
       if (turn !== this.#awaited) return;
       this.#images.get("relit")?.close();
       this.#images.set("relit", image);
@@ -290,7 +302,8 @@ export class FitView {
       const { name } = each.dataset;
       return [each, opacity(each.textContent, () => name, name)];
     });
-    return h("div.fit-layers.small", h("label.fit-layer", this.#layerName, this.#slider, this.#layerText), overlays);
+    return h("div.fit-layers.small", h("label.fit-layer", this.#layerName, this.#slider, this.#layerText),
+      this.balance.element, overlays);
   }
 
   #setOpacity(layer, opacity) {
@@ -322,6 +335,7 @@ export class FitView {
     this.#explain(scale?.limit ? scale : null);
     this.light.show(this.#name === "relit", Boolean(why));
     this.light.note(this.#note());
+    this.balance.show(this.#scales.get("flat")?.colour);
     const isSplit = this.#split.has(this.#name) && !why;
     press(this.splitter, isSplit);
     if (isSplit) this.#divider.label("Picture", view.after);

@@ -224,9 +224,11 @@ export class Tab extends SourceTab {
     const stage = h("div.fit-stage", this.#view.container, this.#empty);
     this.#layers = h("section.panel", { "aria-label": "Layers and their opacity" }, this.#view.layers);
     this.#steps = h("section.panel", { "aria-label": "Iterations" }, this.#iterations.element);
-    const panels = [this.#view.light, this.#guest, this.#setup, this.#result].map(({ element }) => element);
+    // What is always there comes first, so that nothing moves as views change, and messages come and go.
+    const panels = [this.#guest.element, this.#setup.element, this.#layers, this.#view.light.element, this.#setup.notes,
+      this.#result.element, this.#steps];
     root.append(h("div.fit-tab", { testid: "fit-drop" },
-      h("div.workspace", toolbar, stage, this.#view.bar), h("div.side.fit-side", panels, this.#layers, this.#steps), this.#file));
+      h("div.workspace", toolbar, stage, this.#view.bar), h("div.side.fit-side", panels), this.#file));
   }
 
   setMethod(name) {
@@ -254,6 +256,9 @@ export class Tab extends SourceTab {
 
   /** The lights of the view Relight: {lamps, ambient}. */
   get lights() { return this.#view.light; }
+
+  /** Whether the colour of the light is corrected. */
+  get balance() { return this.#view.balance; }
 
   /** Opacity of a view. */
   opacityOf(view) { return this.#view.opacityOf(view); }

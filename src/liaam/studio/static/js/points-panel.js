@@ -16,7 +16,7 @@ const STARTS = [
 export function createPointsPanel(tab) {
   const { commands } = tab;
   const list = pointList(commands.chooseFromList);
-  const tally = h("span.muted.small.grow");
+  const tally = h("span.small.grow", { testid: "tally" });
   const act = (label, icon, shortcut, work) => iconButton(label, icon, work, { small: true, shortcut });
   const hide = act("Visible or invisible", "eye-off", "V", commands.toggleInvisible);
   const confirm = act("Confirm where it is", "check", "Y", commands.confirm);
@@ -51,7 +51,7 @@ export function createPointsPanel(tab) {
     /** Whether an element is the list of the points. */
     isList: (element) => element === list.element,
     points: h("section.panel.grow.point-panel",
-      h("div.row.point-head", h("h2.panel-title", "Points"), tally, confirm, space, hide, absent, remove), list.element),
+      h("div.row.point-head", h("h2.visually-hidden", "Points"), tally, confirm, space, hide, absent, remove), list.element),
     foot: h("section.panel.side-foot",
       h("div.row.begin-with", h("span.small.muted.grow", "Start with"), start.element), createSideList(tab), h("div.row", edit, more)),
     /** Start of pictures without points: "layout" or "click". */

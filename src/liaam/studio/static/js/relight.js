@@ -91,6 +91,28 @@ export function numbersOf({ lamps, ambient }) {
 /** Query of a picture under lights. @param {Lights} lights; @param {number} [size]; @returns {LightQuery} */
 export const lightQuery = (lights, size = null) => ({ light: JSON.stringify(numbersOf(lights)), size });
 
+/** Query that keeps the colour of a picture's own light, or corrects it. @returns {{balance?: string}} */
+export const balanceQuery = (/** @type {boolean} */ corrects) => (corrects ? {} : { balance: "0" });
+
+/** Whether the colour of the light is corrected in flat and relit pictures, and what it is. Event: "change". */
+export class Balance extends EventTarget {
+  #box = h("input", {
+    type: "checkbox", checked: true, testid: "balance", onchange: () => this.dispatchEvent(new Event("change")),
+  });
+  #found = h("span.muted", { testid: "light-colour" });
+  element = h("label.check.fit-balance", { title: "Take the colour of the light off the whole picture, face and wall alike" },
+    this.#box, h("span.grow", "Correct the colour of the light"), this.#found);
+
+  get corrects() { return this.#box.checked; }
+
+  /** Show the name of the colour that was found, "" if it is as in training; null: not known.
+   *  @param {string | null | undefined} colour */
+  show(colour) {
+    this.#found.textContent = colour === "" ? "neutral" : colour ?? "";
+    this.#box.disabled = !colour;
+  }
+}
+
 /** A lamp on a picture, over a ball around the object that fills the parent element, or is at `middle` of it.
  *  onmove(direction); further attributes are those of the element. */
 export function lampHandle({ onmove, middle = [0.5, 0.5], ...attributes }) {

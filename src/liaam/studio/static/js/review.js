@@ -59,7 +59,7 @@ export function createReview(tab) {
     class: "small", "aria-label": "Export all landmarks", testid: "export-all",
   });
   const element = h("section.panel.review", { "aria-label": "Review" },
-    h("div.row", now, check), history, accuracy, createAgreement(tab),
+    h("div.row", now, check), h("div.review-more", history, accuracy, createAgreement(tab)),
     h("div.row", files, h("span.grow"), name));
 
   async function fetchHistory() {

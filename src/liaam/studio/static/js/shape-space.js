@@ -216,7 +216,7 @@ export function createShapeSpace(tab) {
       `so ${without.length === 1 ? "has" : "have"} no shape: ${without.slice(0, MOST_NAMED).join(", ")}${without.length > MOST_NAMED ? " and others" : ""}. ` +
       "“Estimate missing points” includes them.";
     sidesNote.hidden = !sides && !lack;
-    sidesNote.textContent = [sides && `${sides}.`, lack].filter(Boolean).join(" ");
+    sidesNote.textContent = [sides && `${sides[0].toUpperCase()}${sides.slice(1)}.`, lack].filter(Boolean).join(" ");
     if (!space) return;
     if (lastPicture !== tab.state.current && change === SELECTED) amount = 1; // another picture is another change
     lastPicture = tab.state.current;

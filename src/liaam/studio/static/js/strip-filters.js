@@ -13,15 +13,15 @@ export const FILTERS = {
   proposed: { label: "Proposed", has: ({ state, proposed }) => state === "proposed" || proposed > 0 },
   doubtful: { label: "Doubtful", has: ({ doubtful }) => doubtful },
   done: { label: "Done", has: ({ state }) => state === "done" },
-  slips: { label: "Possible slips", has: ({ slip }) => Boolean(slip) },
+  slips: { label: "Slips", has: ({ slip }) => Boolean(slip) },
   review: { label: "To review", has: ({ state, checked }) => state === "done" && !checked },
-  unconfirmed: { label: "Not confirmed", has: ({ state, unconfirmed }) => state === "done" && unconfirmed > 0 },
+  unconfirmed: { label: "Accepted", has: ({ state, unconfirmed }) => state === "done" && unconfirmed > 0 },
   checked: { label: "Checked", has: ({ checked }) => Boolean(checked) },
   left: { label: "Left out", has: (picture, left) => Boolean(whyLeftOut(picture, left)) },
-  broken: { label: "Cannot be read", has: ({ state }) => state === "broken" },
+  broken: { label: "Unreadable", has: ({ state }) => state === "broken" },
 };
 
-export const ORDERS = { name: "Name", quality: "Quality", uncertainty: "Uncertainty" };
+export const ORDERS = { name: "Name", quality: "Quality", uncertainty: "Uncertain" };
 export const folderOf = (name) => name.slice(0, Math.max(name.lastIndexOf("/"), 0));
 export const isIn = (name, folder) => !folder || name.startsWith(`${folder}/`);
 export const baseOf = (name) => name.slice(name.lastIndexOf("/") + 1);

@@ -21,6 +21,8 @@ const SHARP_FROM = 3; // zoom from which pixels are shown as squares
 const SMALLEST_SHARE = 1 / 4; // of the zoom that shows the whole picture, to which the user can zoom out
 const MOST_MARGIN = 14; // around the whole picture, css pixels
 const MARGIN_SHARE = 0.03; // of the container's shorter side, if that is less
+const BAR = 60; // css pixels that the buttons of the view need at a border, so that they cover nothing of the whole picture
+const narrow = globalThis.matchMedia?.("(max-width: 899px)");
 
 export class Viewer extends EventTarget {
   #tool = null;
@@ -45,7 +47,7 @@ export class Viewer extends EventTarget {
   #glow = h("div.viewer-glow"); // shows a tiny copy of the picture, as tones around it
   #zoomText = h("span.number", { "aria-hidden": "true" }, "100 %");
   redraw = perFrame(() => this.#draw());
-  #unmirrorButton;
+  #bar; #unmirrorButton; // elements
 
   constructor(container, { label = "Picture" } = {}) {
     super();
@@ -60,7 +62,8 @@ export class Viewer extends EventTarget {
       onblur: () => { this.#spaceIsDown = false; },
     });
     container.classList.add("viewer");
-    container.append(this.#glow, this.canvas, this.#viewButtons());
+    this.#bar = this.#viewButtons();
+    container.append(this.#glow, this.canvas, this.#bar);
     look.addEventListener("change", () => this.redraw());
     const watch = new ResizeObserver(() => this.#resize());
     for (const element of [container, this.canvas]) watch.observe(element);
@@ -132,15 +135,26 @@ export class Viewer extends EventTarget {
     const { clientWidth, clientHeight } = this.container;
     const margin = Math.min(MOST_MARGIN, MARGIN_SHARE * Math.min(clientWidth, clientHeight));
     this.#showsWhole = true;
-    if (this.#width && clientWidth && clientHeight) this.#frame([0, 0, this.#width, this.#height], margin);
+    if (!this.#width || !clientWidth || !clientHeight) return;
+    // The buttons stand at the right; on narrow pages where they take less of the picture.
+    const scales = [[BAR, 0], [0, BAR]].map(([x, y]) => Math.min(
+      (clientWidth - margin - Math.max(margin, x)) / this.#width, (clientHeight - margin - Math.max(margin, y)) / this.#height));
+    const stands = !narrow?.matches || scales[0] >= scales[1];
+    this.#bar.classList.toggle("upright", stands);
+    this.#frame([0, 0, this.#width, this.#height], margin, stands ? [BAR, 0] : [0, BAR]);
   }
 
-  #frame(/** @type {number[]} */ [left, top, right, bottom], margin) {
+  /** room: what is kept free at the right and at the bottom, if the picture would reach there. */
+  #frame(/** @type {number[]} */ [left, top, right, bottom], margin, room = [0, 0]) {
     const { clientWidth, clientHeight } = this.container;
-    this.#scale = Math.min((clientWidth - 2 * margin) / (right - left), (clientHeight - 2 * margin) / (bottom - top), LARGEST);
+    const [atRight, atBottom] = room.map((side) => Math.max(margin, side));
+    this.#scale = Math.min((clientWidth - margin - atRight) / (right - left), (clientHeight - margin - atBottom) / (bottom - top), LARGEST);
     const middle = (left + right) / 2;
-    this.#left = clientWidth / 2 - this.#scale * (this.#mirrored ? this.#width - middle : middle);
-    this.#top = clientHeight / 2 - (this.#scale * (top + bottom)) / 2;
+    // In the middle of the container, or as near to it as the room allows.
+    const centre = (/** @type {number} */ side, /** @type {number} */ size, /** @type {number} */ kept) =>
+      Math.min(side / 2, side - kept - (this.#scale * size) / 2);
+    this.#left = centre(clientWidth, right - left, atRight) - this.#scale * (this.#mirrored ? this.#width - middle : middle);
+    this.#top = centre(clientHeight, bottom - top, atBottom) - (this.#scale * (top + bottom)) / 2;
     this.#changed();
   }
 
