@@ -117,7 +117,7 @@ class TestFit:
         assert (seen["status"], seen["ok"], seen["method"]) == (str(expected.status), True, DEFAULT_METHOD)
         assert np.allclose(seen["covariances"], expected.landmark_covariances, atol=6e-5)
         assert len(seen["iterations"]) == len(expected.history)
-        assert np.allclose(seen["iterations"][-1]["shape"], expected.landmarks, atol=6e-3)
+        assert np.allclose(seen["iterations"][-1]["shape"], expected.registered, atol=6e-3)
         assert seen["found"]["score"] == round(expected.found.score, 4)
         assert seen["n_found"] == expected.n_found == 1
         assert (seen["width"], seen["height"]) == (120, 160)
