@@ -4,8 +4,9 @@ A wing whose tip is torn off, or a face behind a hand, pulls the whole fit. It i
 parts, until these no longer change: iteratively reweighted least squares whose weights are those of regions, 0 or 1,
 because the residual of one pixel does not tell a missing part from a varied one.
 
-A fit that was pulled far away agrees with hardly any pixels where it ended. It is repeated from its start, and each level
-leaves out what disagrees with the shape that it starts from: the blurred levels pull most, as edges reach far there.
+A fit that was pulled far away agrees with hardly any pixels where it ended. It is repeated from its start, and each
+level leaves out what disagrees with the shape that it starts from: the blurred levels pull most, as edges reach far
+there.
 """
 
 from collections.abc import Callable, Iterable, Iterator
