@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from liaam.errors import ImageError, StartError, check_options
-from liaam.fitting.detection import DOUBTFUL, Detection, are_beside, area_of_box
+from liaam.fitting.detection import DOUBTFUL, Detection, are_as_large, are_beside, choose, is_beside_or_larger
 from liaam.fitting.loop.encoded_image import MARGIN
 from liaam.fitting.loop.levels import LinearImage, Target
 from liaam.fitting.loop.options import SolverOptions
@@ -52,9 +52,6 @@ OWN_SETTINGS = ("camera", "rotations", "restarts", "margin", "side")  # Fields o
 NEARLY = 0.9
 """Score of a detection, as a fraction of the best one in the image, from which it counts although it is uncertain."""
 
-AS_LARGE = 1.4
-"""Greatest ratio of the sizes of such a detection and of the best one, either way."""
-
 
 WHAT_TO_DO = "give a start (--init), or search for rotated objects (--rotations all)"
 """What to do about an image in which nothing was found."""
@@ -62,8 +59,7 @@ WHAT_TO_DO = "give a start (--init), or search for rotated objects (--rotations 
 
 def _is_like(detection: Detection, best: Detection, share: float = NEARLY) -> bool:
     """Return whether a detection has at least a share of the score of the best one, and is about as large."""
-    ratio = detection.scale / best.scale
-    return detection.score >= share * best.score and 1 / AS_LARGE < ratio < AS_LARGE
+    return detection.score >= share * best.score and are_as_large(detection.scale, best.scale)
 
 
 def _likely(detections: Sequence[Detection]) -> list[Detection]:
@@ -379,7 +375,7 @@ class Fitter(OneShapeFitter):
         return [kept[i] for i in reading_order([fit.place for fit in kept])]
 
     def _places(self, image: np.ndarray) -> list[Detection]:
-        """Find places of objects, of all sides, the likeliest first; some lie in each other."""
+        """Find places of objects, of all sides, the likeliest first; some lie on others."""
 
         def search(pixels: np.ndarray) -> list[Detection]:
             return self.finder.places_in(self.linear(pixels))
@@ -387,17 +383,9 @@ class Fitter(OneShapeFitter):
         return likeliest_first(find_on_sides(image, search, self._reflections, None))
 
     def _fits_of_certain(self, image: np.ndarray, places: Sequence[Detection], name: str) -> list[FitResult]:
-        """Fit the certain ones of some places, but no smaller ones in an object that a fit before is of."""
-        fits: list[FitResult] = []
-        right: list[FitResult] = []
-        for place in places:
-            covering = (fit for fit in right if area_of_box(fit.landmarks) >= area_of_box(place.landmarks))
-            if place.doubtful or not all(are_beside(place.landmarks, fit.landmarks) for fit in covering):
-                continue
-            fits.append(self.fit(image, place, name))
-            if fits[-1].status.ok:
-                right.append(fits[-1])
-        return fits
+        """Fit the certain ones of some places; of those that lie on likelier ones, those that are clearly larger."""
+        certain = [place for place in places if not place.doubtful]
+        return [self.fit(image, place, name) for place in choose(certain, is_beside_or_larger)]
 
     def _fits_of_similar(
         self, image: np.ndarray, places: Sequence[Detection], fits: Sequence[FitResult], name: str

@@ -240,7 +240,7 @@ class Finder:
     def places_in(self, linear: LinearImage, most: int = MOST) -> list[Detection]:
         """Find places of at most so many objects, the likeliest first.
 
-        Some lie in each other, as where a part of an object resembles a small one: their fits say which is right.
+        Some lie on others, as where a part of an object resembles a small one: their fits say which is right.
         """
         detections = []
         for i, part in enumerate(self.parts):
