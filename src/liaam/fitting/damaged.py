@@ -4,9 +4,8 @@ A wing whose tip is torn off, or a face behind a hand, pulls the whole fit. It i
 parts, until these no longer change: iteratively reweighted least squares whose weights are those of regions, 0 or 1,
 because the residual of one pixel does not tell a missing part from a varied one.
 
-A fit that was pulled far away agrees with hardly any pixels where it ended. It is repeated from its start, and each
-level leaves out what disagrees with the shape that it starts from: the blurred levels pull most, as edges reach far
-there.
+A fit that was pulled far away agrees with hardly any pixels where it ended. Fits from other places leave out at each
+level what disagrees with the shape that they start from: the blurred levels pull most, as edges reach far there.
 """
 
 from collections.abc import Callable, Iterable, Iterator
@@ -39,9 +38,10 @@ def without_absent(
 ) -> FitResult:
     """Repeat a fit of which a landmark is absent, without the pixels of absent parts.
 
-    If most landmarks remain absent, it is repeated from its start, and from other places (shapes (n, 2), image pixels,
-    most likely first), without absent parts at every level. If most are absent everywhere, the fit is doubtful,
-    with at most the quality that it had.
+    If most landmarks remain absent, fits from other places (shapes (n, 2), image pixels, most likely first) go without
+    absent parts at every level; so do those from the start of a lost fit. A fit that was not lost is not repeated so
+    from its start: what is no object would often agree with some parts. If most are absent everywhere, the fit is
+    doubtful, with at most the quality that it had.
 
     Returns
     -------
@@ -49,12 +49,13 @@ def without_absent(
         The fit of which most landmarks are likely present.
     """
     best = _fitted_without_absent(fitter, target, result)
-    for start in _starts(target, other_places):
-        if _is_mostly_present(best):
-            break
-        elsewhere = _fit_without_absent(fitter, target._replace(start=start))
-        if _n_present(elsewhere) > _n_present(best):
-            best = elsewhere
+    if not _is_mostly_present(best):
+        for start in _starts(target, result, other_places):
+            elsewhere = _fit_without_absent(fitter, target._replace(start=start))
+            if _n_present(elsewhere) > _n_present(best):
+                best = elsewhere
+            if _is_mostly_present(best):
+                break
     best = replace(best, n_starts=result.n_starts)
     if not result.status.ok:
         best = with_prior(best, SELECTED)
@@ -65,9 +66,12 @@ def without_absent(
     return replace(best, status=status, quality=min(best.quality, result.quality))
 
 
-def _starts(target: Target, other_places: Callable[[], Iterable[np.ndarray]]) -> Iterator[np.ndarray]:
-    """Yield the start of a fit, and then other places, which are searched for only if they are needed."""
-    yield target.start
+def _starts(
+    target: Target, result: FitResult, other_places: Callable[[], Iterable[np.ndarray]]
+) -> Iterator[np.ndarray]:
+    """Yield the start of a lost fit, and then other places, which are searched for only if they are needed."""
+    if not is_sane(result.landmarks, target.start):
+        yield target.start
     yield from other_places()
 
 
