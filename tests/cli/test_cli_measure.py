@@ -190,6 +190,10 @@ def test_a_table_of_ones_own_tells_individuals_sides_and_groups_of_a_folder_of_f
     assert pd.read_csv(tmp_path / "t_asymmetry.csv")["individual"].tolist() == [f"F{i}" for i in range(8)]
     code, _, err = run(*given, "--groups", "age")
     assert code == 1 and "has no column 'age': it has photo, individual, side, sex" in err
+    code, _, err = run("measure", folder, "-o", tmp_path / "t.csv", "--groups", "sex")
+    assert code == 1 and "if sex is a column of your own table, give that, too (--specimens TABLE.csv)" in " ".join(
+        err.split()
+    )
     (tmp_path / "own.csv").write_text("\n".join(rows[:5]))
     _, _, err = run(*given[:-1], tmp_path / "u.csv", "--side", "ignore")
     assert "12 of 16 specimens have no row in" in err

@@ -91,6 +91,19 @@ def test_a_lost_fit_is_repeated_from_its_start(calibrated, same_light_scene, cov
     assert errors[~below].mean() < 2.0
 
 
+def test_a_fit_that_was_pulled_away_is_repeated_from_other_places(calibrated, same_light_scene, covered):
+    fitter = Fitter(calibrated)
+    image, below = covered
+    target, _ = fitter.target(image, fitter.finder.mean_at(same_light_scene.landmarks))
+    away = target._replace(start=target.start - 25.0)
+    pulled_away = fitter.result_of(away, fitter.coarse_to_fine.fit(away, fitter.options))
+    assert (~pulled_away.absent).mean() < LEAST_PRESENT
+    found = without_absent(fitter, target, pulled_away, lambda: [target.start])
+    assert found.absent[below].any() and not found.status.lost
+    errors = np.linalg.norm(found.landmarks - same_light_scene.landmarks, axis=1)
+    assert errors[~below].mean() < 1.0
+
+
 def test_other_places_are_looked_for_only_if_most_is_absent(calibrated, same_light_scene, covered):
     fitter = Fitter(calibrated)
     image, _ = covered

@@ -20,6 +20,7 @@ from liaam import progress
 from liaam.errors import ImageError, MethodError, StartError
 from liaam.fitting import Fitter, detection, fit_each, fit_many
 from liaam.fitting.many import _is_one_start
+from liaam.fitting.search.finder import Finder
 from liaam.io import Landmarks, write_image
 from liaam.workers import AHEAD, BEHIND, in_order, one_blas_thread, one_thread
 from setups import disturb
@@ -416,11 +417,37 @@ def test_a_place_that_only_scores_as_an_object_does_not_displace_one(calibrated,
     image = np.concatenate([scenes[2].image, wall], axis=1)
     alone = liaam.fit(calibrated, image)
     there = replace(alone.found, landmarks=alone.landmarks + np.array([wall.shape[1], 0.0]), score=0.9)
-    monkeypatch.setattr(Fitter, "find", lambda *_, **__: [there])  # as on a ruler
+    monkeypatch.setattr(Finder, "places_in", lambda *_: [there])  # as on a ruler
     fits = liaam.fit_all(calibrated, image)
     assert [fit.status.ok for fit in fits] == [True, False]
     np.testing.assert_array_equal(fits[0].landmarks, alone.landmarks)
     assert fits[0].n_found == 1
+
+
+def test_a_small_place_in_an_object_does_not_displace_it(calibrated, scenes, monkeypatch):
+    alone = liaam.fit(calibrated, scenes[2].image)
+    centre = alone.landmarks.mean(axis=0)
+    there = replace(alone.found, score=0.55)
+    within = replace(there, landmarks=centre + 0.2 * (alone.landmarks - centre), scale=0.2 * there.scale, score=0.6)
+    monkeypatch.setattr(Finder, "_find_all", lambda *_: [within, there])
+    (found,) = Finder(calibrated).find(scenes[2].image, limit=None)
+    np.testing.assert_array_equal(found.landmarks, there.landmarks)
+    (fit,) = liaam.fit_all(calibrated, scenes[2].image)
+    np.testing.assert_allclose(fit.landmarks, alone.landmarks, atol=1.0)
+
+
+def test_an_object_of_which_a_part_is_absent_is_found_beside_a_whole_one(calibrated, scenes):
+    whole, torn = scenes[2], scenes[3]
+    image = torn.image.copy()
+    low, high = torn.landmarks[:, 1].min(), torn.landmarks[:, 1].max()
+    image[int(high - 0.4 * (high - low)) :] = image[:4].mean(axis=(0, 1))
+    beside = np.array([whole.image.shape[1], 0.0])
+    first, second = liaam.fit_all(calibrated, np.concatenate([whole.image, image], axis=1))
+    assert first.status.ok and second.status.ok
+    assert not first.absent.any()
+    assert second.found.doubtful and second.absent.any()
+    errors = np.linalg.norm(second.landmarks - torn.landmarks - beside, axis=1)
+    assert errors[~second.absent].mean() < 1.0
 
 
 def test_what_lies_on_a_code_is_no_object(calibrated, scenes):

@@ -18,8 +18,9 @@ from liaam.morphometry import (
     measure,
     of_one_side,
     read_specimens,
+    symmetry as analysis_of_symmetry,
 )
-from liaam.morphometry.symmetry import ERROR
+from liaam.morphometry.symmetry import ERROR, _permuted
 from liaam.plotting.specimens import figure_of_asymmetry
 
 MEAN = np.array([[-30.0, 20], [30, 20], [-40, -25], [40, -25], [0, 45], [0, -50]])
@@ -137,7 +138,7 @@ def test_replicates_and_too_few_permutations_say_nothing_of_the_stated_error(rng
 
 
 @pytest.mark.parametrize("kind", ["matching", "object"])
-def test_replicates_that_repeat_the_errors_of_fits_have_a_second_error_term(rng, kind) -> None:
+def test_replicates_that_repeat_the_errors_of_fits_have_a_second_error_term(rng, kind, monkeypatch) -> None:
     """Both records of a structure have one error of 0.5 in common, which the covariances state, and 0.05 besides."""
     facts = {"covariances": np.tile(0.5**2 * np.eye(2), (len(NAMES), 1, 1)), "status": "converged"}
     once = wings(rng, 20, 0.5, **facts) if kind == "matching" else faces(rng, 20, **facts)
@@ -148,7 +149,15 @@ def test_replicates_that_repeat_the_errors_of_fits_have_a_second_error_term(rng,
         for each in once
         for number in (1, 2)
     ]
+    random_orders = []
+
+    def permuted(*arguments):
+        random_orders.append(arguments)
+        return _permuted(*arguments)
+
+    monkeypatch.setattr(analysis_of_symmetry, "_permuted", permuted)
     result = analysed(specimens, kind, by="_", permutations=99)
+    assert len(random_orders) == (2 if kind == "matching" else 1)  # of shape and size, with one error term
     other = result.error_by_covariances
     assert result.replicates_repeat_errors and other is not None and result.analysis.error == "replicates"
     anova = result.analysis.shape_anova

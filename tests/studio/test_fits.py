@@ -64,7 +64,7 @@ def folder(scene, tmp_path_factory) -> Path:
     write_landmarks(folder / "face.pts", scene.landmarks)
     grey = np.repeat(scene.image.mean(axis=2, keepdims=True).astype(np.uint8), 3, axis=2)
     write_image(folder / "grey.png", grey)
-    write_image(folder / "dark.png", scene.image // 60)
+    write_image(folder / "dark.png", scene.image // 20)
     write_image(folder / "Bild ä 1.png", scene.image)
     return folder
 

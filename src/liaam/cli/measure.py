@@ -314,8 +314,14 @@ def _groups_of(specimens: "Sequence[Specimen]", groups: str, stated: "SpecimenTa
     """Return the group of each specimen: from a column of the table of specimens, or from a table of groups."""
     from liaam import morphometry
 
-    if stated is not None and (groups in stated.columns or not Path(groups).is_file()):
+    is_file = Path(groups).is_file()
+    if stated is not None and (groups in stated.columns or not is_file):
         return stated.cells_of(specimens, groups)
+    if not is_file and not Path(groups).suffix:
+        raise LiaamError(
+            f"--groups {groups}: there is no such file; if {groups} is a column of your own table, give that, too "
+            "(--specimens TABLE.csv)"
+        )
     return morphometry.groups_of([specimen.name for specimen in specimens], morphometry.read_groups(groups))
 
 

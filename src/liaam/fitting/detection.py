@@ -13,6 +13,7 @@ from liaam.model.shape import diagonal_of
 DOUBTFUL = 0.52  # score below which a detection is uncertain (experiments/notes/engine.md)
 APART = 0.1  # mean distance of landmarks, as a fraction of the size, beyond which shapes are different places
 OVERLAP = 0.3  # fraction of an object's box that may lie in another's
+AS_LARGE = 1.4  # greatest ratio of the sizes, either way, of objects that are about as large
 
 
 @dataclass(frozen=True, eq=False)
@@ -91,6 +92,16 @@ def are_beside(shape: np.ndarray, other: np.ndarray) -> bool:
     """Return whether less than the fraction :data:`OVERLAP` of the smaller of two shapes' boxes lies in the other."""
     smaller = min(area_of_box(shape), area_of_box(other))
     return common_area(shape, other) / max(smaller, 1e-9) < OVERLAP
+
+
+def is_beside_or_larger(shape: np.ndarray, other: np.ndarray) -> bool:
+    """Return whether a shape is beside another one, or clearly larger than that, which may be a part of it."""
+    return are_beside(shape, other) or diagonal_of(shape) > AS_LARGE * diagonal_of(other)
+
+
+def are_as_large(size: float, other: float) -> bool:
+    """Return whether two sizes are about the same."""
+    return 1.0 / AS_LARGE < size / max(other, 1e-9) < AS_LARGE
 
 
 def area_of_box(shape: np.ndarray) -> float:

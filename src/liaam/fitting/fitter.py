@@ -9,15 +9,15 @@ from typing import Any
 import numpy as np
 
 from liaam.errors import ImageError, StartError, check_options
-from liaam.fitting.detection import DOUBTFUL, Detection, are_apart, choose
+from liaam.fitting.detection import DOUBTFUL, Detection, are_as_large, are_beside, choose, is_beside_or_larger
 from liaam.fitting.loop.encoded_image import MARGIN
 from liaam.fitting.loop.levels import LinearImage, Target
 from liaam.fitting.loop.options import SolverOptions
 from liaam.fitting.low_quality import fit_elsewhere, searched_region
 from liaam.fitting.methods import DEFAULT_METHOD, Method
 from liaam.fitting.one_shape_fitter import OneShapeFitter
-from liaam.fitting.result import FitResult, likeliness
-from liaam.fitting.search.finder import Finder
+from liaam.fitting.result import LEAST_PRESENT, FitResult, likeliness
+from liaam.fitting.search.finder import Finder, likeliest_first
 from liaam.fitting.search.other_places import PlacedFit
 from liaam.fitting.search.parts import fit_likeliest_part, targets_at
 from liaam.fitting.search.poses import fit_from_poses
@@ -27,6 +27,7 @@ from liaam.fitting.sides import (
     find_on_sides,
     is_clear,
     likelier_side,
+    one_at_each_place,
     reflected_detection,
     reflected_result,
     reflected_start,
@@ -34,7 +35,6 @@ from liaam.fitting.sides import (
     reflections_of_start,
     sides_of,
     with_detections,
-    without_other_sides,
 )
 from liaam.formatting import changed_repr
 from liaam.model import AAM
@@ -52,18 +52,14 @@ OWN_SETTINGS = ("camera", "rotations", "restarts", "margin", "side")  # Fields o
 NEARLY = 0.9
 """Score of a detection, as a fraction of the best one in the image, from which it counts although it is uncertain."""
 
-AS_LARGE = 1.4
-"""Greatest ratio of the sizes of such a detection and of the best one, either way."""
-
 
 WHAT_TO_DO = "give a start (--init), or search for rotated objects (--rotations all)"
 """What to do about an image in which nothing was found."""
 
 
-def _is_like(detection: Detection, best: Detection) -> bool:
-    """Return whether a detection scores nearly as high as the best one, and is about as large."""
-    ratio = detection.scale / best.scale
-    return detection.score >= NEARLY * best.score and 1 / AS_LARGE < ratio < AS_LARGE
+def _is_like(detection: Detection, best: Detection, share: float = NEARLY) -> bool:
+    """Return whether a detection has at least a share of the score of the best one, and is about as large."""
+    return detection.score >= share * best.score and are_as_large(detection.scale, best.scale)
 
 
 def _likely(detections: Sequence[Detection]) -> list[Detection]:
@@ -76,7 +72,8 @@ def _likely(detections: Sequence[Detection]) -> list[Detection]:
 
 def _best_score(detections: Sequence[Detection]) -> str:
     """Return what is said of the best score where no detection is certain."""
-    return f"(the best score is {detections[0].score:.2f}, {DOUBTFUL:g} is needed)"
+    best = max(detection.score for detection in detections)
+    return f"(the best score is {best:.2f}, {DOUBTFUL:g} is needed)"
 
 
 def _is_believed(fit: FitResult) -> bool:
@@ -341,9 +338,10 @@ class Fitter(OneShapeFitter):
     def fit_objects(self, image: np.ndarray, name: str = "image", codes: Sequence[np.ndarray] = ()) -> list[FitResult]:
         """Fit the objects of an image that is read already, in reading order; see :meth:`fit_all`.
 
-        Where several fits are of one object, as where the search found parts of it, the most likely is kept. Uncertain
-        detections count if their fits are right. If the fit to the best detection may not be used, or no detection is
-        certain, the likeliest place is fitted as :meth:`fit` does: that fit judges places by their quality, too.
+        Of several fits in one place, as where the search found parts of an object, that which explains most is kept. If
+        the fit to the best place may not be used, or no place is certain, the likeliest one is fitted as :meth:`fit`
+        does: that fit judges places by their quality, too. Uncertain places count if they are like an object that was
+        found, and their fits are right.
 
         Parameters
         ----------
@@ -362,20 +360,51 @@ class Fitter(OneShapeFitter):
         def is_object(place: np.ndarray) -> bool:
             return not any(is_inside(place, corners) for corners in codes)
 
-        detections = self.find(image, limit=None, name=name)
-        likely = [each for each in _likely(detections) if is_object(each.landmarks)]
-        tried = [(detection, self.fit(image, detection, name)) for detection in likely]
-        fits = [fit for detection, fit in tried if fit.status.ok or not detection.doubtful]
-        if not tried or not _is_believed(tried[0][1]):
+        found = self._places(image)
+        places = [place for place in found if is_object(place.landmarks)]
+        fits = self._fits_of_certain(image, places, name)
+        if not fits or not _is_believed(fits[0]):
             likeliest = self._alone(image, name)
             is_needed = not any(map(_is_believed, fits)) and not likeliest.status.lost
             if (_is_believed(likeliest) or is_needed) and is_object(likeliest.place):
                 fits.append(likeliest)
         if not fits:
             where = " beside the codes" if codes else ""
-            raise StartError(f"{name}: no object was found{where} {_best_score(detections)}; {WHAT_TO_DO}")
-        kept = without_other_sides(choose(sorted(fits, key=likeliness, reverse=True), are_apart), self.model)
+            raise StartError(f"{name}: no object was found{where} {_best_score(found)}; {WHAT_TO_DO}")
+        kept = one_at_each_place([*fits, *self._fits_of_similar(image, places, fits, name)], self.model)
         return [kept[i] for i in reading_order([fit.place for fit in kept])]
+
+    def _places(self, image: np.ndarray) -> list[Detection]:
+        """Find places of objects, of all sides, the likeliest first; some lie on others."""
+
+        def search(pixels: np.ndarray) -> list[Detection]:
+            return self.finder.places_in(self.linear(pixels))
+
+        return likeliest_first(find_on_sides(image, search, self._reflections, None))
+
+    def _fits_of_certain(self, image: np.ndarray, places: Sequence[Detection], name: str) -> list[FitResult]:
+        """Fit the certain ones of some places; of those that lie on likelier ones, those that are clearly larger."""
+        certain = [place for place in places if not place.doubtful]
+        return [self.fit(image, place, name) for place in choose(certain, is_beside_or_larger)]
+
+    def _fits_of_similar(
+        self, image: np.ndarray, places: Sequence[Detection], fits: Sequence[FitResult], name: str
+    ) -> list[FitResult]:
+        """Return the right fits to uncertain places beside the objects found, as large and with a part of their score.
+
+        An object of which a part is absent has about that part of the score of a whole one.
+        """
+        right = [fit for fit in fits if _is_believed(fit)]
+        detections = [fit.found for fit in right if fit.found is not None]
+        similar: list[FitResult] = []
+        for place in places:
+            is_similar = any(_is_like(place, each, LEAST_PRESENT) for each in detections)
+            taken = (fit.landmarks for fit in [*right, *similar])
+            if place.doubtful and is_similar and all(are_beside(place.landmarks, shape) for shape in taken):
+                fit = self.fit(image, place, name)
+                if fit.status.ok:
+                    similar.append(fit)
+        return similar
 
     def _alone(self, image: np.ndarray, name: str) -> FitResult:
         """Fit the likeliest place of an image, and leave out which further objects its search has seen."""

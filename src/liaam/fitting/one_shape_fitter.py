@@ -93,6 +93,11 @@ class OneShapeFitter:
         return self.judge.surroundings
 
     @cached_property
+    def surroundings_of_levels(self) -> tuple[Surroundings, ...]:
+        """The same of every level, coarse to fine."""
+        return (*map(Surroundings, self.objectives[:-1]), self.surroundings)
+
+    @cached_property
     def nearest_pixels(self) -> tuple[np.ndarray, ...]:
         """The sampled pixel of the sharpest level that is nearest to each of every level, by index."""
         return tuple(self.surroundings.nearest_of(objective) for objective in self.objectives)

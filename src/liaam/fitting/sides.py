@@ -202,12 +202,14 @@ def find_on_sides(
     return sorted(found, key=lambda each: each.score, reverse=True)[:limit]
 
 
-def without_other_sides(fits: Sequence[FitResult], model: AAM) -> list[FitResult]:
-    """Return fits without those that lie on a likelier one of the other side."""
+def one_at_each_place(fits: Sequence[FitResult], model: AAM) -> list[FitResult]:
+    """Return fits, of any side, without those that lie on one which explains more: they are of parts of its object."""
 
-    def is_likeliest(fit: FitResult) -> bool:
-        others = (each for each in fits if each.reflected != fit.reflected)
-        on_it = (other for other in others if not are_beside(fit.landmarks, other.landmarks))
-        return all(likelier_side(fit, other, model) is fit for other in on_it)
+    def worth(fit: FitResult) -> tuple[bool, float]:
+        return fit.status.ok, explained_contrast(fit, model)
 
-    return [fit for fit in fits if is_likeliest(fit)]
+    kept: list[FitResult] = []
+    for fit in sorted(fits, key=worth, reverse=True):
+        if all(are_beside(fit.place, other.place) for other in kept):
+            kept.append(fit)
+    return kept

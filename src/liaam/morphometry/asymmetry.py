@@ -335,14 +335,14 @@ def asymmetry(
         analysis = object_asymmetry(shapes[order[:, 0]], twins, of_object, estimated=estimated[:, 0], **options)
         if of_means is not None:
             by_covariances = object_asymmetry(
-                means[:, 0], twins, of_means[:, 0], estimated=are_estimated[:, 0], **options
+                means[:, 0], twins, of_means[:, 0], estimated=are_estimated[:, 0], only_error=True, **options
             )
         sides = ("original", "mirrored")
     else:
         sizes = comparable(columns, size_column(columns))[order]
         analysis = matching_asymmetry(shapes[order], covariances, estimated=estimated, sizes=sizes, **options)
         if of_means is not None:
-            by_covariances = matching_asymmetry(means, of_means, estimated=are_estimated, **options)
+            by_covariances = matching_asymmetry(means, of_means, estimated=are_estimated, only_error=True, **options)
     return AsymmetryResult(
         analysis,
         tuple(chosen),

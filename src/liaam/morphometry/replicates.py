@@ -11,7 +11,6 @@ import numpy as np
 
 from liaam.errors import LiaamError
 from liaam.io.files import some_names
-from liaam.io.sides import by_word
 from liaam.morphometry.curves import semilandmarks
 from liaam.morphometry.sides import object_name, refuse_uneven, structure_name
 from liaam.morphometry.specimens import Specimen
@@ -194,20 +193,9 @@ def _positions(specimens: Sequence[Specimen], number: int) -> np.ndarray:
 
 
 def _groups(specimens: Sequence[Specimen], by: str) -> list[str]:
-    """Return what the replicates of each specimen have in common; see :func:`measurement_error`.
-
-    Where names state two sides of what fits take for one, as of a wing that was flipped, these are no replicates.
-    """
-    if by == "image":
-        return [object_name(specimen, by) for specimen in specimens]
-    stated = [by_word(specimen.name).side if specimen.side else "" for specimen in specimens]
-    groups = [structure_name(specimen, by) for specimen in specimens]
-    sides: dict[str, set[str]] = defaultdict(set)
-    for group, side in zip(groups, stated, strict=True):
-        sides[group].add(side)
-    return [
-        f"{group} named {side}" if len(sides[group]) > 1 else group for group, side in zip(groups, stated, strict=True)
-    ]
+    """Return what the replicates of each specimen have in common; see :func:`measurement_error`."""
+    name_of = object_name if by == "image" else structure_name
+    return [name_of(specimen, by) for specimen in specimens]
 
 
 def exchanged_landmarks(specimens: Sequence[Specimen], by: str) -> list[str]:

@@ -345,8 +345,12 @@ def structure_name(specimen: Specimen, by: str | None) -> str:
     """Return the name of the individual that a specimen is of, and its side if known: its replicates have both.
 
     The side is that which is stated, as records of a structure are named alike, whether its photographs are flipped.
+    One whose name states the other side than a column, as of a wing that was flipped, is a structure of its own.
     """
     side = specimen.stated_side or specimen.side
+    named = by_word(specimen.name).side
+    if named and OTHER_SIDE.get(named) == side:
+        side = f"{side} named {named}"
     return " ".join(filter(None, (individual_name(specimen, by), side)))
 
 

@@ -112,6 +112,7 @@ def matching_asymmetry(
     permutations: int = PERMUTATIONS,
     seed: int = 0,
     tolerance: float = TOLERANCE,
+    only_error: bool = False,
     progress: Progress | bool | None = None,
 ) -> Asymmetry:
     """Analyse matching symmetry.
@@ -135,6 +136,9 @@ def matching_asymmetry(
         Seed of the random numbers.
     tolerance : float
         See :func:`liaam.morphometry.superimposition.superimpose`.
+    only_error : bool
+        Whether the interaction alone is tested, against the error by the covariances. The other tests, which take
+        nearly all of the time, are then unknown.
     progress : callable or bool, optional
         See :func:`liaam.progress.reported`.
 
@@ -156,10 +160,10 @@ def matching_asymmetry(
     mean_square = np.nan if errors is None else float(np.trace(errors, axis1=1, axis2=2).mean())
     with reported("permutations", progress) as tell:
         rows = aligned.reshape(n, sides, replicates, -1)
-        shape_anova = _anova(rows, is_measured, permutations, seed, tell, mean_square, draw)
+        shape_anova = _anova(rows, is_measured, permutations, seed, tell, mean_square, draw, only_error)
         has_sizes = np.isfinite(sizes).all(axis=(1, 2, 3))
         size_anova = {}
-        if has_sizes.sum() >= FEWEST:
+        if has_sizes.sum() >= FEWEST and not only_error:
             size_anova = _anova(sizes[has_sizes], is_measured[has_sizes], permutations, seed, tell)
     ratios = np.log(sizes.mean(axis=2)).reshape(n, sides)
     return _components("matching", aligned, fit, ratios[:, 0] - ratios[:, 1], errors, shape_anova, size_anova)
@@ -174,6 +178,7 @@ def object_asymmetry(
     permutations: int = PERMUTATIONS,
     seed: int = 0,
     tolerance: float = TOLERANCE,
+    only_error: bool = False,
     progress: Progress | bool | None = None,
 ) -> Asymmetry:
     """Analyse object symmetry: the first side is the object, the second its mirror image with landmarks exchanged.
@@ -188,7 +193,7 @@ def object_asymmetry(
         Covariances of the landmarks. Used where r is 1.
     estimated : (n, r) bool, optional
         Which have landmarks that were estimated from other specimens; see :func:`matching_asymmetry`.
-    permutations, seed, tolerance, progress
+    permutations, seed, tolerance, only_error, progress
         See :func:`matching_asymmetry`.
 
     Returns
@@ -217,7 +222,7 @@ def object_asymmetry(
     with reported("permutations", progress) as tell:
         rows = aligned.reshape(n, 2, replicates, -1)
         of_both = np.stack([is_measured, is_measured], axis=1)
-        shape_anova = _anova(rows, of_both, permutations, seed, tell, mean_square, draw)
+        shape_anova = _anova(rows, of_both, permutations, seed, tell, mean_square, draw, only_error)
     return _components("object", aligned, fit, np.full(n, np.nan), errors, shape_anova, {})
 
 
@@ -323,11 +328,12 @@ def _anova(
     tell: Progress,
     error: float = np.nan,
     draw: Callable[[np.random.Generator], np.ndarray] | None = None,
+    only_error: bool = False,
 ) -> Columns:
     """Analyse the variance of values (n, 2, r, d), with the error of sides that were measured, (n, 2) bool.
 
     ``error`` is the mean square of the error that is known from covariances, and ``draw`` draws values (n, 2, 1, d)
-    that have such errors and no asymmetry.
+    that have such errors and no asymmetry. If ``only_error``, nothing but the interaction is tested, by these.
     """
     freedom = _freedom(values.shape, is_measured)
     squares = sums_of_squares(values, is_measured)
@@ -336,7 +342,11 @@ def _anova(
         means[ERROR] = means[ERROR] if freedom[ERROR] else error
         observed = _ratios(means)
         over_error = means[:3] / means[ERROR]
-        tests = _permuted(values, is_measured, observed, permutations, seed, tell, draw, error)
+        if only_error and draw is not None:
+            by_chance = _drawn(values.shape, draw, error, permutations, seed, tell)
+            tests = (*_effect_sizes(np.vstack([observed, by_chance])), np.full(3, np.nan), np.full(3, np.nan))
+        else:
+            tests = _permuted(values, is_measured, observed, permutations, seed, tell, draw, error)
         shares = squares / squares.sum()
     is_known = freedom[ERROR] > 0
     gap = np.nan
@@ -396,11 +406,33 @@ def _permuted(
         mixed[i] = [means[_INDIVIDUAL][_INDIVIDUAL], means[_SIDE][_SIDE], last[INTERACTION]]
         mixed[i] /= last[[INTERACTION, INTERACTION, ERROR]]
         if draw is not None:
-            null = sums_of_squares(draw(generator))[INTERACTION] / freedom[INTERACTION] / error
-            own[i, INTERACTION] = null
+            own[i, INTERACTION] = _drawn_ratio(draw(generator), freedom, error)
             mixed[i, INTERACTION] = np.nan
         tell(i, permutations, "permutations")
     return *_effect_sizes(own), *_effect_sizes(mixed)
+
+
+def _drawn(
+    shape: tuple[int, ...],
+    draw: Callable[[np.random.Generator], np.ndarray],
+    error: float,
+    count: int,
+    seed: int,
+    tell: Progress,
+) -> np.ndarray:
+    """Return the three ratios of so many draws of errors: of the interaction to the error, NaN for the others."""
+    generator = np.random.default_rng(seed)
+    freedom = _freedom(shape, np.ones(shape[:2], bool))
+    ratios = np.full((count, 3), np.nan)
+    for i in range(count):
+        ratios[i, INTERACTION] = _drawn_ratio(draw(generator), freedom, error)
+        tell(i + 1, count, "permutations")
+    return ratios
+
+
+def _drawn_ratio(values: np.ndarray, freedom: np.ndarray, error: float) -> float:
+    """Return the mean square of the interaction of drawn errors (n, 2, 1, d), over that of the error."""
+    return float(sums_of_squares(values)[INTERACTION] / freedom[INTERACTION] / error)
 
 
 def _compact(rows: np.ndarray) -> np.ndarray:

@@ -34,7 +34,7 @@ OUTLIERS = 0.3  # Density of gradients of present parts that the model does not 
 # Share of the pixels around a place, weighted by the kernel, that is absent if the place is as likely absent, and log
 # odds of a place by that share. Nine of ten landmarks under discs over wings and cephalograms have a larger share, and
 # one of fifty beside the discs.
-HALF_ABSENT = 0.17
+HALF_ABSENT = 0.19
 STEEPNESS = 20.0
 # An absent part that the windows do not see surrounds a landmark with this share, and has at most this share of the
 # object. A larger part contains landmarks whose windows can tell. Where these call all present, as in pictures of a

@@ -231,14 +231,21 @@ class Finder:
         """Find the object in an image that is checked already; see :func:`find`."""
         most = MOST if limit is None else min(limit, MOST)
         if most > 1:
-            detections = []
-            for i, part in enumerate(self.parts):
-                detections += [replace(each, part=i) for each in part._find_all(linear, most)]
-            chosen = choose(_best_first(detections), are_beside, most)
+            chosen = _best_first(choose(self.places_in(linear, most), are_beside, most))
         else:
             search = self._search_for_one(linear)
             chosen = [self._with_others(search, search.for_one(least))]
         return [detection for detection in chosen if detection.score >= least]
+
+    def places_in(self, linear: LinearImage, most: int = MOST) -> list[Detection]:
+        """Find places of at most so many objects, the likeliest first.
+
+        Some lie on others, as where a part of an object resembles a small one: their fits say which is right.
+        """
+        detections = []
+        for i, part in enumerate(self.parts):
+            detections += [replace(each, part=i) for each in part._find_all(linear, most)]
+        return choose(likeliest_first(detections), are_apart)
 
     def first_in(self, linear: LinearImage) -> Detection:
         """Find where the first fit of an image starts.
@@ -376,6 +383,16 @@ class Finder:
         return self._detection(mean * scale + 0.5 * (size - 1), 0.0)
 
 
+def likeliest_first(detections: Sequence[Detection]) -> list[Detection]:
+    """Sort the detections of an image, certain ones before the others, by score and size: small wrong ones are many."""
+    return sorted(detections, key=lambda each: (each.doubtful, -_sized_score(each)))
+
+
+def _sized_score(detection: Detection) -> float:
+    """Return the score of a detection with the bonus on its size, to compare those of one image."""
+    return detection.score + SIZE_WORTH * np.log(detection.scale)
+
+
 def _best_first(detections: list[Detection]) -> list[Detection]:
     """Sort detections by their score, the highest first."""
     return sorted(detections, key=lambda detection: -detection.score)
@@ -472,7 +489,7 @@ class _Search:
         of_response = self.limits.of_response if self.bank.normalised else 0.0
 
         def rank(detection: Detection, response: float) -> float:
-            return detection.score + of_response * response + SIZE_WORTH * np.log(detection.scale)
+            return _sized_score(detection) + of_response * response
 
         return [detection for detection, _ in sorted(fits, key=lambda each: -rank(*each))]
 
