@@ -16,7 +16,7 @@ from setups import disturb
 def expanded_model(model, factor):
     """Model whose fits are expanded."""
     known = replace(model.views[SURROUNDINGS].reliabilities["soft-li"], expansion=factor)
-    return model.with_view(SURROUNDINGS, reliabilities={"soft-li": known})
+    return replace(model.with_view(SURROUNDINGS, reliabilities={"soft-li": known}), refiner=None)
 
 
 def test_the_landmarks_are_expanded_and_the_registration_is_not(calibrated, lit_scene):
