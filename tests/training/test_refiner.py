@@ -134,7 +134,7 @@ def test_errors_that_are_stated_are_those_of_refined_fits(shields, trained):
         away = truth - result.landmarks
         squares.append(np.einsum("na,nab,nb->n", away, np.linalg.inv(result.landmark_covariances), away))
     within = np.mean(np.array(squares) < 5.991)  # of 95 % of the ellipses
-    assert 0.9 < within < 0.995
+    assert 0.85 < within < 0.995
 
 
 def test_refined_shapes_are_as_far_from_the_mean_as_the_model_says(shields, trained):

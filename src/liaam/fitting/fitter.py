@@ -392,7 +392,8 @@ class Fitter(OneShapeFitter):
     ) -> list[FitResult]:
         """Return the right fits to uncertain places beside the objects found, as large and with a part of their score.
 
-        An object of which a part is absent has about that part of the score of a whole one.
+        An object of which a part is absent has about the share of what is left in the score of a whole one. Others must
+        score nearly as high as the objects found.
         """
         right = [fit for fit in fits if _is_believed(fit)]
         detections = [fit.found for fit in right if fit.found is not None]
@@ -402,7 +403,8 @@ class Fitter(OneShapeFitter):
             taken = (fit.landmarks for fit in [*right, *similar])
             if place.doubtful and is_similar and all(are_beside(place.landmarks, shape) for shape in taken):
                 fit = self.fit(image, place, name)
-                if fit.status.ok:
+                least = LEAST_PRESENT if fit.absent.any() else NEARLY
+                if fit.status.ok and any(_is_like(place, each, least) for each in detections):
                     similar.append(fit)
         return similar
 
