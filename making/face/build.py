@@ -246,7 +246,9 @@ def refiner_of(model: AAM, data: Sequence[Sample], lamps: LearntLamps) -> Landma
                 (image,) = lamps.relit(image, sample.landmarks.points, [rng.integers(len(lamps))], model.response)
             yield replace(sample, image=image)
 
-    return learn_refiner(pictures(), model.shape_model.mean, model.response)
+    refiner = learn_refiner(pictures(), model.shape_model.mean, model.response)
+    assert refiner is not None  # there are enough faces
+    return refiner
 
 
 def lamps_on(data: Sequence[Sample]) -> LearntLamps:

@@ -146,12 +146,10 @@ def seen_of(owners: np.ndarray) -> np.ndarray:
 
     At most :data:`MOST_SEEN`, half of which are images, at even distances if there are more.
     """
-    firsts = np.flatnonzero(np.diff(owners, prepend=-1))
-    count = min(len(firsts), MOST_SEEN // 2)
-    images = np.linspace(0, len(firsts) - 1, count).astype(int)
-    ends = np.append(firsts[1:], len(owners))
-    each = MOST_SEEN // count
-    return np.concatenate([np.arange(firsts[i], min(ends[i], firsts[i] + each)) for i in images])
+    n_images = int(owners[-1]) + 1
+    count = min(n_images, MOST_SEEN // 2)
+    images = np.linspace(0, n_images - 1, count).astype(int)
+    return np.concatenate([np.flatnonzero(owners == i)[: MOST_SEEN // count] for i in images])
 
 
 def learn_refiner(data: Iterable[Sample], mean: np.ndarray, response: Response = "srgb") -> LandmarkRegressor | None:
