@@ -213,7 +213,9 @@ class Person:
         """Set the template, then rename a point, add one, and take it away again."""
         n, revision = len(self.template["names"]), (project["template"] or {}).get("revision")
         renamed = {**self.template, "names": [*self.template["names"][:-1], "renamed"]}
-        longer = {**self.template, "names": [*self.template["names"], "added"], "points": None, "mirror": None}
+        longer = {**self.template, "names": [*self.template["names"], "added"]} | dict.fromkeys(
+            ("points", "mirror", "kinds")
+        )
         same = list(range(n))
         for template, mapping in (
             (self.template, same if revision else None),
