@@ -213,9 +213,8 @@ class Person:
         """Set the template, then rename a point, add one, and take it away again."""
         n, revision = len(self.template["names"]), (project["template"] or {}).get("revision")
         renamed = {**self.template, "names": [*self.template["names"][:-1], "renamed"]}
-        longer = {**self.template, "names": [*self.template["names"], "added"]} | dict.fromkeys(
-            ("points", "mirror", "kinds")
-        )
+        names = [*self.template["names"], "added"]
+        longer = {**self.template, "names": names, "points": None, "mirror": None, "kinds": None}
         same = list(range(n))
         for template, mapping in (
             (self.template, same if revision else None),

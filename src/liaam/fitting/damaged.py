@@ -51,7 +51,7 @@ def without_absent(
     best = _fitted_without_absent(fitter, target, result)
     if not _is_mostly_present(best):
         for start in _starts(target, result, other_places):
-            elsewhere = _fit_without_absent(fitter, target._replace(start=start))
+            elsewhere = _fit_levels_without_absent(fitter, target._replace(start=start))
             if _n_present(elsewhere) > _n_present(best):
                 best = elsewhere
             if _is_mostly_present(best):
@@ -86,7 +86,7 @@ def _fitted_without_absent(fitter: OneShapeFitter, target: Target, result: FitRe
     return _repeated(fitter, start, result, first, every)
 
 
-def _fit_without_absent(fitter: OneShapeFitter, target: Target) -> FitResult:
+def _fit_levels_without_absent(fitter: OneShapeFitter, target: Target) -> FitResult:
     """Fit from a start, each level without the pixels that disagree with the shape that it starts from."""
     start = target._replace(mapped=None, pull=None).measured(fitter.objectives[-1].method)
     stages: list[FittedLevel] = []

@@ -19,7 +19,8 @@ from liaam.photometry import Response
 from liaam.photometry.encoding import as_colour
 from liaam.training.left_out_fits import LeftOutFit, LeftOutFits
 from liaam.training.objects import groups_of
-from liaam.training.regressor import RIDGE, Samples, learn_steps
+from liaam.training.regressor import LEAST_OBJECTS, RIDGE, Samples, learn_steps
+from liaam.training.shrinkage import evidence_of
 
 # Distances of the histograms around a landmark in each step, pixels of SIZE. A third step changes no error; with 3
 # pixels instead of 2 at the end, those of wings are 2 % larger.
@@ -36,12 +37,9 @@ TURN = 1.5
 SHAPE = 0.35
 VARIANCE = 0.99  # Fraction of the variance of shapes that their modes explain
 MOST_SEEN = 200  # Largest number of images and copies to learn from: each takes half a megabyte
-# Standard errors by which the mean of the logarithms of these fits' errors must be smaller if FEW objects or fewer were
-# learnt from; none for MANY or more. With 10 wings, refined fits are worse by 9 %, with 20 the same, with 40 better.
+# Standard errors by which the mean of the logarithms of the errors of left-out fits must be smaller if few objects were
+# learnt from; none if there were many. With 10 wings, refined fits are worse by 9 %, with 20 the same, with 40 better.
 STANDARD_ERRORS = 1.0
-FEW = 10
-MANY = 20
-LEAST_OBJECTS = 4  # Least number of objects to learn from, and of fits to judge by
 
 
 class RefinerLearner:
@@ -142,7 +140,7 @@ class Refinement:
         ratios = np.log([_ratio_of_errors(fit) for fit in method.near_right])
         if len(ratios) < LEAST_OBJECTS:
             return False
-        doubt = STANDARD_ERRORS * np.clip((MANY - len(self.groups)) / (MANY - FEW), 0.0, 1.0)
+        doubt = STANDARD_ERRORS * (1.0 - evidence_of(len(self.groups)))
         return bool(ratios.mean() + doubt * ratios.std(ddof=1) / np.sqrt(len(ratios)) < 0.0)
 
 

@@ -31,7 +31,7 @@ SPACINGS = (12.0, 8.0, 5.0, 3.0)
 STARTS = 10
 MOST_SAMPLES = 1000  # Largest number of starts of all images, of which each takes N_FEATURES numbers a landmark
 MOST_IMAGES = 100  # Largest number of images to learn from: each takes two megabytes
-LEAST_OBJECTS = 4  # Least number of objects to learn from: errors are those of left-out ones
+LEAST_OBJECTS = 4  # Least number of objects to learn from, also of refiners: errors are those of left-out ones
 ENOUGH = 15  # Number of fits to left-out images that fail if one in six does
 CLEARLY = 0.85  # Ratio of mean errors below which fits are clearly nearer
 # Standard deviations of starts: of the position as a fraction of the diagonal, of the logarithm of the size, and of the

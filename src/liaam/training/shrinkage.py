@@ -76,12 +76,16 @@ def expansion_of(fits: LeftOutFits, usual: LeftOutFits) -> float:
         return 1.0
     equal = float(np.sqrt(moments.true / moments.fitted))
     largest = float(np.clip(1.0 + SHARE * (equal - 1.0), 1.0, MOST_EXPANSION))
-    evidence = np.clip((usual.n_near - FEW) / (MANY - FEW), 0.0, 1.0)
-    most = _mean_error(usual.near_right) * (1.0 + MOST_INCREASE * evidence)
+    most = _mean_error(usual.near_right) * (1.0 + MOST_INCREASE * evidence_of(usual.n_near))
     for factor in np.linspace(largest, 1.0, TRIED)[:-1].tolist():
         if _mean_error(fits.near_right, factor) <= most:
             return factor
     return 1.0
+
+
+def evidence_of(n: int) -> float:
+    """Return how much so many left-out images say: nothing, 0, if they are :data:`FEW`, and 1 if :data:`MANY`."""
+    return float(np.clip((n - FEW) / (MANY - FEW), 0.0, 1.0))
 
 
 def _mean_error(fits: Sequence[LeftOutFit], factor: float = 1.0) -> float:
