@@ -66,6 +66,15 @@ void decode_row(const Stored<T>& image, std::ptrdiff_t y, const LightTable& tabl
     }
 }
 
+// The sum of each pixel's channels by their tables.
+template <class T>
+void sum_row(const Stored<T>& image, std::ptrdiff_t y, const std::array<Floats, 3>& tables, float* sums) {
+    const T* pixel = image.row(y);
+    const float *reds = tables[0].data(), *greens = tables[1].data(), *blues = tables[2].data();
+    for (std::ptrdiff_t x = 0; x < image.width; ++x, pixel += image.by_pixel)
+        sums[x] = reds[pixel[0]] + greens[pixel[image.by_channel]] + blues[pixel[2 * image.by_channel]];
+}
+
 // A sum of rows, each times a share; what lies beyond their n numbers stays 0.
 class RowSum {
   public:
@@ -99,6 +108,11 @@ class RowSum {
     bool is_empty_ = true;
 };
 
+void cut(const std::vector<float>& sums, const Taps& taps, std::ptrdiff_t columns, std::ptrdiff_t depth, float* means) {
+    if (depth == 4) cut_light(sums, taps, columns, means);
+    else cut_row(sums, taps, columns, depth, means);
+}
+
 // Means of the blocks of an image (h, w, depth).
 void mean_blocks(const float* values, std::ptrdiff_t width, std::ptrdiff_t depth, const Taps& down, const Taps& across,
                  float* means) {
@@ -110,22 +124,21 @@ void mean_blocks(const float* values, std::ptrdiff_t width, std::ptrdiff_t depth
             const float share = down.of(i)[k];
             if (share > 0.0f) sum.add(share, values + (down.first[i] + k) * n);
         }
-        if (depth == 4) cut_light(sum.total(), across, columns, means);
-        else cut_row(sum.total(), across, columns, depth, means);
+        cut(sum.total(), across, columns, depth, means);
     }
 }
 
-}  // namespace
-
-template <class T>
-void stored_means(const Stored<T>& image, const LightTable& table, const BlockGrid& blocks, std::vector<float>& means) {
-    // Rows of pixels are converted to linear light and summed; only the sums are averaged into blocks.
-    const Taps across(image.width, blocks.x, blocks.size, blocks.columns);
-    const Taps down(image.height, blocks.y, blocks.size, blocks.rows);
-    const std::size_t n = 4 * image.width;
-    RowSum sum(n, 4 * across.n_taps);  // see mean_blocks
-    std::vector<float> light(n);
-    means.resize(4 * blocks.rows * blocks.columns);
+// Averages blocks of rows that `decode` writes, one at a time, `depth` numbers for each pixel. Rows are summed first, so
+// that only the sums are cut into blocks.
+template <class Decode>
+void mean_rows(std::ptrdiff_t height, std::ptrdiff_t width, std::ptrdiff_t depth, const BlockGrid& blocks,
+               const Decode& decode, std::vector<float>& means) {
+    const Taps across(width, blocks.x, blocks.size, blocks.columns);
+    const Taps down(height, blocks.y, blocks.size, blocks.rows);
+    const std::size_t n = depth * width;
+    RowSum sum(n, depth * across.n_taps);  // see mean_blocks
+    std::vector<float> row(n);
+    means.resize(depth * blocks.rows * blocks.columns);
     std::ptrdiff_t decoded = -1;
     for (std::ptrdiff_t i = 0; i < blocks.rows; ++i) {
         sum.begin();
@@ -133,16 +146,36 @@ void stored_means(const Stored<T>& image, const LightTable& table, const BlockGr
             const float share = down.of(i)[k];
             if (share <= 0.0f) continue;
             const auto y = down.first[i] + static_cast<std::ptrdiff_t>(k);
-            if (y != decoded) decode_row(image, y, table, light.data());  // blocks that cut through pixels share a row
+            if (y != decoded) decode(y, row.data());  // blocks that cut through pixels share a row
             decoded = y;
-            sum.add(share, light.data());
+            sum.add(share, row.data());
         }
-        cut_light(sum.total(), across, blocks.columns, means.data() + 4 * blocks.columns * i);
+        cut(sum.total(), across, blocks.columns, depth, means.data() + depth * blocks.columns * i);
     }
+}
+
+}  // namespace
+
+template <class T>
+void stored_means(const Stored<T>& image, const LightTable& table, const BlockGrid& blocks, std::vector<float>& means) {
+    const auto decode = [&](std::ptrdiff_t y, float* light) { decode_row(image, y, table, light); };
+    mean_rows(image.height, image.width, 4, blocks, decode, means);
 }
 
 template void stored_means(const Stored<std::uint8_t>&, const LightTable&, const BlockGrid&, std::vector<float>&);
 template void stored_means(const Stored<std::uint16_t>&, const LightTable&, const BlockGrid&, std::vector<float>&);
+
+template <class T>
+void stored_brightness(const Stored<T>& image, const std::array<Floats, 3>& tables, const BlockGrid& blocks,
+                       std::vector<float>& means) {
+    const auto decode = [&](std::ptrdiff_t y, float* sums) { sum_row(image, y, tables, sums); };
+    mean_rows(image.height, image.width, 1, blocks, decode, means);
+}
+
+template void stored_brightness(const Stored<std::uint8_t>&, const std::array<Floats, 3>&, const BlockGrid&,
+                                std::vector<float>&);
+template void stored_brightness(const Stored<std::uint16_t>&, const std::array<Floats, 3>&, const BlockGrid&,
+                                std::vector<float>&);
 
 void value_means(const float* values, std::ptrdiff_t height, std::ptrdiff_t width, std::ptrdiff_t depth,
                  const BlockGrid& blocks, std::vector<float>& means) {
@@ -168,12 +201,7 @@ void area_means(const float* image, std::ptrdiff_t height, std::ptrdiff_t width,
 
 template <class T>
 void stored_luminance(const Stored<T>& image, const std::array<Floats, 3>& tables, float* luminance) {
-    for (std::ptrdiff_t y = 0; y < image.height; ++y) {
-        const T* pixel = image.row(y);
-        for (std::ptrdiff_t x = 0; x < image.width; ++x, pixel += image.by_pixel)
-            *luminance++ =
-                tables[0][pixel[0]] + tables[1][pixel[image.by_channel]] + tables[2][pixel[2 * image.by_channel]];
-    }
+    for (std::ptrdiff_t y = 0; y < image.height; ++y) sum_row(image, y, tables, luminance + y * image.width);
 }
 
 template void stored_luminance(const Stored<std::uint8_t>&, const std::array<Floats, 3>&, float*);

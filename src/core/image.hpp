@@ -48,6 +48,11 @@ struct Means {
 template <class T>
 void stored_means(const Stored<T>& image, const LightTable& table, const BlockGrid& blocks, std::vector<float>& means);
 
+// Averages the sum of a pixel's channels, by a table of stored values each.
+template <class T>
+void stored_brightness(const Stored<T>& image, const std::array<Floats, 3>& tables, const BlockGrid& blocks,
+                       std::vector<float>& means);
+
 // Averages pixels of `depth` numbers, (h, w, depth).
 void value_means(const float* values, std::ptrdiff_t height, std::ptrdiff_t width, std::ptrdiff_t depth,
                  const BlockGrid& blocks, std::vector<float>& means);
