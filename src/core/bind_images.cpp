@@ -38,15 +38,10 @@ nb::object average_stored(const Image<T>& image, const Array<float, 3>& table, d
 }
 
 template <class T>
-void check_tables(const Array<float, 2>& tables) {
-    require(tables.shape(0) == 3 && tables.shape(1) == std::size_t{1} << (8 * sizeof(T)),
-            "there is a table for each channel, with an entry for each stored value");
-}
-
-template <class T>
 nb::object average_brightness(const Image<T>& image, const Array<float, 2>& tables, double x, double y, double size,
                               std::ptrdiff_t rows, std::ptrdiff_t columns) {
-    check_tables<T>(tables);
+    require((tables.shape(0) == 3 || tables.shape(0) == 1) && tables.shape(1) == std::size_t{1} << (8 * sizeof(T)),
+            "there is a table for each channel, or one for all, with an entry for each stored value");
     const BlockGrid blocks{x, y, size, rows, columns};
     check_blocks(image.shape(0), image.shape(1), blocks);
     std::vector<float> means;
@@ -54,7 +49,7 @@ nb::object average_brightness(const Image<T>& image, const Array<float, 2>& tabl
         const Stored<T> view = stored(image);
         const MatrixView<const float> by_channel = view_of(tables);
         const Unlocked unlocked;
-        stored_brightness(view, {by_channel[0], by_channel[1], by_channel[2]}, blocks, means);
+        stored_brightness(view, by_channel, blocks, means);
     }
     return owned(std::move(means), {std::size_t(rows), std::size_t(columns)});
 }
@@ -86,7 +81,8 @@ nb::object average_area(const Array<float, 2>& image, std::size_t rows, std::siz
 
 template <class T>
 nb::object luminance(const Image<T>& image, const Array<float, 2>& tables) {
-    check_tables<T>(tables);
+    require(tables.shape(0) == 3 && tables.shape(1) == std::size_t{1} << (8 * sizeof(T)),
+            "there is a table for each channel, with an entry for each stored value");
     std::vector<float> out(image.shape(0) * image.shape(1));
     const MatrixView<const float> rows = view_of(tables);
     const Stored<T> view = stored(image);
@@ -95,6 +91,13 @@ nb::object luminance(const Image<T>& image, const Array<float, 2>& tables) {
         stored_luminance(view, {rows[0], rows[1], rows[2]}, out.data());
     }
     return owned(std::move(out), {image.shape(0), image.shape(1)});
+}
+
+template <class T>
+bool equal_channels(const Image<T>& image) {
+    const Stored<T> view = stored(image);
+    const Unlocked unlocked;
+    return has_equal_channels(view);
 }
 
 nb::object encode_light(const Array<float, 3>& light, const std::optional<Array<float, 2>>& finite,
@@ -301,6 +304,8 @@ void bind_images(nb::module_& module) {
     module.def("area_means", average_area, "image"_a, "rows"_a, "columns"_a);
     module.def("stored_luminance", luminance<std::uint8_t>, "image"_a.noconvert(), "tables"_a);
     module.def("stored_luminance", luminance<std::uint16_t>, "image"_a.noconvert(), "tables"_a);
+    module.def("has_equal_channels", equal_channels<std::uint8_t>, "image"_a.noconvert());
+    module.def("has_equal_channels", equal_channels<std::uint16_t>, "image"_a.noconvert());
     module.def("encode", encode_light, "light"_a, "finite"_a.none(), "grey"_a, "encoding"_a, "floor"_a, "blur"_a, "turn"_a,
                "pixel"_a);
     module.def("blur_planes", blur_planes, "planes"_a, "sigma"_a);

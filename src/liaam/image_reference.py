@@ -57,9 +57,10 @@ def stored_brightness(
 ) -> np.ndarray:
     """Average the sum of the channels of integer pixels by a table for each channel, (3, n), over blocks.
 
-    They are (rows, columns) float32; see :func:`value_means`.
+    A grey image may have one table for the sum, (1, n). The means are (rows, columns) float32; see :func:`value_means`.
     """
-    return value_means(stored_luminance(image, tables)[..., None], x, y, size, rows, columns)[..., 0]
+    values = tables[0][image[..., 0]] if len(tables) == 1 else stored_luminance(image, tables)
+    return value_means(values[..., None], x, y, size, rows, columns)[..., 0]
 
 
 def area_means(image: np.ndarray, rows: int, columns: int) -> np.ndarray:
@@ -72,6 +73,11 @@ def stored_luminance(image: np.ndarray, tables: np.ndarray) -> np.ndarray:
     """Sum the channels of integer pixels by a table for each channel, (3, n), to (h, w) float32."""
     channels = [tables[c][image[..., c]] for c in range(3)]
     return np.asarray(channels[0] + channels[1] + channels[2], np.float32)
+
+
+def has_equal_channels(image: np.ndarray) -> bool:
+    """Return whether the three channels of each pixel of an image (h, w, 3) of integers are equal."""
+    return all(np.array_equal(image[..., i], image[..., i + 1]) for i in (0, 1))
 
 
 def blur_planes(planes: np.ndarray, sigma: float) -> np.ndarray:

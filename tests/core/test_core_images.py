@@ -81,6 +81,8 @@ def test_means_of_brightness_are_those_of_the_tables(module, blocks, dtype, mirr
     rows, columns = overlap(HEIGHT, y, size, shape[0]), overlap(WIDTH, x, size, shape[1])
     expected = rows @ sum(tables[c][image[..., c]] for c in range(3)) @ columns.T
     np.testing.assert_allclose(module.stored_brightness(image, tables, x, y, size, *shape), expected, atol=4e-6)
+    of_first = rows @ tables[2][image[..., 0]] @ columns.T
+    np.testing.assert_allclose(module.stored_brightness(image, tables[2:], x, y, size, *shape), of_first, atol=2e-6)
 
 
 @pytest.mark.parametrize("dtype", [np.uint8, np.uint16])
@@ -132,6 +134,18 @@ def test_both_encode_alike(encoding, blur, kind, size, seed):
     np.testing.assert_allclose(found, expected, atol=2e-3 if encoding == 2 else 2e-4)
     np.testing.assert_array_equal(found[..., -1], expected[..., -1])
     assert np.isfinite(found).all()
+
+
+@pytest.mark.parametrize("dtype", [np.uint8, np.uint16])
+@pytest.mark.parametrize("channel", [0, 1, 2])
+def test_channels_are_equal_unless_one_value_differs(module, dtype, channel, rng):
+    grey = rng.integers(0, 200, (HEIGHT, WIDTH, 1)).astype(dtype).repeat(3, axis=2)
+    for view in (grey, grey[..., ::-1], grey[::2, ::-3]):
+        assert module.has_equal_channels(view)
+    grey[6, 9, channel] += 1
+    assert not module.has_equal_channels(grey)
+    assert not module.has_equal_channels(grey[::2, ::3])
+    assert module.has_equal_channels(grey[:6])
 
 
 def brightness_along(angle: float) -> np.ndarray:
@@ -364,6 +378,9 @@ REFUSED = {
     "an image of one row": lambda: _core.sample_channels(np.zeros((1, 5, 2), np.float32), np.zeros((1, 2))),
     "tables that are too short": lambda: _core.stored_brightness(
         np.zeros((9, 9, 3), np.uint8), TABLE[:, :9, 0].copy(), 0.0, 0.0, 1.0, 1, 1
+    ),
+    "two tables": lambda: _core.stored_brightness(
+        np.zeros((9, 9, 3), np.uint8), TABLE[:2, :, 0].copy(), 0.0, 0.0, 1.0, 1, 1
     ),
     "brightness of no pixels": lambda: _core.count_orientations(
         np.zeros((0, 4), np.float32), None, 1.0, (1.0, 0.0, 0.0, 1.0), 1.0

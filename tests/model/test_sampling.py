@@ -61,6 +61,13 @@ def test_orientations_are_counted_in_some_of_the_pixels_of_large_images(rng):
     np.testing.assert_allclose(found.from_image(enlarged(BOX)), expected.from_image(BOX), atol=1e-9)
 
 
+def test_orientations_of_grey_images_are_counted_alike(rng):
+    grey = rng.integers(0, 256, (160, 200, 1), dtype=np.uint8).repeat(3, axis=2)
+    options: dict[str, Any] = {"response": "srgb", "blur": 1.0, "margin": 0.2}
+    found, expected = (count_orientations(grey, BOX, at_scale(2.2), grey=known, **options) for known in (True, False))
+    np.testing.assert_allclose(found.channels, expected.channels, atol=1e-5)
+
+
 @pytest.mark.parametrize("scale", [2.0, 3.3])
 def test_blocks_are_those_of_the_image_whatever_the_margin(scale, rng):
     """Else training (small margin) and fitting (large margin) average other pixels into one."""

@@ -300,7 +300,9 @@ class OneShapeFitter:
         refiner = self.model.refiner
         if refiner is None or result.at_start or result.status.lost:
             return result
-        refined = refiner.refined(target.image, target.linear.response, result.registered, absent=result.absent)
+        refined = refiner.refined(
+            target.image, target.linear.response, result.registered, absent=result.absent, grey=target.linear.grey
+        )
         if not is_sane(refined, result.registered):
             return result
         landmarks = expanded_about(self.shapes.mean, refined, result.expansion)
