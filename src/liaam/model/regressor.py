@@ -103,10 +103,10 @@ class OrientationHistograms:
 
         Cells are ``spacing`` pixels of SIZE apart, along the axes of the mean shape, whose pose in the image is given.
         """
-        offsets = _cells(spacing) @ pose.matrix.T  # image pixels
-        points = self._from_image((shape[:, None] + offsets).reshape(-1, 2))
-        blur = 0.5 * spacing * self.pose.scale * self._from_image.scale  # pixels of the patch
-        counts = self._counts.blurred_at(points, blur)
+        to_patch = self._from_image.scale
+        cells = _cells(spacing) @ (to_patch * pose.matrix.T)
+        points = (self._from_image(shape)[:, None] + cells).reshape(-1, 2)
+        counts = self._counts.blurred_at(points, blur=0.5 * spacing * self.pose.scale * to_patch)
         counts = _turned(counts, _between(pose.angle, self.pose.angle)).reshape(len(shape), -1)
         length = np.sqrt(np.einsum("nf,nf->n", counts, counts))
         return np.minimum(counts / (length[:, None] + np.float32(LEAST_CONTRAST)), np.float32(MOST_OF_A_BIN))
@@ -149,8 +149,10 @@ class _Counts:
     def blurred_at(self, points: np.ndarray, blur: float) -> np.ndarray:
         """Return the counts (m, BINS) after a Gaussian blur at points (m, 2), pixels of the patch."""
         counts = self.reduced_for(blur)
-        by = 1.0 / counts.reduction
-        return _core.blurred_at(counts.values, (points + 0.5) * by - 0.5, blur * by)
+        if counts is not self:
+            points = (points + 0.5) / counts.reduction - 0.5
+            blur /= counts.reduction
+        return _core.blurred_at(counts.values, points, blur)
 
 
 @lru_cache(maxsize=16)
@@ -163,6 +165,8 @@ def _cells(spacing: float) -> np.ndarray:
 
 def _turned(counts: np.ndarray, angle: float) -> np.ndarray:
     """Return counts of orientations (m, BINS) relative to axes that are turned by an angle, radians."""
+    if angle == 0.0:  # as in the first step
+        return counts
     shift = angle * (BINS / (2.0 * np.pi))
     whole = int(np.floor(shift))
     share = np.float32(shift - whole)
