@@ -11,23 +11,23 @@ namespace {
 
 // Of the blocks along a side: the first pixel of each, and the weights of it and the following ones in the mean.
 struct Taps {
-    std::size_t n_taps;
+    std::size_t n_taps, stride;  // the shares of a block are followed by zeros up to a multiple of four
     std::vector<std::ptrdiff_t> first;
     std::vector<float> shares;
 
     Taps(std::ptrdiff_t n_in, double start, double size, std::ptrdiff_t n_out)
         : n_taps(static_cast<std::size_t>(std::ceil(size)) + (start != std::floor(start) || size != std::floor(size))),
-          first(n_out), shares(n_out * n_taps) {
+          stride((n_taps + 3) / 4 * 4), first(n_out), shares(n_out * stride) {
         for (std::ptrdiff_t j = 0; j < n_out; ++j) {
             const double low = start + j * size, high = std::min(low + size, static_cast<double>(n_in));
             first[j] = std::min(static_cast<std::ptrdiff_t>(low), n_in - 1);
             for (std::size_t k = 0; k < n_taps; ++k) {
                 const double left = std::max<double>(first[j] + k, low), right = std::min<double>(first[j] + k + 1, high);
-                shares[j * n_taps + k] = right > left ? static_cast<float>((right - left) / size) : 0.0f;
+                shares[j * stride + k] = right > left ? static_cast<float>((right - left) / size) : 0.0f;
             }
         }
     }
-    const float* of(std::ptrdiff_t j) const { return shares.data() + j * n_taps; }
+    const float* of(std::ptrdiff_t j) const { return shares.data() + j * stride; }
 };
 
 // Averages a sum of rows of pixels, `depth` numbers each, along the row.
@@ -41,6 +41,17 @@ void cut_row(const std::vector<float>& sums, const Taps& taps, std::ptrdiff_t co
             for (std::size_t k = 0; k < taps.n_taps; ++k) total += shares[k] * from[depth * k + c];
             means[depth * j + c] = total;
         }
+    }
+}
+
+// The same for one number.
+void cut_plane(const std::vector<float>& sums, const Taps& taps, std::ptrdiff_t columns, float* means) {
+    for (std::ptrdiff_t j = 0; j < columns; ++j) {
+        const float* shares = taps.of(j);
+        const float* from = sums.data() + taps.first[j];
+        Four total{};
+        for (std::size_t k = 0; k < taps.n_taps; k += 4) total += load_four(shares + k) * load_four(from + k);
+        means[j] = (total[0] + total[1]) + (total[2] + total[3]);
     }
 }
 
@@ -139,6 +150,7 @@ class RowSum {
 
 void cut(const std::vector<float>& sums, const Taps& taps, std::ptrdiff_t columns, std::ptrdiff_t depth, float* means) {
     if (depth == 4) cut_light(sums, taps, columns, means);
+    else if (depth == 1) cut_plane(sums, taps, columns, means);
     else cut_row(sums, taps, columns, depth, means);
 }
 
@@ -146,7 +158,7 @@ void cut(const std::vector<float>& sums, const Taps& taps, std::ptrdiff_t column
 void mean_blocks(const float* values, std::ptrdiff_t width, std::ptrdiff_t depth, const Taps& down, const Taps& across,
                  float* means) {
     const std::size_t n = depth * width, columns = across.first.size();
-    RowSum sum(n, depth * across.n_taps);  // blocks at the border read beyond, with weight 0
+    RowSum sum(n, depth * across.stride);  // blocks at the border read beyond, with weight 0
     for (std::size_t i = 0; i < down.first.size(); ++i, means += depth * columns) {
         sum.begin();
         for (std::size_t k = 0; k < down.n_taps; ++k) {
@@ -165,7 +177,7 @@ void mean_rows(std::ptrdiff_t height, std::ptrdiff_t width, std::ptrdiff_t depth
     const Taps across(width, blocks.x, blocks.size, blocks.columns);
     const Taps down(height, blocks.y, blocks.size, blocks.rows);
     const std::size_t n = depth * width;
-    RowSum sum(n, depth * across.n_taps);  // see mean_blocks
+    RowSum sum(n, depth * across.stride);  // see mean_blocks
     std::vector<float> row(n);
     means.resize(depth * blocks.rows * blocks.columns);
     std::ptrdiff_t decoded = -1;

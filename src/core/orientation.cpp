@@ -24,11 +24,10 @@ void to_polar(std::ptrdiff_t n, float* across, float* down) {
     }
 }
 
-// Splits a length between the two nearest orientations.
+// Splits a length between the two nearest orientations, whose counts are 0.
 void split(float length, float orientation, float* counts) {
     const auto lower = static_cast<std::size_t>(orientation);  // 8 is 0 again
     const float share = orientation - static_cast<float>(lower);
-    store(counts, Eight{});
     counts[lower % kOrientations] = length * (1.0f - share);
     counts[(lower + 1) % kOrientations] = length * share;
 }
@@ -89,7 +88,7 @@ void count_orientations(const float* brightness, const float* finite, std::ptrdi
     std::vector<float> blurred = blurred_logs(brightness, finite, height, width, options.blur, constants);
     std::vector<float> across(width), down(width);
     const auto softness = static_cast<float>(constants.softness * options.pixel);
-    counts.resize(kOrientations * height * width);
+    counts.assign(kOrientations * height * width, 0.0f);
     for (std::ptrdiff_t y = 0; y < height; ++y) {
         soft_directions_row(blurred.data(), height, width, y, options.turn, softness, across.data(), down.data());
         to_polar(width, across.data(), down.data());
