@@ -3,6 +3,7 @@
 #include "elementary.hpp"
 #include "encoding.hpp"
 #include "image.hpp"
+#include "orientation.hpp"
 #include "painting.hpp"
 #include "search.hpp"
 #include "splines.hpp"
@@ -34,6 +35,23 @@ nb::object average_stored(const Image<T>& image, const Array<float, 3>& table, d
         stored_means(view, light, blocks, means);
     }
     return owned(std::move(means), {std::size_t(rows), std::size_t(columns), 4});
+}
+
+template <class T>
+nb::object average_brightness(const Image<T>& image, const Array<float, 2>& tables, double x, double y, double size,
+                              std::ptrdiff_t rows, std::ptrdiff_t columns) {
+    require((tables.shape(0) == 3 || tables.shape(0) == 1) && tables.shape(1) == std::size_t{1} << (8 * sizeof(T)),
+            "there is a table for each channel, or one for all, with an entry for each stored value");
+    const BlockGrid blocks{x, y, size, rows, columns};
+    check_blocks(image.shape(0), image.shape(1), blocks);
+    std::vector<float> means;
+    if (rows > 0 && columns > 0) {
+        const Stored<T> view = stored(image);
+        const MatrixView<const float> by_channel = view_of(tables);
+        const Unlocked unlocked;
+        stored_brightness(view, by_channel, blocks, means);
+    }
+    return owned(std::move(means), {std::size_t(rows), std::size_t(columns)});
 }
 
 nb::object average_values(const Array<float, 3>& values, double x, double y, double size,
@@ -73,6 +91,13 @@ nb::object luminance(const Image<T>& image, const Array<float, 2>& tables) {
         stored_luminance(view, {rows[0], rows[1], rows[2]}, out.data());
     }
     return owned(std::move(out), {image.shape(0), image.shape(1)});
+}
+
+template <class T>
+bool equal_channels(const Image<T>& image) {
+    const Stored<T> view = stored(image);
+    const Unlocked unlocked;
+    return has_equal_channels(view);
 }
 
 nb::object encode_light(const Array<float, 3>& light, const std::optional<Array<float, 2>>& finite,
@@ -122,6 +147,37 @@ nb::object soft_directions(const Array<float, 2>& plane, std::array<float, 4> tu
         }
     }
     return owned(std::move(out), {height, width, 2});
+}
+
+nb::object orientations(const Array<float, 2>& brightness, const std::optional<Array<float, 2>>& finite, double blur,
+                        std::array<float, 4> turn, double pixel) {
+    const std::size_t height = brightness.shape(0), width = brightness.shape(1);
+    require(brightness.size() > 0, "there are no pixels");
+    require(blur >= 0.0 && blur < kWidestBlur, "the blur is out of range");
+    if (finite) require(finite->shape(0) == height && finite->shape(1) == width, "there is a finite share for each pixel");
+    const EncodingOptions options{.blur = blur, .pixel = pixel, .turn = turn};
+    const EncodingConstants& constants = encoding_constants();
+    const float *light = data_of(brightness), *shares = finite ? data_of(*finite) : nullptr;
+    std::vector<float> counts;
+    {
+        const Unlocked unlocked;
+        count_orientations(light, shares, height, width, options, constants, counts);
+    }
+    return owned(std::move(counts), {height, width, kOrientations});
+}
+
+nb::object blurred_counts(const Array<float, 3>& counts, const Array<double, 2>& points, double sigma) {
+    require(points.shape(1) == 2 && counts.shape(0) >= 2 && counts.shape(1) >= 2 && counts.shape(2) == kOrientations,
+            "points are (n, 2), and counts (h, w, 8), of at least 2 by 2 pixels");
+    require(sigma >= 0.0 && sigma < kWidestBlur, "the blur is out of range");
+    std::vector<float> values(kOrientations * points.shape(0));
+    const float* numbers = data_of(counts);
+    const MatrixView<const double> places = view_of(points);
+    {
+        const Unlocked unlocked;
+        blurred_at(numbers, counts.shape(0), counts.shape(1), places, sigma, values.data());
+    }
+    return owned(std::move(values), {points.shape(0), kOrientations});
 }
 
 auto sample_at(const Array<float, 3>& channels, const Array<double, 2>& points) {
@@ -240,14 +296,22 @@ void bind_images(nb::module_& module) {
                "rows"_a, "columns"_a);
     module.def("stored_means", average_stored<std::uint16_t>, "image"_a.noconvert(), "table"_a, "x"_a, "y"_a, "size"_a,
                "rows"_a, "columns"_a);
+    module.def("stored_brightness", average_brightness<std::uint8_t>, "image"_a.noconvert(), "tables"_a, "x"_a, "y"_a,
+               "size"_a, "rows"_a, "columns"_a);
+    module.def("stored_brightness", average_brightness<std::uint16_t>, "image"_a.noconvert(), "tables"_a, "x"_a, "y"_a,
+               "size"_a, "rows"_a, "columns"_a);
     module.def("value_means", average_values, "values"_a, "x"_a, "y"_a, "size"_a, "rows"_a, "columns"_a);
     module.def("area_means", average_area, "image"_a, "rows"_a, "columns"_a);
     module.def("stored_luminance", luminance<std::uint8_t>, "image"_a.noconvert(), "tables"_a);
     module.def("stored_luminance", luminance<std::uint16_t>, "image"_a.noconvert(), "tables"_a);
+    module.def("has_equal_channels", equal_channels<std::uint8_t>, "image"_a.noconvert());
+    module.def("has_equal_channels", equal_channels<std::uint16_t>, "image"_a.noconvert());
     module.def("encode", encode_light, "light"_a, "finite"_a.none(), "grey"_a, "encoding"_a, "floor"_a, "blur"_a, "turn"_a,
                "pixel"_a);
     module.def("blur_planes", blur_planes, "planes"_a, "sigma"_a);
     module.def("soft_directions", soft_directions, "plane"_a, "turn"_a, "softness"_a);
+    module.def("count_orientations", orientations, "brightness"_a, "finite"_a.none(), "blur"_a, "turn"_a, "pixel"_a);
+    module.def("blurred_at", blurred_counts, "counts"_a, "points"_a, "sigma"_a);
     module.def("sample_channels", sample_at, "channels"_a, "points"_a);
     module.def("correlate", correlate_spectra, "image"_a, "templates"_a, "product"_a.noconvert());
     module.def("best_peaks", peaks_of, "image"_a, "count"_a, "least"_a, "reach"_a);

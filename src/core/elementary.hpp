@@ -47,6 +47,26 @@ inline float exp_of(float x) {
     return series * std::bit_cast<float>(static_cast<std::uint32_t>(n + 127) << 23);
 }
 
+// Angle of a vector, from -pi to pi, to 3e-7; 0 for a vector of no length.
+inline float angle_of(float x, float y) {
+    constexpr float kQuarter = 0.785398163397448f, kHalf = 1.570796326794897f, kWhole = 3.141592653589793f;
+    const float wide = x < 0.0f ? -x : x, high = y < 0.0f ? -y : y;
+    const float least = wide < high ? wide : high, most = wide < high ? high : wide;
+    // The tangent of the angle to the nearest axis, or to the diagonal, is at most tan(pi / 8).
+    const bool by_diagonal = least > 0.414213562f * most;
+    const float above = by_diagonal ? least - most : least, below = by_diagonal ? least + most : most;
+    const float t = above / (below > 1e-30f ? below : 1e-30f);
+    const float square = t * t;
+    float series = 8.05374449538e-2f;
+    series = series * square - 1.38776856032e-1f;
+    series = series * square + 1.99777106478e-1f;
+    series = series * square - 3.33329491539e-1f;
+    float angle = series * square * t + t + (by_diagonal ? kQuarter : 0.0f);
+    angle = wide < high ? kHalf - angle : angle;
+    angle = x < 0.0f ? kWhole - angle : angle;
+    return y < 0.0f ? -angle : angle;
+}
+
 // sRGB-encoded values of linear light, which is at least 0; numbers of the source are `stride` apart. Two passes, since
 // compilers do not vectorise a choice between a cheap and an expensive number.
 inline void srgb_encode(const float* linear, std::size_t stride, std::size_t n, float* out) {

@@ -184,6 +184,29 @@ class Layout {
 
 }  // namespace
 
+std::vector<float> blurred_logs(const float* brightness, const float* finite, std::ptrdiff_t height, std::ptrdiff_t width,
+                                double blur, const EncodingConstants& constants) {
+    const std::ptrdiff_t n = height * width;
+    const bool weighs = finite != nullptr && blur > 0.0;
+    const float more = constants.unusable, floor = constants.log_floor;
+    std::vector<float> logs(n), blurred(n), usable(weighs ? n : 0), weights(weighs ? width : 0), line;
+#pragma omp simd
+    for (std::ptrdiff_t i = 0; i < n; ++i) logs[i] = log_of(brightness[i] + floor);
+    if (weighs) {
+        for (std::ptrdiff_t i = 0; i < n; ++i) usable[i] = finite[i] > constants.all ? 1.0f : 0.0f;
+        multiply(logs.data(), usable.data(), more, n);
+    }
+    const std::vector<float> taps = gaussian_taps(blur);
+    for (std::ptrdiff_t y = 0; y < height; ++y) {
+        float* own = blurred.data() + y * width;
+        blur_row(logs.data(), height, width, y, taps, line, own);
+        if (!weighs) continue;
+        blur_row(usable.data(), height, width, y, taps, line, weights.data());
+        divide(own, weights.data(), more, width);
+    }
+    return blurred;
+}
+
 std::vector<float> gaussian_taps(double sigma) {
     const auto reach = static_cast<std::size_t>(std::ceil(kReach * sigma));
     std::vector<double> taps(reach + 1);

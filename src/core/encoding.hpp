@@ -51,6 +51,10 @@ struct Channels {
 
 void encode(const Means& means, const EncodingOptions& options, const EncodingConstants& constants, Channels& channels);
 
+// Logarithms of brightness (h, w) after a blur, in which pixels count by their `finite` share (h, w) if that is given.
+std::vector<float> blurred_logs(const float* brightness, const float* finite, std::ptrdiff_t height, std::ptrdiff_t width,
+                                double blur, const EncodingConstants& constants);
+
 // Half of a Gaussian's taps, truncated at three standard deviations.
 std::vector<float> gaussian_taps(double sigma);
 

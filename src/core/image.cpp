@@ -11,23 +11,23 @@ namespace {
 
 // Of the blocks along a side: the first pixel of each, and the weights of it and the following ones in the mean.
 struct Taps {
-    std::size_t n_taps;
+    std::size_t n_taps, stride;  // the shares of a block are followed by zeros up to a multiple of four
     std::vector<std::ptrdiff_t> first;
     std::vector<float> shares;
 
     Taps(std::ptrdiff_t n_in, double start, double size, std::ptrdiff_t n_out)
         : n_taps(static_cast<std::size_t>(std::ceil(size)) + (start != std::floor(start) || size != std::floor(size))),
-          first(n_out), shares(n_out * n_taps) {
+          stride((n_taps + 3) / 4 * 4), first(n_out), shares(n_out * stride) {
         for (std::ptrdiff_t j = 0; j < n_out; ++j) {
             const double low = start + j * size, high = std::min(low + size, static_cast<double>(n_in));
             first[j] = std::min(static_cast<std::ptrdiff_t>(low), n_in - 1);
             for (std::size_t k = 0; k < n_taps; ++k) {
                 const double left = std::max<double>(first[j] + k, low), right = std::min<double>(first[j] + k + 1, high);
-                shares[j * n_taps + k] = right > left ? static_cast<float>((right - left) / size) : 0.0f;
+                shares[j * stride + k] = right > left ? static_cast<float>((right - left) / size) : 0.0f;
             }
         }
     }
-    const float* of(std::ptrdiff_t j) const { return shares.data() + j * n_taps; }
+    const float* of(std::ptrdiff_t j) const { return shares.data() + j * stride; }
 };
 
 // Averages a sum of rows of pixels, `depth` numbers each, along the row.
@@ -41,6 +41,17 @@ void cut_row(const std::vector<float>& sums, const Taps& taps, std::ptrdiff_t co
             for (std::size_t k = 0; k < taps.n_taps; ++k) total += shares[k] * from[depth * k + c];
             means[depth * j + c] = total;
         }
+    }
+}
+
+// The same for one number.
+void cut_plane(const std::vector<float>& sums, const Taps& taps, std::ptrdiff_t columns, float* means) {
+    for (std::ptrdiff_t j = 0; j < columns; ++j) {
+        const float* shares = taps.of(j);
+        const float* from = sums.data() + taps.first[j];
+        Four total{};
+        for (std::size_t k = 0; k < taps.n_taps; k += 4) total += load_four(shares + k) * load_four(from + k);
+        means[j] = (total[0] + total[1]) + (total[2] + total[3]);
     }
 }
 
@@ -64,6 +75,44 @@ void decode_row(const Stored<T>& image, std::ptrdiff_t y, const LightTable& tabl
         const Four blue = load_four(blues + 4 * pixel[2 * image.by_channel]);
         store_four(light + 4 * x, red * green * blue);
     }
+}
+
+// The sum of each pixel's channels by their tables.
+template <class T>
+void sum_row(const Stored<T>& image, std::ptrdiff_t y, const std::array<Floats, 3>& tables, float* sums) {
+    const T* pixel = image.row(y);
+    const float *reds = tables[0].data(), *greens = tables[1].data(), *blues = tables[2].data();
+    for (std::ptrdiff_t x = 0; x < image.width; ++x, pixel += image.by_pixel)
+        sums[x] = reds[pixel[0]] + greens[pixel[image.by_channel]] + blues[pixel[2 * image.by_channel]];
+}
+
+// The first channel of each pixel by a table.
+template <class T>
+void look_up_row(const Stored<T>& image, std::ptrdiff_t y, Floats table, float* values) {
+    const T* pixel = image.row(y);
+    const float* numbers = table.data();
+    std::ptrdiff_t x = 0;
+    for (; x + 4 <= image.width; x += 4)  // in a third of the time of a plain loop, which compilers do not unroll
+        for (std::ptrdiff_t k = 0; k < 4; ++k, pixel += image.by_pixel) values[x + k] = numbers[*pixel];
+    for (; x < image.width; ++x, pixel += image.by_pixel) values[x] = numbers[*pixel];
+}
+
+// Whether the channels of pixels that lie one after the other are equal. Each number is compared with the next, also that
+// of the next pixel, which is left out of the result: so compilers vectorise the loop.
+template <class T>
+bool has_equal_neighbours(const Stored<T>& image) {
+    const std::ptrdiff_t n = 3 * image.width - 1;
+    std::vector<T> counts(n + 1, static_cast<T>(~T{0}));
+    for (std::ptrdiff_t i = 2; i <= n; i += 3) counts[i] = 0;
+    const T* of_pixel = counts.data();
+    for (std::ptrdiff_t y = 0; y < image.height; ++y) {
+        const T* row = image.row(y);
+        T differing = 0;  // bits
+#pragma omp simd reduction(| : differing)
+        for (std::ptrdiff_t i = 0; i < n; ++i) differing |= static_cast<T>((row[i] ^ row[i + 1]) & of_pixel[i]);
+        if (differing != 0) return false;
+    }
+    return true;
 }
 
 // A sum of rows, each times a share; what lies beyond their n numbers stays 0.
@@ -99,33 +148,38 @@ class RowSum {
     bool is_empty_ = true;
 };
 
+void cut(const std::vector<float>& sums, const Taps& taps, std::ptrdiff_t columns, std::ptrdiff_t depth, float* means) {
+    if (depth == 4) cut_light(sums, taps, columns, means);
+    else if (depth == 1) cut_plane(sums, taps, columns, means);
+    else cut_row(sums, taps, columns, depth, means);
+}
+
 // Means of the blocks of an image (h, w, depth).
 void mean_blocks(const float* values, std::ptrdiff_t width, std::ptrdiff_t depth, const Taps& down, const Taps& across,
                  float* means) {
     const std::size_t n = depth * width, columns = across.first.size();
-    RowSum sum(n, depth * across.n_taps);  // blocks at the border read beyond, with weight 0
+    RowSum sum(n, depth * across.stride);  // blocks at the border read beyond, with weight 0
     for (std::size_t i = 0; i < down.first.size(); ++i, means += depth * columns) {
         sum.begin();
         for (std::size_t k = 0; k < down.n_taps; ++k) {
             const float share = down.of(i)[k];
             if (share > 0.0f) sum.add(share, values + (down.first[i] + k) * n);
         }
-        if (depth == 4) cut_light(sum.total(), across, columns, means);
-        else cut_row(sum.total(), across, columns, depth, means);
+        cut(sum.total(), across, columns, depth, means);
     }
 }
 
-}  // namespace
-
-template <class T>
-void stored_means(const Stored<T>& image, const LightTable& table, const BlockGrid& blocks, std::vector<float>& means) {
-    // Rows of pixels are converted to linear light and summed; only the sums are averaged into blocks.
-    const Taps across(image.width, blocks.x, blocks.size, blocks.columns);
-    const Taps down(image.height, blocks.y, blocks.size, blocks.rows);
-    const std::size_t n = 4 * image.width;
-    RowSum sum(n, 4 * across.n_taps);  // see mean_blocks
-    std::vector<float> light(n);
-    means.resize(4 * blocks.rows * blocks.columns);
+// Averages blocks of rows that `decode` writes, one at a time, `depth` numbers for each pixel. Rows are summed first, so
+// that only the sums are cut into blocks.
+template <class Decode>
+void mean_rows(std::ptrdiff_t height, std::ptrdiff_t width, std::ptrdiff_t depth, const BlockGrid& blocks,
+               const Decode& decode, std::vector<float>& means) {
+    const Taps across(width, blocks.x, blocks.size, blocks.columns);
+    const Taps down(height, blocks.y, blocks.size, blocks.rows);
+    const std::size_t n = depth * width;
+    RowSum sum(n, depth * across.stride);  // see mean_blocks
+    std::vector<float> row(n);
+    means.resize(depth * blocks.rows * blocks.columns);
     std::ptrdiff_t decoded = -1;
     for (std::ptrdiff_t i = 0; i < blocks.rows; ++i) {
         sum.begin();
@@ -133,16 +187,42 @@ void stored_means(const Stored<T>& image, const LightTable& table, const BlockGr
             const float share = down.of(i)[k];
             if (share <= 0.0f) continue;
             const auto y = down.first[i] + static_cast<std::ptrdiff_t>(k);
-            if (y != decoded) decode_row(image, y, table, light.data());  // blocks that cut through pixels share a row
+            if (y != decoded) decode(y, row.data());  // blocks that cut through pixels share a row
             decoded = y;
-            sum.add(share, light.data());
+            sum.add(share, row.data());
         }
-        cut_light(sum.total(), across, blocks.columns, means.data() + 4 * blocks.columns * i);
+        cut(sum.total(), across, blocks.columns, depth, means.data() + depth * blocks.columns * i);
     }
+}
+
+}  // namespace
+
+template <class T>
+void stored_means(const Stored<T>& image, const LightTable& table, const BlockGrid& blocks, std::vector<float>& means) {
+    const auto decode = [&](std::ptrdiff_t y, float* light) { decode_row(image, y, table, light); };
+    mean_rows(image.height, image.width, 4, blocks, decode, means);
 }
 
 template void stored_means(const Stored<std::uint8_t>&, const LightTable&, const BlockGrid&, std::vector<float>&);
 template void stored_means(const Stored<std::uint16_t>&, const LightTable&, const BlockGrid&, std::vector<float>&);
+
+template <class T>
+void stored_brightness(const Stored<T>& image, MatrixView<const float> tables, const BlockGrid& blocks,
+                       std::vector<float>& means) {
+    if (tables.n_rows == 1) {
+        const auto look_up = [&](std::ptrdiff_t y, float* values) { look_up_row(image, y, tables[0], values); };
+        mean_rows(image.height, image.width, 1, blocks, look_up, means);
+        return;
+    }
+    const std::array<Floats, 3> of_channels{tables[0], tables[1], tables[2]};
+    const auto sum = [&](std::ptrdiff_t y, float* sums) { sum_row(image, y, of_channels, sums); };
+    mean_rows(image.height, image.width, 1, blocks, sum, means);
+}
+
+template void stored_brightness(const Stored<std::uint8_t>&, MatrixView<const float>, const BlockGrid&,
+                                std::vector<float>&);
+template void stored_brightness(const Stored<std::uint16_t>&, MatrixView<const float>, const BlockGrid&,
+                                std::vector<float>&);
 
 void value_means(const float* values, std::ptrdiff_t height, std::ptrdiff_t width, std::ptrdiff_t depth,
                  const BlockGrid& blocks, std::vector<float>& means) {
@@ -168,16 +248,25 @@ void area_means(const float* image, std::ptrdiff_t height, std::ptrdiff_t width,
 
 template <class T>
 void stored_luminance(const Stored<T>& image, const std::array<Floats, 3>& tables, float* luminance) {
-    for (std::ptrdiff_t y = 0; y < image.height; ++y) {
-        const T* pixel = image.row(y);
-        for (std::ptrdiff_t x = 0; x < image.width; ++x, pixel += image.by_pixel)
-            *luminance++ =
-                tables[0][pixel[0]] + tables[1][pixel[image.by_channel]] + tables[2][pixel[2 * image.by_channel]];
-    }
+    for (std::ptrdiff_t y = 0; y < image.height; ++y) sum_row(image, y, tables, luminance + y * image.width);
 }
 
 template void stored_luminance(const Stored<std::uint8_t>&, const std::array<Floats, 3>&, float*);
 template void stored_luminance(const Stored<std::uint16_t>&, const std::array<Floats, 3>&, float*);
+
+template <class T>
+bool has_equal_channels(const Stored<T>& image) {
+    if (image.by_pixel == 3 && image.by_channel == 1) return has_equal_neighbours(image);
+    for (std::ptrdiff_t y = 0; y < image.height; ++y) {
+        const T* pixel = image.row(y);
+        for (std::ptrdiff_t x = 0; x < image.width; ++x, pixel += image.by_pixel)
+            if (pixel[0] != pixel[image.by_channel] || pixel[0] != pixel[2 * image.by_channel]) return false;
+    }
+    return true;
+}
+
+template bool has_equal_channels(const Stored<std::uint8_t>&);
+template bool has_equal_channels(const Stored<std::uint16_t>&);
 
 void sample_channels(MatrixView<const float> pixels, std::ptrdiff_t width, MatrixView<const double> points, float* values,
                      float* usable) {

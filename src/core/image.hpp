@@ -48,6 +48,12 @@ struct Means {
 template <class T>
 void stored_means(const Stored<T>& image, const LightTable& table, const BlockGrid& blocks, std::vector<float>& means);
 
+// Averages the sum of a pixel's channels, by a table of stored values each; or the first channel, by one table, if the
+// image is grey.
+template <class T>
+void stored_brightness(const Stored<T>& image, MatrixView<const float> tables, const BlockGrid& blocks,
+                       std::vector<float>& means);
+
 // Averages pixels of `depth` numbers, (h, w, depth).
 void value_means(const float* values, std::ptrdiff_t height, std::ptrdiff_t width, std::ptrdiff_t depth,
                  const BlockGrid& blocks, std::vector<float>& means);
@@ -62,6 +68,10 @@ void area_means(const float* image, std::ptrdiff_t height, std::ptrdiff_t width,
 // Weighted sum of the channels of stored values, by a table per channel.
 template <class T>
 void stored_luminance(const Stored<T>& image, const std::array<Floats, 3>& tables, float* luminance);
+
+// Whether the three channels of each pixel are equal.
+template <class T>
+bool has_equal_channels(const Stored<T>& image);
 
 // Samples channels (h, w, c + 1) bilinearly at points (x, y): values (n, c), and 1 where all four pixels around a point
 // are inside and usable, else 0. The last channel is the weight of the pixel.

@@ -8,6 +8,7 @@ import numpy as np
 from liaam.encoding_constants import ALL, BRIGHTNESS, FLAT, LOG_FLOOR, LUMINANCE, SOFTNESS, UNUSABLE
 
 CHANNELS = 8  # Channels of an encoded pixel; the last is its weight
+ORIENTATIONS = 8  # Orientations of gradients that are counted apart
 REACH = 3.0  # Standard deviations at which a Gaussian is truncated
 ON_EDGE = 1e-9  # Tolerance on negative barycentric weights of pixels on an edge
 VALUE, LOG, ORIENTATION, SOFT = range(4)  # Numbers of the encodings, as in ENCODINGS
@@ -51,6 +52,17 @@ def stored_means(
     return value_means(pixels, x, y, size, rows, columns)
 
 
+def stored_brightness(
+    image: np.ndarray, tables: np.ndarray, x: float, y: float, size: float, rows: int, columns: int
+) -> np.ndarray:
+    """Average the sum of the channels of integer pixels by a table for each channel, (3, n), over blocks.
+
+    A grey image may have one table for the sum, (1, n). The means are (rows, columns) float32; see :func:`value_means`.
+    """
+    values = tables[0][image[..., 0]] if len(tables) == 1 else stored_luminance(image, tables)
+    return value_means(values[..., None], x, y, size, rows, columns)[..., 0]
+
+
 def area_means(image: np.ndarray, rows: int, columns: int) -> np.ndarray:
     """Downsample an image (h, w) to means of the blocks that tile it."""
     down = _block_means(np.asarray(image, np.float64), 0.0, image.shape[0] / rows, rows)
@@ -61,6 +73,11 @@ def stored_luminance(image: np.ndarray, tables: np.ndarray) -> np.ndarray:
     """Sum the channels of integer pixels by a table for each channel, (3, n), to (h, w) float32."""
     channels = [tables[c][image[..., c]] for c in range(3)]
     return np.asarray(channels[0] + channels[1] + channels[2], np.float32)
+
+
+def has_equal_channels(image: np.ndarray) -> bool:
+    """Return whether the three channels of each pixel of an image (h, w, 3) of integers are equal."""
+    return all(np.array_equal(image[..., i], image[..., i + 1]) for i in (0, 1))
 
 
 def blur_planes(planes: np.ndarray, sigma: float) -> np.ndarray:
@@ -144,6 +161,41 @@ def encode(
     channels[..., 5] = has_colour
     channels[..., -1] = valid
     return channels
+
+
+def count_orientations(
+    brightness: np.ndarray, finite: np.ndarray | None, blur: float, turn, pixel: float
+) -> np.ndarray:
+    """Count the orientations of gradients of means of brightness (h, w), (h, w, ORIENTATIONS) float32.
+
+    Orientation 0 is along x, and they proceed from x towards y. The length of the softly normalised gradient of the
+    logarithm at each pixel is split between the two nearest. For the other parameters see :func:`encode`.
+    """
+    logs = np.log(brightness.astype(np.float64) + LOG_FLOOR)
+    valid = None if finite is None else (finite > ALL).astype(float)
+    directions = soft_directions(_weighted_blur(logs[None], valid, blur)[0], turn, SOFTNESS * pixel)
+    across = directions[..., 0].ravel()
+    down = directions[..., 1].ravel()
+    length = np.hypot(across, down)
+    angle = np.arctan2(down, across) * (ORIENTATIONS / (2.0 * np.pi))
+    lower = np.floor(angle)
+    share = angle - lower
+    lower = lower.astype(int) % ORIENTATIONS
+    counts = np.zeros((length.size, ORIENTATIONS), np.float32)
+    pixels = np.arange(length.size)
+    counts[pixels, lower] = length * (1.0 - share)
+    counts[pixels, (lower + 1) % ORIENTATIONS] += length * share
+    return counts.reshape(*brightness.shape, ORIENTATIONS)
+
+
+def blurred_at(counts: np.ndarray, points: np.ndarray, sigma: float) -> np.ndarray:
+    """Interpolate counts (h, w, ORIENTATIONS) after a blur at points (m, 2), (m, ORIENTATIONS) float32.
+
+    The image is at least 2 by 2 pixels, and ends with those of its border, to which points beyond it are moved.
+    """
+    blurred = np.moveaxis(blur_planes(np.moveaxis(counts, 2, 0), sigma), 0, 2)
+    inside = np.clip(points, 0.0, np.array(counts.shape[1::-1]) - 1.0)
+    return sample(blurred, inside)[0].astype(np.float32)
 
 
 def _blurred_colours(colours: np.ndarray, weights: np.ndarray | None, sigma: float) -> np.ndarray:

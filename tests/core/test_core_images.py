@@ -4,9 +4,10 @@ import numpy as np
 import pytest
 from hypothesis import given, strategies as st
 from scipy.interpolate import CubicSpline
-from scipy.ndimage import gaussian_filter
+from scipy.ndimage import gaussian_filter, map_coordinates
 
 from liaam import _core, image_reference
+from liaam.encoding_constants import SOFTNESS
 
 HEIGHT, WIDTH = 13, 17
 LIGHT = np.linspace(0, 1, 256, dtype=np.float32) ** 2
@@ -69,6 +70,21 @@ def test_area_means_are_means_of_the_blocks_that_tile_an_image(module, rows, col
     np.testing.assert_allclose(module.area_means(image, rows, columns), shares[0] @ image @ shares[1].T, atol=2e-6)
 
 
+@given(blocks=blocks, dtype=st.sampled_from([np.uint8, np.uint16]), mirrored=st.booleans(), seed=seeds)
+def test_means_of_brightness_are_those_of_the_tables(module, blocks, dtype, mirrored, seed):
+    x, y, size = blocks
+    shape = int((HEIGHT - y) / size), int((WIDTH - x) / size)
+    rng = np.random.default_rng(seed)
+    n = np.iinfo(dtype).max + 1
+    image, tables = rng.integers(0, n, (HEIGHT, WIDTH, 3)).astype(dtype), rng.random((3, n)).astype(np.float32)
+    image = image[..., ::-1] if mirrored else image
+    rows, columns = overlap(HEIGHT, y, size, shape[0]), overlap(WIDTH, x, size, shape[1])
+    expected = rows @ sum(tables[c][image[..., c]] for c in range(3)) @ columns.T
+    np.testing.assert_allclose(module.stored_brightness(image, tables, x, y, size, *shape), expected, atol=4e-6)
+    of_first = rows @ tables[2][image[..., 0]] @ columns.T
+    np.testing.assert_allclose(module.stored_brightness(image, tables[2:], x, y, size, *shape), of_first, atol=2e-6)
+
+
 @pytest.mark.parametrize("dtype", [np.uint8, np.uint16])
 def test_stored_luminance_is_that_of_the_tables(module, dtype, rng):
     n = np.iinfo(dtype).max + 1
@@ -118,6 +134,74 @@ def test_both_encode_alike(encoding, blur, kind, size, seed):
     np.testing.assert_allclose(found, expected, atol=2e-3 if encoding == 2 else 2e-4)
     np.testing.assert_array_equal(found[..., -1], expected[..., -1])
     assert np.isfinite(found).all()
+
+
+@pytest.mark.parametrize("dtype", [np.uint8, np.uint16])
+@pytest.mark.parametrize("channel", [0, 1, 2])
+def test_channels_are_equal_unless_one_value_differs(module, dtype, channel, rng):
+    grey = rng.integers(0, 200, (HEIGHT, WIDTH, 1)).astype(dtype).repeat(3, axis=2)
+    for view in (grey, grey[..., ::-1], grey[::2, ::-3]):
+        assert module.has_equal_channels(view)
+    grey[6, 9, channel] += 1
+    assert not module.has_equal_channels(grey)
+    assert not module.has_equal_channels(grey[::2, ::3])
+    assert module.has_equal_channels(grey[:6])
+
+
+def brightness_along(angle: float) -> np.ndarray:
+    """Brightness whose logarithm rises along an angle, as far as the floor of logarithms is negligible."""
+    y, x = np.mgrid[:HEIGHT, :WIDTH]
+    return np.exp(0.05 * (np.cos(angle) * x + np.sin(angle) * y)).astype(np.float32)
+
+
+@given(number=st.floats(0.0, 8.0), turn=st.floats(-3.0, 3.0), pixel=st.floats(0.5, 2.0))
+def test_a_gradient_counts_for_the_two_nearest_orientations(module, number, turn, pixel):
+    matrix = np.array([[np.cos(turn), -np.sin(turn)], [np.sin(turn), np.cos(turn)]])
+    brightness = brightness_along(number * np.pi / 4 - turn)
+    counts = module.count_orientations(brightness, None, 0.8, tuple(matrix.ravel().tolist()), pixel)
+    away = np.abs((number - np.arange(8) + 4) % 8 - 4)
+    length = 0.05 / np.hypot(0.05, SOFTNESS * pixel)
+    expected = np.broadcast_to(length * np.maximum(0.0, 1.0 - away), (5, 9, 8))
+    np.testing.assert_allclose(counts[4:9, 4:13], expected, atol=4e-3)  # the floor
+
+
+@given(
+    blur=st.sampled_from([0.0, 0.4, 2.0]),
+    not_finite=st.booleans(),
+    size=st.tuples(st.integers(1, 20), st.integers(1, 40)),
+    seed=seeds,
+)
+def test_both_count_orientations_alike(blur, not_finite, size, seed):
+    if not _core.BUILT:
+        pytest.skip("the core is not built")
+    rng = np.random.default_rng(seed)
+    brightness = rng.uniform(0.0, 1.2, size).astype(np.float32) ** 2
+    finite = rng.choice([1.0, 0.2], size).astype(np.float32) if not_finite else None
+    arguments = brightness, finite, blur, (np.cos(0.3), -np.sin(0.3), np.sin(0.3), np.cos(0.3)), 0.8
+    found, expected = (each.count_orientations(*arguments) for each in (_core, image_reference))
+    np.testing.assert_allclose(found, expected, atol=2e-5)
+
+
+@given(
+    sigma=st.floats(0.2, 4.0), n=st.integers(0, 9), size=st.tuples(st.integers(2, 20), st.integers(2, 20)), seed=seeds
+)
+def test_counts_are_blurred_and_interpolated_at_points(module, sigma, n, size, seed):
+    rng = np.random.default_rng(seed)
+    counts = rng.random((*size, 8)).astype(np.float32)
+    points = rng.uniform(-3.0, 23.0, (n, 2))  # some beyond the border
+    blurred = np.moveaxis(image_reference.blur_planes(np.moveaxis(counts, 2, 0), sigma), 0, 2)
+    inside = np.clip(points, 0.0, [size[1] - 1.0, size[0] - 1.0])
+    expected = map_coordinates(
+        blurred, [*(inside.T[::-1, :, None] + np.zeros(8)), np.tile(np.arange(8.0), (n, 1))], order=1
+    )
+    np.testing.assert_allclose(module.blurred_at(counts, points, sigma), expected, atol=2e-6)
+
+
+@pytest.mark.skipif(not _core.BUILT, reason="the core is not built")
+def test_points_that_are_no_numbers_are_taken_for_the_corner():
+    counts = np.random.default_rng(1).random((4, 5, 8)).astype(np.float32)
+    nowhere = _core.blurred_at(counts, np.array([[np.nan, np.nan], [1e300, -np.inf]]), 0.0)
+    np.testing.assert_array_equal(nowhere, counts[[0, 0], [0, 4]])
 
 
 @given(seed=seeds)
@@ -292,6 +376,20 @@ REFUSED = {
         np.zeros((3, 3)), np.array([[0, 1, 3]], np.int32), np.zeros((3, 1)), 4, 4
     ),
     "an image of one row": lambda: _core.sample_channels(np.zeros((1, 5, 2), np.float32), np.zeros((1, 2))),
+    "tables that are too short": lambda: _core.stored_brightness(
+        np.zeros((9, 9, 3), np.uint8), TABLE[:, :9, 0].copy(), 0.0, 0.0, 1.0, 1, 1
+    ),
+    "two tables": lambda: _core.stored_brightness(
+        np.zeros((9, 9, 3), np.uint8), TABLE[:2, :, 0].copy(), 0.0, 0.0, 1.0, 1, 1
+    ),
+    "brightness of no pixels": lambda: _core.count_orientations(
+        np.zeros((0, 4), np.float32), None, 1.0, (1.0, 0.0, 0.0, 1.0), 1.0
+    ),
+    "shares of other pixels": lambda: _core.count_orientations(
+        np.zeros((3, 4), np.float32), np.ones((4, 3), np.float32), 1.0, (1.0, 0.0, 0.0, 1.0), 1.0
+    ),
+    "counts of one row": lambda: _core.blurred_at(np.zeros((1, 5, 8), np.float32), np.zeros((1, 2)), 1.0),
+    "counts of seven orientations": lambda: _core.blurred_at(np.zeros((5, 5, 7), np.float32), np.zeros((1, 2)), 1.0),
     "spectra of other sizes": lambda: _core.correlate(
         np.zeros((5, 2, 4, 4), np.float32), np.zeros((5, 2, 4, 5), np.float32), np.zeros((4, 4, 2), np.float32)
     ),

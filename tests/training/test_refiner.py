@@ -15,7 +15,7 @@ from liaam.fitting.methods import DEFAULT_METHOD
 from liaam.io import Landmarks
 from liaam.model.mirror import mirrored_model
 from liaam.model.regressor import OF_FITS, LandmarkRegressor, OrientationHistograms, _mirrored_features
-from liaam.model.shape import ShapeModel, expanded_about, rotation
+from liaam.model.shape import ShapeModel, align, expanded_about, rotation
 from liaam.training.left_out_fits import LeftOutFit, LeftOutFits
 from liaam.training.refiner import Refinement, RefinerLearner, learn_refiner, seen_of
 
@@ -235,12 +235,12 @@ def test_what_is_estimated_in_training_teaches_nothing(shields):
 def test_features_have_mirror_images(shields, plain):
     image, truth = shields[12]
     mean = plain.shape_model.mean * (120.0 / plain.diagonal)
-    own = OrientationHistograms(image, "srgb", truth, mean)
-    other = OrientationHistograms(
-        np.ascontiguousarray(image[:, ::-1]), "srgb", mirrored(truth), (mean * [-1.0, 1.0])[ORDER]
-    )
-    there = other.features(mirrored(truth), other.pose, 5.0)[ORDER]
-    here = own.features(truth, own.pose, 5.0)
+    pose = align(mean, truth)
+    there_pose = align((mean * [-1.0, 1.0])[ORDER], mirrored(truth))
+    own = OrientationHistograms(image, "srgb", truth, pose)
+    other = OrientationHistograms(np.ascontiguousarray(image[:, ::-1]), "srgb", mirrored(truth), there_pose)
+    there = other.features(mirrored(truth), there_pose, 5.0)[ORDER]
+    here = own.features(truth, pose, 5.0)
     np.testing.assert_allclose(there, here[:, _mirrored_features()], atol=0.06)
     assert np.abs(there - here).max() > 0.1
 

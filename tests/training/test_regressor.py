@@ -102,9 +102,8 @@ def test_histograms_turn_with_the_shape(shields):
     mean = procrustes_mean(np.array([truth]))
     mean = mean * (SIZE / diagonal_of(mean))
     pose = align(mean, truth)
-    upright = OrientationHistograms(image, "srgb", truth, mean)
-    turned_mean = mean @ rotation(0.05).T
-    turned = OrientationHistograms(image, "srgb", truth, turned_mean)
+    upright = OrientationHistograms(image, "srgb", truth, pose)
+    turned = OrientationHistograms(image, "srgb", truth, align(mean @ rotation(0.05).T, truth))
     # The same axes of cells on an image that was encoded along other axes
     np.testing.assert_allclose(turned.features(truth, pose, 6.0), upright.features(truth, pose, 6.0), atol=0.06)
 

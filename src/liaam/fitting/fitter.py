@@ -57,9 +57,9 @@ WHAT_TO_DO = "give a start (--init), or search for rotated objects (--rotations 
 """What to do about an image in which nothing was found."""
 
 
-def _is_like(detection: Detection, best: Detection, share: float = NEARLY) -> bool:
-    """Return whether a detection has at least a share of the score of the best one, and is about as large."""
-    return detection.score >= share * best.score and are_as_large(detection.scale, best.scale)
+def _score_of_like(detection: Detection, found: Sequence[Detection]) -> float:
+    """Return the lowest score of those found objects that are about as large; infinite if none is."""
+    return min((each.score for each in found if are_as_large(detection.scale, each.scale)), default=np.inf)
 
 
 def _likely(detections: Sequence[Detection]) -> list[Detection]:
@@ -67,7 +67,7 @@ def _likely(detections: Sequence[Detection]) -> list[Detection]:
     best = next((each for each in detections if not each.doubtful), None)
     if best is None:
         return []
-    return [each for each in detections if not each.doubtful or _is_like(each, best)]
+    return [each for each in detections if not each.doubtful or each.score >= NEARLY * _score_of_like(each, [best])]
 
 
 def _best_score(detections: Sequence[Detection]) -> str:
@@ -399,12 +399,13 @@ class Fitter(OneShapeFitter):
         detections = [fit.found for fit in right if fit.found is not None]
         similar: list[FitResult] = []
         for place in places:
-            is_similar = any(_is_like(place, each, LEAST_PRESENT) for each in detections)
+            whole = _score_of_like(place, detections)
             taken = (fit.landmarks for fit in [*right, *similar])
-            if place.doubtful and is_similar and all(are_beside(place.landmarks, shape) for shape in taken):
+            is_similar = place.doubtful and place.score >= LEAST_PRESENT * whole
+            if is_similar and all(are_beside(place.landmarks, shape) for shape in taken):
                 fit = self.fit(image, place, name)
                 least = LEAST_PRESENT if fit.absent.any() else NEARLY
-                if fit.status.ok and any(_is_like(place, each, least) for each in detections):
+                if fit.status.ok and place.score >= least * whole:
                     similar.append(fit)
         return similar
 

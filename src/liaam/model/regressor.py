@@ -15,16 +15,17 @@ A regressor that is learnt from starts as near as fits are to the landmarks refi
 than either, as they see different things.
 """
 
-from dataclasses import dataclass, replace
-from functools import cached_property
+from dataclasses import dataclass
+from functools import cached_property, lru_cache
 from typing import NamedTuple
 
 import cv2
 import numpy as np
 
+from liaam import _core
 from liaam.formatting import short_repr
 from liaam.model.point_map import PointErrors
-from liaam.model.sampling import Patch, make_patch
+from liaam.model.sampling import count_orientations
 from liaam.model.shape import LEAST_NOISE, ShapeModel, Similarity, align, similarity_modes
 from liaam.photometry import Response
 from liaam.workers import one_numpy_thread
@@ -76,44 +77,25 @@ class OrientationHistograms:
         image: np.ndarray,
         response: Response,
         shape: np.ndarray,
-        mean: np.ndarray,
+        pose: Similarity,
         sight: Sight = OF_STARTS,
         *,
-        grey: bool | None = None,
+        grey: bool = False,
     ) -> None:
-        """Encode an image around a shape (n, 2); ``mean`` (n, 2) is the mean shape with a diagonal of SIZE.
+        """Encode an image around a shape (n, 2); the pose is that of the mean shape with a diagonal of SIZE.
 
-        ``grey`` says whether the image is grey, if that is known.
+        If the image is known to be ``grey``, that takes less time.
         """
-        self.pose = align(mean, shape)
-        self.angle = self.pose.angle
-        self.patch: Patch = make_patch(
-            image,
-            shape,
-            self.pose,
-            encoding="soft",
-            response=response,
-            blur=sight.sharpness,
-            margin=sight.margin,
-            grey=grey,
+        self.pose = pose
+        patch = count_orientations(
+            image, shape, pose, response=response, blur=sight.sharpness, margin=sight.margin, grey=grey
         )
-        self._counts = _Counts(_counts_of(self.patch.channels))
-        self._blurred: dict[float, _Counts] = {}
-
-    def blurred(self, blur: float) -> "_Counts":
-        """Return the counts of each orientation after a Gaussian blur, pixels of SIZE."""
-        if blur not in self._blurred:
-            on_patch = blur * self.pose.scale * self.patch.from_image.scale
-            self._blurred[blur] = self._counts.reduced_for(on_patch).blurred(on_patch)
-        return self._blurred[blur]
-
-    def forget(self) -> None:
-        """Forget the blurred counts, which take memory."""
-        self._blurred.clear()
+        self._from_image = patch.from_image
+        self._counts = _Counts(patch.channels)
 
     def suits(self, pose: Similarity) -> bool:
         """Return whether scale and rotation of a pose of the mean shape are about those of the encoded image."""
-        turned = abs(_between(pose.angle, self.angle))
+        turned = abs(_between(pose.angle, self.pose.angle))
         return turned <= MOST_CHANGE and abs(np.log(pose.scale / self.pose.scale)) <= MOST_CHANGE
 
     def features(self, shape: np.ndarray, pose: Similarity, spacing: float) -> np.ndarray:
@@ -121,12 +103,13 @@ class OrientationHistograms:
 
         Cells are ``spacing`` pixels of SIZE apart, along the axes of the mean shape, whose pose in the image is given.
         """
-        offsets = _cells(spacing) @ pose.matrix.T  # image pixels
-        points = self.patch.from_image((shape[:, None] + offsets).reshape(-1, 2))
-        counts = self.blurred(0.5 * spacing).at(points)
-        counts = _turned(counts, _between(pose.angle, self.angle)).reshape(len(shape), -1)
-        length = np.linalg.norm(counts, axis=1, keepdims=True)
-        return np.minimum(counts / (length + LEAST_CONTRAST), MOST_OF_A_BIN).astype(np.float32)
+        to_patch = self._from_image.scale
+        cells = _cells(spacing) @ (to_patch * pose.matrix.T)
+        points = (self._from_image(shape)[:, None] + cells).reshape(-1, 2)
+        counts = self._counts.blurred_at(points, blur=0.5 * spacing * self.pose.scale * to_patch)
+        counts = _turned(counts, _between(pose.angle, self.pose.angle)).reshape(len(shape), -1)
+        length = np.sqrt(np.einsum("nf,nf->n", counts, counts))
+        return np.minimum(counts / (length[:, None] + np.float32(LEAST_CONTRAST)), np.float32(MOST_OF_A_BIN))
 
 
 def _between(angle: float, other: float) -> float:
@@ -163,33 +146,16 @@ class _Counts:
         even = self.values[: 2 * height, : 2 * width]
         return _Counts(cv2.resize(even, (width, height), interpolation=cv2.INTER_AREA), 2 * self.reduction)
 
-    def blurred(self, blur: float) -> "_Counts":
-        """Return the counts after a Gaussian blur, pixels of the patch."""
-        sigma = blur / self.reduction
-        values = cv2.GaussianBlur(self.values, (0, 0), sigma, borderType=cv2.BORDER_REPLICATE)
-        return replace(self, values=values)
-
-    def at(self, points: np.ndarray) -> np.ndarray:
-        """Return the interpolated counts (m, BINS) at points (m, 2) of the patch."""
-        return _bilinear(self.values, (points + 0.5) / self.reduction - 0.5)
+    def blurred_at(self, points: np.ndarray, blur: float) -> np.ndarray:
+        """Return the counts (m, BINS) after a Gaussian blur at points (m, 2), pixels of the patch."""
+        counts = self.reduced_for(blur)
+        if counts is not self:
+            points = (points + 0.5) / counts.reduction - 0.5
+            blur /= counts.reduction
+        return _core.blurred_at(counts.values, points, blur)
 
 
-def _counts_of(channels: np.ndarray) -> np.ndarray:
-    """Return the length of the gradient at each pixel, split between the two nearest orientations, (h, w, BINS)."""
-    across = channels[..., 0]
-    down = channels[..., 1]
-    length = np.sqrt(across * across + down * down).ravel()
-    angle = np.arctan2(down, across).ravel() * (BINS / (2.0 * np.pi))
-    lower = np.floor(angle)
-    share = angle - lower
-    lower = lower.astype(int) % BINS
-    counts = np.zeros((length.size, BINS), np.float32)
-    pixels = np.arange(length.size)
-    counts[pixels, lower] = length * (1.0 - share)
-    counts[pixels, (lower + 1) % BINS] += length * share
-    return counts.reshape(*channels.shape[:2], BINS)
-
-
+@lru_cache(maxsize=16)
 def _cells(spacing: float) -> np.ndarray:
     """Return the centres of the cells around a landmark, (CELLS^2, 2)."""
     steps = spacing * (np.arange(CELLS) - 0.5 * (CELLS - 1))
@@ -197,29 +163,17 @@ def _cells(spacing: float) -> np.ndarray:
     return np.stack([across.ravel(), down.ravel()], axis=1)
 
 
-def _bilinear(values: np.ndarray, points: np.ndarray) -> np.ndarray:
-    """Interpolate values (h, w, c) at points (m, 2); beyond the border they are those of the border."""
-    height, width = values.shape[:2]
-    x = np.clip(points[:, 0], 0.0, width - 1.0)
-    y = np.clip(points[:, 1], 0.0, height - 1.0)
-    left = np.minimum(x.astype(int), width - 2)
-    top = np.minimum(y.astype(int), height - 2)
-    right_share = (x - left)[:, None].astype(np.float32)
-    lower_share = (y - top)[:, None].astype(np.float32)
-    flat = values.reshape(height * width, -1)
-    first = top * width + left
-    upper = flat[first] * (1.0 - right_share) + flat[first + 1] * right_share
-    lower = flat[first + width] * (1.0 - right_share) + flat[first + width + 1] * right_share
-    return upper * (1.0 - lower_share) + lower * lower_share
-
-
 def _turned(counts: np.ndarray, angle: float) -> np.ndarray:
     """Return counts of orientations (m, BINS) relative to axes that are turned by an angle, radians."""
+    if angle == 0.0:  # as in the first step
+        return counts
     shift = angle * (BINS / (2.0 * np.pi))
     whole = int(np.floor(shift))
     share = np.float32(shift - whole)
-    nearest = np.roll(counts, -whole, axis=1)
-    return nearest * (1.0 - share) + np.roll(nearest, -1, axis=1) * share
+    twice = np.concatenate([counts, counts], axis=1)
+    lower = whole % BINS
+    upper = (whole + 1) % BINS
+    return twice[:, lower : lower + BINS] * (1.0 - share) + twice[:, upper : upper + BINS] * share
 
 
 def _mirrored_features() -> np.ndarray:
@@ -290,12 +244,12 @@ class LandmarkRegressor:
         sight: Sight = OF_STARTS,
         *,
         absent: np.ndarray | None = None,
-        grey: bool | None = None,
+        grey: bool = False,
     ) -> np.ndarray:
         """Return the landmarks (n, 2) of the object in an image near a start (n, 2), image pixels.
 
-        Landmarks that are ``absent`` (n,) follow from the others. ``grey`` says whether the image is grey, if that is
-        known.
+        Landmarks that are ``absent`` (n,) follow from the others. If the image is known to be ``grey``, that takes less
+        time.
         """
         shape = start
         histograms = None
@@ -303,7 +257,7 @@ class LandmarkRegressor:
         for step, gain in zip(self.steps, gains, strict=True):
             pose = align(self.frame_mean, shape)
             if histograms is None or not histograms.suits(pose):
-                histograms = OrientationHistograms(image, response, shape, self.frame_mean, sight, grey=grey)
+                histograms = OrientationHistograms(image, response, shape, pose, sight, grey=grey)
             predicted = step.displacements(histograms.features(shape, pose, step.spacing))
             shape = combined(shape, predicted, self.frame_mean, gain)
         return shape
@@ -315,7 +269,7 @@ class LandmarkRegressor:
         shape: np.ndarray,
         *,
         absent: np.ndarray | None = None,
-        grey: bool | None = None,
+        grey: bool = False,
     ) -> np.ndarray:
         """Return the mean (n, 2) of a fit (n, 2) and of where the regressor leads from there, image pixels.
 

@@ -11,7 +11,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from liaam import _core, encoding_constants
-from liaam.encoding_constants import ALL, UNUSABLE
+from liaam.encoding_constants import ALL, BRIGHTNESS, UNUSABLE
 from liaam.errors import ImageError, LiaamError, MethodError
 from liaam.io.images import as_pixels
 from liaam.photometry.features import Encoder
@@ -101,9 +101,10 @@ def _check_range(image: np.ndarray, name: str) -> None:
 def is_grey(image: np.ndarray) -> bool:
     """Whether all three channels are equal everywhere (a grey image stored as colour)."""
     # A few pixels identify most colour images; the whole image is compared only if they are grey.
+    if image.dtype.kind == "u":
+        return _core.has_equal_channels(_sparse(image)) and _core.has_equal_channels(image)
     for part in (_sparse(image), image):
-        nan = part.dtype.kind == "f"
-        if not all(np.array_equal(part[..., i], part[..., i + 1], equal_nan=nan) for i in (0, 1)):
+        if not all(np.array_equal(part[..., i], part[..., i + 1], equal_nan=True) for i in (0, 1)):
             return False
     return bool(np.isfinite(image).any())  # an image of NaN only is not grey
 
@@ -264,7 +265,7 @@ def block_means(
     if not callable(encoding) and encoding not in ENCODINGS:
         raise MethodError(f"unknown encoding {encoding!r}; choose from {', '.join(ENCODINGS)}")
     image = _three_channels(image)
-    rows, columns = (int((n - first) / size + 1e-9) for n, first in zip(image.shape, start[::-1], strict=False))
+    rows, columns = _blocks_in(image, size, start)
     if grey is None:
         grey = encoding == "soft" and is_grey(image)
     if image.dtype.kind == "u":
@@ -286,6 +287,33 @@ def block_means(
         finite = [np.ones(part.light.shape[:2], np.float32) if part.finite is None else part.finite for part in parts]
         finite = np.concatenate(finite)
     return Means(np.concatenate([part.light for part in parts]), finite, grey)
+
+
+def _blocks_in(image: np.ndarray, size: float, start: tuple[float, float]) -> tuple[int, int]:
+    """Return the numbers of rows and columns of complete blocks in an image."""
+    rows, columns = (int((n - first) / size + 1e-9) for n, first in zip(image.shape, start[::-1], strict=False))
+    return rows, columns
+
+
+def block_brightness(
+    image: np.ndarray,
+    response: Response,
+    size: float,
+    start: tuple[float, float] = (0.0, 0.0),
+    *,
+    grey: bool = False,
+) -> tuple[np.ndarray, np.ndarray | None]:
+    """Average the brightness of an image, whose logarithm has the gradients of ``soft``, over complete blocks.
+
+    If the image is known to be ``grey``, that takes less time; for the other parameters see :func:`block_means`.
+    Return (rows, columns) float32, and the fraction of finite pixels; None if all are finite.
+    """
+    if image.dtype.kind != "u":
+        means = block_means(image, "soft", response, size, start, grey=False)
+        return means.light[..., :3] @ BRIGHTNESS.astype(np.float32), means.finite
+    image = _three_channels(image)
+    tables = brightness_tables(image.dtype.str, response, grey)
+    return _core.stored_brightness(image, tables, *start, size, *_blocks_in(image, size, start)), None
 
 
 def in_all_channels(holds: np.ndarray) -> np.ndarray:
@@ -374,6 +402,16 @@ def light_table(dtype: str, encoding: Encoding, response: Response) -> np.ndarra
     table[..., 3] = (low * top <= values) & (values <= high * top)
     table[range(3), :, range(3)] = _table(dtype, "linear", response)
     return table
+
+
+@lru_cache(maxsize=16)
+def brightness_tables(dtype: str, response: Response, grey: bool) -> np.ndarray:
+    """What each channel and stored value of an integer type adds to a pixel's brightness, (3, n) float32.
+
+    For grey images that of all channels together, (1, n).
+    """
+    weights = BRIGHTNESS.sum(keepdims=True) if grey else BRIGHTNESS
+    return np.outer(weights, _table(dtype, "linear", response)).astype(np.float32)
 
 
 @lru_cache(maxsize=16)

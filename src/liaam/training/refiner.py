@@ -64,7 +64,8 @@ class RefinerLearner:
     def add(self, image: np.ndarray, points: np.ndarray, known: np.ndarray | None = None) -> None:
         """Add an image in colour and its landmarks (n, 2), of which some may be ``known`` (n,) and others estimates."""
         sight = OF_FITS._replace(margin=MARGIN)
-        self._histograms.append(OrientationHistograms(image, self.response, points, self._at_size, sight))
+        pose = align(self._at_size, points)
+        self._histograms.append(OrientationHistograms(image, self.response, points, pose, sight))
         self._truths.append(points)
         self._known.append(np.ones(len(points), bool) if known is None else known)
 

@@ -80,7 +80,7 @@ class RegressorData:
 
         def histograms_of(i: int) -> OrientationHistograms:
             image = as_colour(entries[i].read_image(), entries[i].name)
-            return OrientationHistograms(image, model.response, shapes[i], mean)
+            return OrientationHistograms(image, model.response, shapes[i], align(mean, shapes[i]))
 
         histograms = in_threads(histograms_of, images.tolist())
         return cls(images, Views(histograms, shapes[images]), groups)
@@ -265,8 +265,6 @@ def _learn_step(
         combined(shape, displacements, mean, gain)
         for shape, displacements in zip(samples.shapes, predicted, strict=True)
     ]
-    for histograms in samples.histograms:
-        histograms.forget()
     return step, replace(samples, shapes=np.array(shapes))
 
 

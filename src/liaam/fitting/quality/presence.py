@@ -19,7 +19,7 @@ import numpy as np
 
 from liaam.fitting.loop.objective import Objective
 from liaam.fitting.methods import GRADIENT_ROWS
-from liaam.fitting.quality.segmentation import Segmentation, segmented
+from liaam.fitting.quality.segmentation import KERNEL, Segmentation, segmented
 from liaam.fitting.result import LEAST_PRESENT
 from liaam.io.landmarks.base import PRESENT
 from liaam.model.presence import Agreement, Presence
@@ -37,11 +37,44 @@ BESIDE = 0.25
 LEAST_CONTRAST = 1e-9  # of a window without usable pixels
 
 
-class Agreements(NamedTuple):
-    """How well image and fit agree around each landmark, and around each sampled pixel."""
+@dataclass(frozen=True, eq=False)
+class Agreements:
+    """How well image and fit agree around each landmark, and around each sampled pixel.
 
-    landmarks: Agreement
-    pixels: Agreement
+    Attributes
+    ----------
+    surroundings : Surroundings
+    sums : (3, n_cells) float32
+        Sums over the window around each cell: what image and fit share, and the contrast of each.
+    """
+
+    surroundings: "Surroundings"
+    sums: np.ndarray
+
+    @property
+    def landmarks(self) -> Agreement:
+        """The agreement around each landmark."""
+        return self._in(self.surroundings.cells_of_landmarks)
+
+    @property
+    def pixels(self) -> Agreement:
+        """The agreement around each sampled pixel."""
+        return self._in(self.surroundings.cells_of_pixels)
+
+    def _in(self, cells: np.ndarray) -> Agreement:
+        """Return the agreement in some cells, by index."""
+        shared, of_image, of_fit = self.sums[:, cells]
+        floor = self.surroundings.floor[cells]
+        of_image = np.maximum(of_image, 0.0) + floor
+        of_fit = np.maximum(of_fit, 0.0) + floor
+        return Agreement(2.0 * shared / (of_image + of_fit), np.log(of_image / of_fit))
+
+
+class Gradients(NamedTuple):
+    """Gradients (n_pixels, 2) of the image, 0 where it is not usable, and of the fit."""
+
+    seen: np.ndarray
+    expected: np.ndarray
 
 
 @dataclass(frozen=True, eq=False)
@@ -63,31 +96,31 @@ class Surroundings:
         usable : (n_pixels,)
             Which of these are in the image and usable. The others agree with nothing.
         """
-        seen, expected = self._gradients(samples, residual, usable)
-        pairs = ((seen, expected), (seen, seen), (expected, expected))
-        products = [np.einsum("nk,nk->n", first, second) for first, second in pairs]
-        finite = np.nan_to_num(np.stack(products), posinf=0.0, neginf=0.0)
-        shared, of_image, of_fit = self._summed(self.weights * finite)
-        of_image = np.maximum(of_image, 0.0) + self._floor
-        of_fit = np.maximum(of_fit, 0.0) + self._floor
-        concordances = 2.0 * shared / (of_image + of_fit)
-        contrasts = np.log(of_image / of_fit)
-        landmarks, pixels = self.cells_of_landmarks, self.cells_of_pixels
-        of_landmarks = Agreement(concordances[landmarks], contrasts[landmarks])
-        return Agreements(of_landmarks, Agreement(concordances[pixels], contrasts[pixels]))
+        return self._agreements(self._gradients(samples, residual, usable))
 
-    def _gradients(
-        self, samples: np.ndarray, residual: np.ndarray, usable: np.ndarray
-    ) -> tuple[np.ndarray, np.ndarray]:
-        """Return the gradients of the image, 0 where it is not usable, and those of the fit, (n_pixels, 2) each."""
+    def _agreements(self, gradients: Gradients) -> Agreements:
+        """Compare image and fit around each landmark and each sampled pixel by their gradients."""
+        seen, expected = gradients
+        pairs = ((seen, expected), (seen, seen), (expected, expected))
+        products = np.stack([np.einsum("nk,nk->n", first, second) for first, second in pairs])
+        return Agreements(self, self._summed(self.weights * np.nan_to_num(products, posinf=0.0, neginf=0.0)))
+
+    def _gradients(self, samples: np.ndarray, residual: np.ndarray, usable: np.ndarray) -> Gradients:
+        """Return the gradients of the image and of the fit at each sampled pixel."""
         k = self.objective.method.n_rows
         samples = np.reshape(samples, (-1, k))[:, :GRADIENT_ROWS]
         expected = samples - np.reshape(residual, (-1, k))[:, :GRADIENT_ROWS]
-        return np.where(np.asarray(usable)[:, None] > 0, samples, 0.0), expected
+        seen = samples.copy()
+        seen[~(np.asarray(usable) > 0)] = 0.0
+        return Gradients(seen, expected)
+
+    def _gradients_in(self, solution: Any) -> Gradients:
+        """Return the gradients in a solution that keeps its samples."""
+        return self._gradients(solution.samples, solution.residual, solution.usable)
 
     def compared_in(self, solution: Any) -> Agreements:
         """Compare image and fit in a solution that keeps its samples."""
-        return self.compared(solution.samples, solution.residual, solution.usable)
+        return self._agreements(self._gradients_in(solution))
 
     def _summed(self, values: np.ndarray) -> np.ndarray:
         """Sum values (c, n_pixels) of the sampled pixels over the window around each cell, (c, n_cells) float32."""
@@ -115,7 +148,7 @@ class Surroundings:
         return (beside * self.objective.appearance.usable).astype(np.float32)
 
     @cached_property
-    def _floor(self) -> np.ndarray:
+    def floor(self) -> np.ndarray:
         """Contrast that is added to that of the image and to that of the fit around each cell, (n_cells,) float32.
 
         Both together have the contrast :data:`FLOOR`, under the weights of the window.
@@ -129,10 +162,11 @@ class Surroundings:
         The object is segmented where the windows say that a part is absent, or the segmentation is sure of it. Of a fit
         of which most is absent, which is elsewhere, the windows decide.
         """
-        by_windows = presence.probabilities(self.compared_in(solution).landmarks)
+        gradients = self._gradients_in(solution)
+        by_windows = presence.probabilities(self._agreements(gradients).landmarks)
         if _are_mostly_absent(by_windows) or not self.can_segment:
             return by_windows
-        segmentation = self.segmented_in(solution)
+        segmentation = self._segmented(gradients)
         if _are_mostly_absent(segmentation.landmarks):
             return by_windows
         is_incomplete = (by_windows < PRESENT).any() or segmentation.is_sure
@@ -141,23 +175,32 @@ class Surroundings:
     def present_pixels(self, presence: Presence, solution: Any) -> np.ndarray:
         """Return at which sampled pixels a solution's image is what the model expects, (n_pixels,) bool."""
         if self.can_segment:
-            return self.segmented_in(solution).pixels >= PRESENT
+            return self._segmented(self._gradients_in(solution)).pixels >= PRESENT
         return presence.agree(self.compared_in(solution).pixels, self._landmarks_around)
 
-    def segmented_in(self, solution: Any) -> Segmentation:
-        """Segment the object in a solution that keeps its samples."""
-        seen, expected = self._gradients(solution.samples, solution.residual, solution.usable)
-        return segmented(self, np.nan_to_num(seen), np.nan_to_num(expected))
+    def _segmented(self, gradients: Gradients) -> Segmentation:
+        """Segment the object by gradients."""
+        return segmented(self, np.nan_to_num(gradients.seen), np.nan_to_num(gradients.expected))
 
-    @property
+    @cached_property
     def can_segment(self) -> bool:
         """Whether training has estimated the model's errors."""
         return bool(self.error_variances.any())
 
     @cached_property
     def error_variances(self) -> np.ndarray:
-        """Variance of the model's errors in a gradient of each sampled pixel, (n_pixels,) float64; 0 if unknown."""
-        return self.objective.error_variances(GRADIENT_ROWS)
+        """Variance of the model's errors in a gradient of each sampled pixel, (n_pixels,) float32; 0 if unknown."""
+        return self.objective.error_variances(GRADIENT_ROWS).astype(np.float32)
+
+    @cached_property
+    def is_sampled(self) -> np.ndarray:
+        """Whether a cell of the grid has a sampled pixel, (h, w) float32 in {0, 1}."""
+        return self.on_grid(np.ones(len(self.cells_of_pixels)))
+
+    @cached_property
+    def sampled_share(self) -> np.ndarray:
+        """Share of the kernel of the segmentation around each cell that has sampled pixels, (h, w) float32."""
+        return self.blurred(self.is_sampled, KERNEL) + np.float32(1e-6)
 
     def nearest_of(self, objective: Objective) -> np.ndarray:
         """Return the nearest sampled pixel to each pixel of another level on the same frame, (m,) int."""

@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 
 # Standard deviation of the kernel, as a fraction of the diagonal of the mean shape. From 0.02 to 0.03, results are the
 # same within a landmark of a hundred (experiments/notes/damaged.md).
-WIDTH = 0.025
+KERNEL = 0.025
 STRENGTH = 3.0  # Log odds of a pixel whose neighbours are all of one kind
 ROUNDS = 10  # Updates of the mean field, which then hardly changes
 EVIDENCE = 1.2  # Weight of the likelihood of a pixel
@@ -41,6 +41,7 @@ STEEPNESS = 20.0
 # kind that the model does not know, the segmentation is wrong.
 SURELY_ABSENT = 0.6
 SMALL_PART = 0.05
+MOST_SQUARED = 1e30  # Limit on squared lengths: of what is not finite, too
 
 
 class Segmentation(NamedTuple):
@@ -57,21 +58,20 @@ class Segmentation(NamedTuple):
 
 def segmented(surroundings: "Surroundings", seen: np.ndarray, expected: np.ndarray) -> Segmentation:
     """Segment an object by its gradients in the image and those of the fit, each (n_pixels, 2), at a sharpest level."""
-    evidence = EVIDENCE * surroundings.weights * _log_odds_of_absence(seen, expected, surroundings.error_variances)
-    ones = surroundings.on_grid(np.ones(len(evidence)))
-    reach = surroundings.blurred(ones, WIDTH) + 1e-6
+    log_odds = _log_odds_of_absence(seen, expected, surroundings.error_variances)
+    own = surroundings.on_grid(EVIDENCE * surroundings.weights * log_odds)
+    is_sampled = surroundings.is_sampled
 
     def around(labels: np.ndarray) -> np.ndarray:
-        return surroundings.blurred(labels * ones, WIDTH) / reach
+        return surroundings.blurred(labels * is_sampled, KERNEL) / surroundings.sampled_share
 
-    own = surroundings.on_grid(evidence)
     labels = np.tanh(0.5 * around(own))  # 1 for absent, -1 for present, and the mean of both by their probabilities
     for _ in range(ROUNDS):
         labels = np.tanh(0.5 * (own + STRENGTH * around(labels)))
     shares = 0.5 + 0.5 * around(labels).ravel()
     log_odds = np.clip(STEEPNESS * (HALF_ABSENT - shares), -MOST_LOG_ODDS, MOST_LOG_ODDS)
     present = probability_of(log_odds.astype(np.float64))
-    share_absent = (labels > 0.0)[ones > 0.0].mean()
+    share_absent = (labels > 0.0)[is_sampled > 0.0].mean()
     around_landmarks = shares[surroundings.cells_of_landmarks]
     return Segmentation(
         landmarks=present[surroundings.cells_of_landmarks],
@@ -85,11 +85,17 @@ def _log_odds_of_absence(seen: np.ndarray, expected: np.ndarray, variances: np.n
 
     ``variances`` (n_pixels,) are those of the model's errors.
     """
-    of_image = np.square(seen).sum(axis=1)
-    left = np.square(seen - expected).sum(axis=1)
-    present = np.logaddexp(_log_normal(left, variances + MISPLACED), np.log(OUTLIERS))
-    absent = np.logaddexp(_log_normal(of_image, BLANK), _log_normal(of_image, OTHER)) - np.log(2.0)
+    present = np.log(np.exp(_log_normal(_squares(seen - expected), variances + np.float32(MISPLACED))) + OUTLIERS)
+    of_image = _squares(seen)
+    other = _log_normal(of_image, OTHER)
+    blank = _log_normal(of_image, BLANK) - other  # at most 3
+    absent = other + np.log1p(np.exp(blank)) - np.float32(np.log(2.0))
     return absent - present
+
+
+def _squares(gradients: np.ndarray) -> np.ndarray:
+    """Return the squared lengths (n_pixels,) of gradients (n_pixels, 2), limited to what float32 can hold."""
+    return np.minimum(np.einsum("nk,nk->n", gradients, gradients), np.float32(MOST_SQUARED))
 
 
 def _log_normal(squares: np.ndarray, variance: np.ndarray | float) -> np.ndarray:
