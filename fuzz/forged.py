@@ -211,6 +211,8 @@ def _calibrate(rng: Random, header: dict, tensors: Tensors) -> None:
         "typical": one_of(rng, (rng.random(1), np.zeros(1), np.ones(1))),
         "prior": 10.0 ** rng.uniform(-5, 5, 1),
     }
+    if rng.random() < 0.5:
+        known["scales"] = _positive_definite(rng, count, 2)
     if rng.random() < 0.15:
         name = one_of(rng, sorted(known))
         known[name] = (

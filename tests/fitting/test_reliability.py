@@ -254,9 +254,14 @@ def test_few_errors_on_contours_are_shrunk_along_and_across_them(rng):
     found = beyond(errors, np.zeros((8, 40, 2, 2)), np.zeros((40, 2, 2)), alike)
     along = np.einsum("na,nab,nb->n", tangents, found[:20], tangents)
     across = np.trace(found[:20], axis1=1, axis2=2) - along
-    assert along.mean() == pytest.approx(2 * 16.0, rel=0.5)  # of 8 images, nearly twice
+    assert along.mean() == pytest.approx(16.0, rel=0.5)
     assert across.max() < 2.0
     assert np.trace(found[20:], axis1=1, axis2=2).max() < 10.0
+
+
+def stated_by(known: dict, spread: np.ndarray) -> np.ndarray:
+    """The covariances (n, 2, 2) of landmarks whose fits state ``spread`` and leave a residual of variance 1."""
+    return known["scales"] @ (known["variance_factor"] * spread + known["landmarks"] + known["bias"]) @ known["scales"]
 
 
 def test_variances_along_and_across_contours_are_calibrated_apart(rng):
@@ -266,10 +271,28 @@ def test_variances_along_and_across_contours_are_calibrated_apart(rng):
     ratios = []
     for contours in ((), [(range(30), False)]):
         known = learn_covariances(errors, spreads, 1.5, np.ones(400), shapes, Alike.of(shape, contours))
-        stated = known["variance_factor"] * spreads[0] + known["landmarks"] + known["bias"]
-        assert (np.linalg.eigvalsh(stated) > 0).all()
+        stated = stated_by(known, spreads[0])
         ratios.append(stated[:, 0, 0].mean() / stated[:, 1, 1].mean())
-    assert ratios[0] < 7.0 and ratios[1] > 12.0  # of 36: what fits state themselves is no direction's
+    assert ratios[0] < 7.0  # what fits state themselves is no direction's
+    assert ratios[1] == pytest.approx(36.0, rel=0.1)
+
+
+def test_each_landmark_is_calibrated_as_far_as_differences_are_not_chance(rng):
+    sizes = np.array([0.8, 1.5, 1.5, 3.0])
+    shape = rng.uniform(-20, 20, (4, 2))
+    nothing = np.zeros((4, 2, 2))
+
+    def factors(m: int, sizes: np.ndarray) -> np.ndarray:
+        errors = rng.standard_normal((m, 4, 2)) * sizes[:, None]
+        known = learn_covariances(
+            errors, np.tile(4 * np.eye(2), (m, 4, 1, 1)), 1.0, np.ones(m), nothing, Alike.of(shape, ())
+        )
+        return np.trace(stated_by(known, 4 * np.eye(2)), axis1=1, axis2=2) / (2 * np.square(sizes))
+
+    np.testing.assert_allclose(factors(400, sizes), 1.0, rtol=0.25)
+    equal = factors(10, np.ones(4))  # whose mean squared errors differ by 1 / sqrt(10)
+    assert np.ptp(equal) < 0.3 * equal.mean()
+    assert equal.mean() > 1.2  # few errors underestimate the tails
 
 
 def test_errors_of_landmarks_that_are_not_known_are_left_out(rng):
@@ -287,13 +310,6 @@ def test_errors_of_landmarks_that_are_not_known_are_left_out(rng):
     assert sizes[1][5] == pytest.approx(sizes[0][5], rel=0.3)  # of half as many errors
     np.testing.assert_allclose(sizes[1][[0, 1, 3, 4]], sizes[0][[0, 1, 3, 4]], rtol=0.1)
     assert sizes[1][[0, 1, 3, 4]].max() < sizes[1][2] < sizes[1][5]  # that of a landmark without errors is the mean
-
-
-def test_few_pictures_widen_it(rng):
-    errors = rng.standard_normal((5, 40, 2))
-    few = beyond(errors, np.zeros((5, 40, 2, 2)), np.zeros((40, 2, 2)), Alike.of(np.zeros((40, 2)), ()))
-    assert np.trace(few, axis1=1, axis2=2).mean() > 1.5 * np.square(errors).sum(axis=2).mean()
-    assert (np.linalg.eigvalsh(few) > 0).all()
 
 
 def test_the_logistic_regression_separates_and_does_not_care_how_many_of_each():

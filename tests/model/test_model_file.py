@@ -767,6 +767,7 @@ RELIABILITY = {
     "weights": np.array([-1.0, 4.0, -0.5]),
     "variance_factor": np.array([1.5]),
     "typical": np.array([0.75]),
+    "scales": np.tile(np.diag([0.5, 2.0]), (4, 1, 1)),
 }
 
 
@@ -786,6 +787,7 @@ def test_what_is_known_of_fits_is_kept(tiny_file, tmp_path):
         np.testing.assert_array_equal(known.landmarks, RELIABILITY["landmarks"])
         np.testing.assert_array_equal(known.bias, RELIABILITY["bias"])
         np.testing.assert_array_equal(known.weights, RELIABILITY["weights"])
+        np.testing.assert_array_equal(known.scales, RELIABILITY["scales"])
         assert (known.unit, known.variance_factor, known.typical) == (0.25, 1.5, 0.75)
 
 
@@ -803,6 +805,8 @@ def test_what_is_known_of_fits_is_kept(tiny_file, tmp_path):
         ({"weights": [1.0, 2.0, np.inf]}, "reliability.weights has"),
         ({"landmarks": np.tile(-np.eye(2), (4, 1, 1))}, "reliability.landmarks has negative variances"),
         ({"bias": np.tile(-np.eye(2), (4, 1, 1))}, "reliability.bias has negative variances"),
+        ({"scales": np.tile(-np.eye(2), (4, 1, 1))}, "reliability.scales has negative variances"),
+        ({"scales": np.tile(101 * np.eye(2), (4, 1, 1))}, "reliability.scales has values beyond 100"),
         ({"unit": [0.0]}, "reliability.unit is not positive"),
         ({"landmarks": np.zeros((3, 2, 2))}, "reliability.landmarks has type float64 and shape (3, 2, 2)"),
         ({"variance_factor": [1e6], "prior": [1e6]}, ""),

@@ -33,7 +33,7 @@ def checked_tensor(tensors: dict[str, np.ndarray], key: str, dtype: type, shape:
         raise ValueError(f"{key} has values out of range")
     if key.endswith("usable") and ((tensor < 0).any() or (tensor > 1).any()):
         raise ValueError(f"{key} has values out of range")
-    if key.endswith(("shape.unexplained", "landmarks", "bias")):
+    if key.endswith(("shape.unexplained", "landmarks", "bias", "scales")):
         check_variances(key, tensor)
     return tensor
 

@@ -27,6 +27,7 @@ MAX_VALUE = LARGEST
 MAX_LOG_LIGHT = 20.0  # Largest logarithm of a ratio of lights; those of faces are below 1.2
 MAX_VARIANCE = MAX_DIAGONAL**2  # Largest variance of a landmark, square pixels of the frame; of faces 31
 MAX_FACTOR = 1e6  # Largest factor on the variances of a fit (faces: 2.2), odds (9), and magnitude of their weights (34)
+MAX_SCALE = 100.0  # Largest factor on the errors of a landmark; training finds at most 3.2
 LEAST_UNIT = 1e-12  # Least variance of a residual at weight 1; of faces 0.35
 LARGEST_UNIT = 1e12  # Largest one
 MOST_EXPANSION = 2.0  # Largest factor on the distance of a shape from the mean
@@ -52,6 +53,7 @@ STORED = {
         "prior",
         "final_prior",
         "expansion",
+        "scales",
     ),
     "presence": ("usual", "other", "variances", "contrasts", "spreads"),
 }

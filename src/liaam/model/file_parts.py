@@ -32,6 +32,7 @@ from liaam.model.file_format import (
     MAX_LIGHTS,
     MAX_LOG_LIGHT,
     MAX_POINTS,
+    MAX_SCALE,
     MAX_VALUE,
     MAX_VARIANCE,
     MOST_EXPANSION,
@@ -323,6 +324,10 @@ def _reliability(tensors: dict[str, np.ndarray], prefix: str, n: int) -> Reliabi
     bias = checked_tensor(tensors, f"{prefix}.bias", np.float64, (n, 2, 2))
     check_covariances(f"{prefix}.landmarks", landmarks, MAX_VARIANCE)
     check_covariances(f"{prefix}.bias", bias, MAX_VARIANCE)
+    key = f"{prefix}.scales"
+    scales = checked_tensor(tensors, key, np.float64, (n, 2, 2)) if key in tensors else None
+    if scales is not None:
+        check_covariances(key, scales, MAX_SCALE)
 
     unit = number_of(tensors, f"{prefix}.unit")
     if not unit > 0.0:
@@ -364,6 +369,7 @@ def _reliability(tensors: dict[str, np.ndarray], prefix: str, n: int) -> Reliabi
         final_prior=final_prior,
         expansion=expansion,
         presence=_presence(tensors, prefix, n),
+        scales=scales,
     )
 
 

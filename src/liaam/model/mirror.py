@@ -122,6 +122,7 @@ def _reliability(reliability: Reliability, order: np.ndarray) -> Reliability:
         reliability,
         landmarks=reflected_covariances(reliability.landmarks)[order],
         bias=reflected_covariances(reliability.bias)[order],
+        scales=None if reliability.scales is None else reflected_covariances(reliability.scales)[order],
         presence=None if presence is None else Presence(*(each[order] for each in vars(presence).values())),
     )
 

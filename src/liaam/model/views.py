@@ -76,6 +76,9 @@ class Reliability:
         much as their true shapes, or as much as a small increase of their errors allows.
     presence : Presence, optional
         Calibration of whether landmarks are present; older files have none.
+    scales : (n, 2, 2) float64, optional
+        Symmetric matrices by which errors of each landmark that agree with the covariances above are multiplied to
+        agree with those of fits to left-out images; older files have none.
     """
 
     landmarks: np.ndarray
@@ -88,6 +91,7 @@ class Reliability:
     final_prior: float = 1.0
     expansion: float = 1.0
     presence: Presence | None = None
+    scales: np.ndarray | None = None
 
     __repr__ = short_repr
 

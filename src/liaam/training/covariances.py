@@ -10,17 +10,14 @@ from liaam.model.contours import Contours, contour_axes, contour_directions
 # estimate of one's covariance, and of 1 in the factor on a fit's own variances. With 5, the noise of 20 images makes
 # ellipses too large, because remainders below 0 are set to 0 (experiments/notes/uncertainty.md).
 SHRINK = 15.0
-# Covariances estimated from m left-out images are multiplied by 1 + TAIL / (m + STEADY), because few errors
-# underestimate the tails. On generated scenes with 20 images left out, the 95 % ellipses hold 93 %, and 91 % with half
-# of TAIL.
-TAIL = 12.0
+# Covariances that agree with the errors in m left-out images are multiplied by 1 + TAIL / (m + STEADY), because few
+# errors underestimate the tails (experiments/notes/uncertainty.md).
+TAIL = 16.0
 STEADY = 10.0
 # Largest factor on a fit's own variances. Images without noise may suggest any factor, too large for noisy ones.
 LARGEST_FACTOR = 10.0
-# Range of the factors by which the variances along and across a contour are corrected in the end. They change no
-# variance of models without contours. A common factor would be too small for objects that few images show: scaled to
-# agree with left-out errors exactly, ellipses of a model of 30 faces hold 86 % instead of 90 %.
-SCALES = (0.4, 2.5)
+# Range of the factors by which the variances of a landmark are corrected in the end
+SCALES = (0.1, 10.0)
 
 
 def surprise(error: np.ndarray, spread: np.ndarray) -> float:
@@ -67,10 +64,13 @@ class Alike(NamedTuple):
         groups = self.groups.ravel()
         return (np.bincount(groups, values.ravel()) / np.maximum(np.bincount(groups), 1))[self.groups]
 
-    def scaled(self, moments: np.ndarray, factors: np.ndarray) -> np.ndarray:
-        """Multiply the variances of second moments (n, 2, 2) along and across by factors (n, 2)."""
-        half = np.einsum("ni,nia,nib->nab", np.sqrt(factors), self.axes, self.axes)
-        return half @ moments @ half
+    def on_no_contour(self) -> np.ndarray:
+        """Return which landmarks lie on no contour, (n,) bool."""
+        return (self.groups == 0).all(axis=1)
+
+    def scales(self, factors: np.ndarray) -> np.ndarray:
+        """Return the matrices (n, 2, 2) that multiply variances along and across by factors (n, 2)."""
+        return np.einsum("ni,nia,nib->nab", np.sqrt(factors), self.axes, self.axes)
 
 
 def learn_covariances(
@@ -78,8 +78,8 @@ def learn_covariances(
 ) -> dict[str, Any]:
     """Learn the covariance of each landmark beyond what fits state.
 
-    In the end the variances are scaled for each contour, along and across apart, so that the squared errors of the
-    left-out fits are the same multiple of all of them on average.
+    In the end the variances of each landmark are scaled so that they agree with the squared errors of the left-out
+    fits (:func:`factors_of`), and enlarged for the tails that few fits do not show.
 
     Parameters
     ----------
@@ -105,17 +105,43 @@ def learn_covariances(
     fitted = factor * spreads
     bias = beyond(errors, fitted, landmarks, alike)
     stated = fitted + landmarks + (units / unit)[:, None, None, None] * bias
-    squares = np.square(np.einsum("nia,mna->mni", alike.axes, errors)) / alike.variances(stated)
-    of_all = float(mean_of_known(squares))
-    scales = np.clip(alike.mean(mean_of_known(squares, axis=0, otherwise=of_all)) / max(of_all, 1e-12), *SCALES)
-    least = min(float(scales.min()), 1.0)
-    rest = alike.scaled(stated.mean(axis=0), scales) - least * (fitted.mean(axis=0) + landmarks)
+    ratios = np.square(np.einsum("nia,mna->mni", alike.axes, errors)) / alike.variances(stated)
+    factors = factors_of(ratios, alike) * (1.0 + TAIL / (len(errors) + STEADY))
     return {
-        "landmarks": least * landmarks,
-        "bias": _positive(rest),
+        "landmarks": landmarks,
+        "bias": bias,
         "unit": unit,
-        "variance_factor": max(least * factor, 1.0),
+        "variance_factor": factor,
+        "scales": alike.scales(np.clip(factors, *SCALES)),
     }
+
+
+def factors_of(ratios: np.ndarray, alike: Alike) -> np.ndarray:
+    """Return factors (n, 2) on the variances of each landmark along and across, from errors in left-out images.
+
+    Landmarks differ in how well fits state their errors: the mean ratio of one's squared errors to the stated variances
+    estimates its factor. Its logarithm is shrunk towards that of those that are alike, as far as their differences are
+    those of the sampling: a mean of k independent squares has a relative variance of 2 / k (empirical Bayes).
+
+    Parameters
+    ----------
+    ratios : (m, n, 2) float64
+        Squared errors along and across, divided by the stated variances; NaN where the true landmark is not known.
+    alike : Alike
+    """
+    counts = (~np.isnan(ratios)).sum(axis=0)
+    means = mean_of_known(ratios, axis=0, otherwise=float(mean_of_known(ratios)))
+    on_none = alike.on_no_contour()  # these have no direction
+    means[on_none] = means[on_none].mean(axis=1, keepdims=True)
+    counts[on_none] *= 2
+    usual = np.maximum(alike.mean(means), 1e-12)
+    logs = np.log(np.maximum(means / usual, 1e-6))
+    known = counts > 0
+    if not known.any():
+        return usual
+    sampling = 2.0 / np.maximum(counts, 1)
+    differences = max(float(np.square(logs)[known].mean() - sampling[known].mean()), 0.0)
+    return usual * np.exp(logs * differences / (differences + sampling))
 
 
 def beyond(errors: np.ndarray, spreads: np.ndarray, landmarks: np.ndarray, alike: Alike) -> np.ndarray:
@@ -128,7 +154,7 @@ def beyond(errors: np.ndarray, spreads: np.ndarray, landmarks: np.ndarray, alike
     moments = _positive(np.einsum("mna,mnb->nab", known, known) / np.maximum(counts, 1) - spreads.mean(axis=0))
     has_errors = counts[:, 0, 0] > 0
     moments[~has_errors] = moments[has_errors].mean(axis=0)
-    return _positive(widened(moments, counts, alike) - landmarks)
+    return _positive(shrunk(moments, counts, alike) - landmarks)
 
 
 def mean_of_known(values: np.ndarray, axis: int | None = None, otherwise: float = np.nan) -> np.ndarray:
@@ -139,13 +165,13 @@ def mean_of_known(values: np.ndarray, axis: int | None = None, otherwise: float 
     return np.where(counts > 0, means, otherwise)
 
 
-def widened(moments: np.ndarray, m: int | np.ndarray, alike: Alike) -> np.ndarray:
-    """Shrink second moments (n, 2, 2) of m errors towards the mean of those that are alike, and inflate them.
+def shrunk(moments: np.ndarray, m: int | np.ndarray, alike: Alike) -> np.ndarray:
+    """Shrink second moments (n, 2, 2) of m errors towards the mean of those that are alike.
 
     The number of errors may differ by landmark: an array that broadcasts with the moments, such as (n, 1, 1).
     """
     pooled = np.einsum("ni,nia,nib->nab", alike.mean(alike.variances(moments)), alike.axes, alike.axes)
-    return (m * moments + SHRINK * pooled) / (m + SHRINK) * (1.0 + TAIL / (m + STEADY))
+    return (m * moments + SHRINK * pooled) / (m + SHRINK)
 
 
 def _positive(matrices: np.ndarray) -> np.ndarray:

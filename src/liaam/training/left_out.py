@@ -28,7 +28,10 @@ from liaam.training.reliability import (
 )
 from liaam.training.textures import FITTED, SOURCES, Sampled, Steps, learning_cost
 
-LEFT_OUT_PICTURES = 20  # Largest number of left-out images to fit: each takes as long as sampling 2 FITTED images
+# Largest numbers of left-out images to fit from near the objects, whose errors say how far fits are off, and from other
+# starts. Each fit takes as long as sampling FITTED images.
+NEAR_PICTURES = 40
+OTHER_PICTURES = 20
 
 
 @dataclass(frozen=True, eq=False)
@@ -114,10 +117,10 @@ def calibrated(
         refiner = None if refinement is None else refinement.learn(without=fold, textures=under_other_lamps)
         parts.append(part if refiner is None else replace(part, refiner=refiner))
 
-    def images(models: Sequence[AAM]) -> Iterator[LeftOutImage]:
+    def images(models: Sequence[AAM], most: int = NEAR_PICTURES) -> Iterator[LeftOutImage]:
         """Yield some images of each fold, and their copies under other lamps, with the model of the other folds."""
         for part, fold, lamps in zip(models, folds, lamps_of_folds, strict=True):
-            for j in fitted_of(fold, folds):
+            for j in fitted_of(fold, folds, most):
                 steps.next(f"fitting {entries[j].name}", FITTED)
                 image = as_colour(entries[j].read_image(), entries[j].name)
                 yield LeftOutImage(part, image, shapes[j], entries[j].known, has_sides=has_sides)
@@ -126,7 +129,7 @@ def calibrated(
 
     near, is_refined = _best_near(fits_near(model, images(parts), methods), refinement)
     if regression is not None and regression.is_needed(near):
-        steps.total += len(folds) * learning_cost(model.n_textures) + cost_of_fits(folds)
+        steps.total += len(folds) * learning_cost(model.n_textures) + cost_of_fits(folds, NEAR_PICTURES)
         data = regression.data()
         with_regressors = []
         for i, (part, fold) in enumerate(zip(parts, folds, strict=True)):
@@ -142,7 +145,7 @@ def calibrated(
         model = replace(model, refiner=refinement.learn())
     else:
         parts = [part if part.refiner is None else replace(part, refiner=None) for part in parts]
-    tried = with_distant_and_wrong_fits(model, images(parts), methods, near)
+    tried = with_distant_and_wrong_fits(model, images(parts, OTHER_PICTURES), methods, near)
     reliabilities = calibrate(model, tried, methods)
     for view in VIEWS:
         names = [method.name for method in methods if method.view == view]
@@ -171,15 +174,14 @@ def can_be_calibrated(method: Method) -> bool:
     return not set(needed_by(method)) & {*SOURCES, "features"}
 
 
-def cost_of_fits(folds: list[np.ndarray]) -> int:
-    """Return the steps of training that fits of left-out images take: those from near the objects, or all others."""
-    return FITTED * sum(len(fitted_of(fold, folds)) for fold in folds)
+def cost_of_fits(folds: list[np.ndarray], most: int) -> int:
+    """Return the steps of training that fits of at most so many left-out images take."""
+    return FITTED * sum(len(fitted_of(fold, folds, most)) for fold in folds)
 
 
-def fitted_of(fold: np.ndarray, folds: list[np.ndarray]) -> np.ndarray:
-    """Return the images of a left-out fold to fit, by index: all, or some at even distances in it."""
-    most = max(1, LEFT_OUT_PICTURES // len(folds))
-    n_fitted = min(most, len(fold))
+def fitted_of(fold: np.ndarray, folds: list[np.ndarray], most: int) -> np.ndarray:
+    """Return the images of a left-out fold to fit, by index: all, or some at even distances, at most so many of all."""
+    n_fitted = min(max(1, most // len(folds)), len(fold))
     return fold[np.linspace(0, len(fold) - 1, n_fitted).astype(int)]
 
 

@@ -24,7 +24,7 @@ from liaam.model.contours import outline_errors
 from liaam.model.shape import align, corners_of, diagonal_of, in_box, rotation, shifted_into
 from liaam.model.sides import reflected_image, reflected_points
 from liaam.photometry import is_grey
-from liaam.training.covariances import Alike, learn_covariances, variance_factor, widened
+from liaam.training.covariances import Alike, learn_covariances, shrunk, variance_factor
 from liaam.training.left_out_fits import RIGHT, LeftOutFit, LeftOutFits
 from liaam.training.presence import agreement_of, can_be_judged, learn_presence
 from liaam.training.shrinkage import least_shrunk, prior_weights
@@ -256,7 +256,7 @@ def learnt_from(model: AAM, left_out: LeftOutFits, view: str) -> Reliability | N
         np.array([fit.spreads for fit in near_fits]),
         variance_factor(np.array([fit.surprise for fit in near_fits])),
         np.array([fit.unit for fit in near_fits]),
-        nothing if unexplained is None else widened(unexplained, _n_known(model), alike),
+        nothing if unexplained is None else shrunk(unexplained, _n_known(model), alike),
         alike,
     )
     presence = learn_presence([fit.agreement for fit in near_fits if fit.agreement is not None])

@@ -45,7 +45,14 @@ from liaam.training.features import encoder_of
 from liaam.training.filling import is_enough
 from liaam.training.images import check_images
 from liaam.training.lamps import Copies, LearntLamps, learn_lamps
-from liaam.training.left_out import ViewSettings, calibrated, can_be_calibrated, cost_of_fits
+from liaam.training.left_out import (
+    NEAR_PICTURES,
+    OTHER_PICTURES,
+    ViewSettings,
+    calibrated,
+    can_be_calibrated,
+    cost_of_fits,
+)
 from liaam.training.objects import folds_of, groups_of
 from liaam.training.options import AUTO, TrainingOptions
 from liaam.training.points import Points, map_of_points, points_of
@@ -463,7 +470,7 @@ def _steps(model: AAM, options: TrainingOptions, folds: list[np.ndarray], progre
     left_out = folds if options.leave_out else []
     n_levels = sum(len(blurs) for blurs in options.blurs_by_view.values())
     n_learnt = n_levels + len(left_out)  # a model without a fold takes about as long as a level
-    of_fits = 2 * cost_of_fits(left_out)  # from near the objects, and from all other starts
+    of_fits = cost_of_fits(left_out, NEAR_PICTURES) + cost_of_fits(left_out, OTHER_PICTURES)
     total = model.n_textures + learning_cost(model.n_textures) * n_learnt + of_fits
     return Steps(progress, total)
 

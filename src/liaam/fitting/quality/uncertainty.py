@@ -117,8 +117,16 @@ def landmark_covariances(
     """
     fitted = fitted_covariances(shapes, spread)
     unexplained = shapes.unexplained if reliability is None else reliability.errors(unit)
-    if contours and unexplained is not None:
+    scales = None if reliability is None else reliability.scales
+    if contours:
         turns = contour_turns(shapes.mean, shapes.shape(p), contours)
-        unexplained = turns @ unexplained @ np.swapaxes(turns, 1, 2)
+        unexplained, scales = _turned(unexplained, turns), _turned(scales, turns)
     in_model_pixels = fitted if unexplained is None else fitted + unexplained
+    if scales is not None:
+        in_model_pixels = scales @ in_model_pixels @ scales
     return pose.matrix @ in_model_pixels @ pose.matrix.T
+
+
+def _turned(matrices: np.ndarray | None, turns: np.ndarray) -> np.ndarray | None:
+    """Turn symmetric matrices (n, 2, 2) by rotations (n, 2, 2)."""
+    return None if matrices is None else turns @ matrices @ np.swapaxes(turns, 1, 2)
