@@ -148,7 +148,8 @@ class Marks(TypedDict):
     revision: str | None
     tag: str
     file: str | None
-    covariances: list[list[list[float]]] | None
+    covariances: Annotated[list[list[list[float]]] | None, "Of the points that the model proposes, even beside a file."]
+    fitted: Annotated[list[Point] | None, "These points, which the covariances belong to."]
     quality: float | None
     status: str | None
     doubtful: bool

@@ -192,3 +192,42 @@ def test_two_tabs_do_not_take_back_each_others_absent_points(serve, open_page, m
     tabs[0].reload()
     opened(tabs[0], NAMES[0])
     assert tabs[0].locator(".point[data-state=absent]").count() == 2
+
+
+def test_undo_takes_back_the_same_in_two_tabs(serve, open_page, marked):
+    """A change in one tab emptied the history of the other, where Undo then did nothing."""
+    server = serve(marked)
+    tabs = [open_page(), open_page()]
+    for tab in tabs:
+        tab.goto(server.address)
+        opened(tab, NAMES[0])
+    before = points_of(tabs[0])
+
+    def are(places, steps):
+        for tab in tabs:
+            for index in (0, 1):
+                wait_for_point(tab, index, places[index].tolist())
+            saved(tab)
+            assert annotate(tab, "undoSteps()") == steps
+
+    def moved(tab, index):
+        x, y = client(tab, index)
+        drag(tab, [x, y], [x + 30, y])
+        saved(tab)
+        return points_of(tab)
+
+    first = moved(tabs[0], 0)
+    are(first, 1)
+    second = moved(tabs[1], 1)
+    are(second, 2)
+    tabs[0].keyboard.press("Control+z")  # what the other tab has done
+    are(first, 1)
+    tabs[1].keyboard.press("Control+z")  # what that tab has done
+    are(before, 0)
+    tabs[0].keyboard.press("Control+y")
+    are(first, 1)
+    open_picture(tabs[1], NAMES[1])
+    tabs[0].keyboard.press("Control+y")
+    saved(tabs[0])
+    open_picture(tabs[1], NAMES[0])
+    are(second, 2)

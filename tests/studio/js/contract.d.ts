@@ -110,7 +110,10 @@ interface Marks {
   revision: string | null;
   tag: string;
   file: string | null;
+  /** Of the points that the model proposes, even beside a file. */
   covariances: number[][][] | null;
+  /** These points, which the covariances belong to. */
+  fitted: (number[] | null)[] | null;
   quality: number | null;
   status: string | null;
   doubtful: boolean;

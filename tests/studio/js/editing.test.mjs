@@ -236,7 +236,7 @@ test("an absent point is not waited for, until it is placed after all", () => {
 test("ellipses stay around the points that are still as the model proposed them", () => {
   const { made } = marking();
   const seen = { points: TRIANGLE, invisible: [], source: "proposal" };
-  made.open({ history: new History(seen), doubtful: false, seen });
+  made.open({ history: new History(seen), doubtful: false, seen, fitted: TRIANGLE });
   assert.deepEqual(made.uncertain, TRIANGLE);
   made.select([1]);
   made.commit(TRIANGLE.map((point, i) => (i === 1 ? [31, 21] : point)), "move");
@@ -394,7 +394,7 @@ test("marks that another program has changed are fetched, also after changes of 
   const picture = { tag: "t", state: "done", revision: "1" };
   const tab = {
     editing: false, state: { picture: () => picture },
-    marking: { book: { tag: "t" }, history: { canUndo: true } },
+    marking: { book: { tag: "t" }, history: { canUndo: true }, state: { source: "file" } },
     saver: { isDirty: () => false, revisionOf: () => "1" },
     saving: { tryToFetch: async (name) => { fetched.push(name); return null; } },
   };
