@@ -103,6 +103,30 @@ def test_measures_are_made_by_clicking_and_follow_the_points(measuring, wings, a
     wait_for(page, find, [names.index(shortest), before])
 
 
+def test_a_measure_is_named_where_it_is_listed(measuring, artefacts):
+    page = measuring
+    add(page, "distance", 0, 4)
+    add(page, "angle", 0, 8, 4)
+    names = page.locator("[data-testid=measure-name]")
+    names.nth(0).fill("Wing length")
+    names.nth(0).press("Enter")
+    page.locator("[aria-label=Histogram] h2", has_text="Wing length, px").wait_for()
+    names.nth(1).fill("wing length")
+    names.nth(1).press("Tab")
+    fault = page.locator("[data-testid=measure-name-fault]")
+    fault.get_by_text("is the name of another measure (distance: base – tip): choose another name").wait_for()
+    assert names.nth(1).input_value() == "wing length"
+    shoot(page, artefacts, "measure-names-1280")
+    names.nth(1).fill("opening")
+    names.nth(1).press("Enter")
+    fault.wait_for(state="hidden")
+    page.locator("th", has_text="opening, °").wait_for()
+    with page.expect_download() as download:
+        page.locator("[data-testid=measure-save]").select_option("csv")
+    head = Path(download.value.path()).read_text().splitlines()[0].split(",")
+    assert {"Wing_length", "opening_deg"} <= {*head}
+
+
 def test_pictures_without_a_measure_come_last_in_either_order(serve, page, wings):
     incomplete = wings / "male_02.ljson"
     points = read_landmarks(incomplete).points.copy()

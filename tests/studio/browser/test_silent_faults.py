@@ -140,18 +140,26 @@ def test_clicks_of_a_template_are_landmarks_by_themselves_until_a_curve_is_drawn
     wait_for(page, "() => window.liaamStudio.annotate?.source() === 'template'")
     for x in (40.0, 80.0, 120.0):
         page.mouse.click(*client(page, [x, 60.0]))
-    page.keyboard.press("n")
-    for x in (40.0, 80.0, 120.0, 160.0):
-        page.mouse.click(*client(page, [x, 160.0]))
+    for y in (160.0, 200.0):
+        page.keyboard.press("n")
+        for x in (40.0, 80.0, 120.0, 160.0):
+            page.mouse.click(*client(page, [x, y]))
+        page.keyboard.press("n")
+    page.locator("[data-testid=curve-name]").nth(1).fill("costa")
+    page.locator("[data-testid=curve-name]").nth(0).fill("Costa")
+    page.locator("[data-testid=template-done]").click()
+    page.get_by_text("Two curves have the name 'Costa': rename one.").wait_for()
+    page.locator("[data-testid=curve-name]").nth(0).fill("")
     page.locator("[data-testid=template-done]").click()
     wait_for(page, "() => window.liaamStudio.annotate.source() === 'file'")
     saved(page)
-    assert read_landmarks(marked / "portrait-01.ljson").contours == (Contour((3, 4, 5, 6)),)
+    stored = read_landmarks(marked / "portrait-01.ljson").contours
+    assert stored == (Contour((3, 4, 5, 6)), Contour((7, 8, 9, 10), name="costa"))
     kinds = page.evaluate("() => window.liaamStudio.state.project.template.kinds")
-    assert [i for i, kind in enumerate(kinds) if kind == "semilandmark"] == [4, 5]
+    assert [i for i, kind in enumerate(kinds) if kind == "semilandmark"] == [4, 5, 8, 9]
     with page.expect_download() as waited:
         page.locator("[data-testid=export-all]").select_option("sliders")
-    assert waited.value.path().read_text().split() == ["before,slide,after", "4,5,6", "5,6,7"]
+    assert waited.value.path().read_text().split() == ["before,slide,after", "4,5,6", "5,6,7", "8,9,10", "9,10,11"]
 
 
 def test_a_picture_is_finished_without_a_point_that_its_object_lacks(serve, page, marked):

@@ -4,6 +4,8 @@
 interface Contour {
   indices: number[];
   closed: boolean;
+  /** What a person calls it; empty if nothing. */
+  name?: string;
 }
 
 /** A picture of the folder, as the list shows it. */
@@ -363,6 +365,8 @@ interface Measuring {
   scale: string;
   /** What groups pictures: folder, name or table; empty if nothing. */
   by: string;
+  /** What a person calls measures, by measure. */
+  names: Record<string, string>;
   /** What a change of the template has removed with its points, in words. */
   gone: string[];
 }
@@ -375,6 +379,8 @@ interface SaveMeasuring {
   add?: string[];
   /** Measures as they are kept. */
   remove?: string[];
+  /** New names of measures; an empty one takes the name away. */
+  names?: Record<string, string>;
   scale?: string;
   by?: string;
   /** Whether what is gone was seen, and need not be said again. */
@@ -442,6 +448,8 @@ interface Unchanged {
 interface Column {
   /** Such as distance:1-5; null: the centroid size. */
   measure: string | null;
+  /** What a person calls it; empty if nothing. */
+  called: string;
   name: string;
   /** px, °, or a unit of length or area. */
   unit: string;

@@ -263,8 +263,8 @@ export class Tab {
   }
 
   /** Title of a column for people. @param {Column} column */
-  #title({ measure, unit }) {
-    const text = measure === null ? "Centroid size" : measureText(measure, this.names);
+  #title({ measure, called, unit }) {
+    const text = called || (measure === null ? "Centroid size" : measureText(measure, this.names));
     return `${text}, ${unit}`;
   }
 

@@ -22,7 +22,7 @@ export function createPointsPanel(tab) {
   const confirm = act("Confirm where it is", "check", "Y", commands.confirm);
   const absent = act("Absent", "minus", "U", commands.toggleAbsent);
   const remove = act("Clear position", "trash", "Delete", commands.removeChosen);
-  const space = act("Space the contour's points evenly", "curve", "Shift+C", commands.space);
+  const space = act("Space the curve's points evenly", "curve", "Shift+C", commands.space);
   // Another observer places points: those of a mean shape would be no one's own.
   const { set, observers } = tab.state.project;
   const isObserver = set !== "" && observers.length > 1;

@@ -59,11 +59,11 @@ export function createTemplatePanel({ drafting, formats, onload, onsliders, ondo
   const settled = button("The points are in place", { kind: "primary", small: true, onclick: endLayout });
   const message = h("p.small.error-text", { role: "status" });
   const points = pointRows(drafting);
-  const paths = h("ul.template-paths", { "aria-label": "Curves of the template" });
+  const curves = curveRows(drafting);
   const element = h("div.template-panel",
     h("section.panel", heading, intro, h("div.row", path, close, mirror, flip, slidersFile, sliders)),
     h("section.panel.grow.template-lists",
-      h("h2.panel-title", "Points"), points.element, h("h2.panel-title", "Curves"), paths),
+      h("h2.panel-title", "Points"), points.element, h("h2.panel-title", "Curves"), curves.element),
     h("section.panel.side-foot", message, h("div.row", done, cancel)));
 
   /** What to do, above the buttons. */
@@ -104,10 +104,8 @@ export function createTemplatePanel({ drafting, formats, onload, onsliders, ondo
   return {
     element, mark: points.mark, tell: (text) => { message.textContent = text; },
     render() {
-      const { contours } = drafting.draft;
       points.render();
-      paths.dataset.empty = contours.length ? "" : "No curves yet";
-      paths.replaceChildren(...contours.map((contour, k) => pathRow(drafting, contour, k)));
+      curves.render();
       refresh();
     },
     setBusy(now) {
@@ -118,20 +116,57 @@ export function createTemplatePanel({ drafting, formats, onload, onsliders, ondo
   };
 }
 
-function pathRow(drafting, { indices, closed }, k) {
-  const current = k === drafting.draft.path;
-  const label = `Curve ${k + 1}`;
-  const length = ` ${several(indices.length, "point")}${current ? ", being drawn" : ""}`;
-  const edit = (what, change, ...more) => () => drafting.apply(change(drafting.draft, k, ...more), what);
-  const small = (text, face, onclick, more = {}) =>
-    iconButton(`${text} curve ${k + 1}`, face, onclick, { small: true, ...more });
-  const state = { small: true, kind: "ghost", pressed: closed, "aria-label": `${label}: closed` };
-  return h("li.template-path", { class: current && "chosen" },
-    h("span.grow", label, h("span.muted.small", length)),
-    !current && indices.length > 2 &&
-      button(closed ? "closed" : "open", { ...state, onclick: edit("close the curve", drafts.setClosed, !closed) }),
-    !current && small("Continue", "edit", edit("continue the curve", drafts.continuePath)),
-    small("Delete", "trash", edit("delete the curve", drafts.removePath), { title: "Delete this curve; its points stay" }));
+/** The list of the curves, to name, close, continue or delete them. A row stays while its name is typed. */
+function curveRows(drafting) {
+  const rows = [];
+  const element = h("ul.template-paths", { "aria-label": "Curves of the template" });
+
+  function render() {
+    const { contours, path } = drafting.draft;
+    while (rows.length > contours.length) rows.pop().element.remove();
+    while (rows.length < contours.length) add(rows.length);
+    rows.forEach((row, k) => {
+      const { indices, closed, name = "" } = contours[k];
+      const isDrawn = k === path;
+      row.element.classList.toggle("chosen", isDrawn);
+      if (row.name.value !== name) row.name.value = name;
+      row.length.textContent = `${several(indices.length, "point")}${isDrawn ? ", being drawn" : ""}`;
+      row.closed.hidden = isDrawn || indices.length < 3;
+      row.closed.textContent = closed ? "closed" : "open";
+      row.closed.setAttribute("aria-label", `${drafts.curveText(contours[k], k)}: closed`);
+      press(row.closed, closed);
+      row.more.hidden = isDrawn;
+    });
+    element.dataset.empty = contours.length ? "" : "No curves yet";
+  }
+
+  function add(k) {
+    const edit = (what, change) => () => drafting.apply(change(drafting.draft, k), what);
+    const small = (text, face, onclick, more = {}) => iconButton(`${text} curve ${k + 1}`, face, onclick, { small: true, ...more });
+    const name = h("input.text", {
+      type: "text", placeholder: `Curve ${k + 1}`, "aria-label": `Name of curve ${k + 1}`, testid: "curve-name", maxlength: "100",
+      spellcheck: "false", autocomplete: "off", title: "Name of the curve, such as costa",
+      oninput: () => drafting.apply(drafts.nameCurve(drafting.draft, k, name.value), "rename the curve", `rename curve ${k}`),
+      onkeydown: (event) => {
+        if (event.key !== "Enter") return;
+        consume(event);
+        name.blur();
+      },
+    });
+    const length = h("span.muted.small");
+    const toggle = (draft) => drafts.setClosed(draft, k, !draft.contours[k].closed);
+    const closed = button("open", {
+      small: true, kind: "ghost", pressed: false, onclick: edit("close the curve", toggle), title: "Whether its last point is joined to its first",
+    });
+    const more = small("Continue", "edit", edit("continue the curve", (draft) => drafts.continuePath(draft, k)));
+    const gone = small("Delete", "trash", edit("delete the curve", (draft) => drafts.removePath(draft, k)), {
+      title: "Delete this curve; its points stay" });
+    const row = { element: h("li.template-path", name, length, closed, more, gone), name, length, closed, more };
+    rows.push(row);
+    element.append(row.element);
+  }
+
+  return { element, render };
 }
 
 /** The list of the points, to rename, reorder or delete them. */
