@@ -171,7 +171,7 @@ class Measure:
 
     @property
     def column(self) -> str:
-        """Name of its column, such as ``distance_1_5``, or that of the measure; of a named angle with ``_deg`` added."""
+        """Name of its column, such as ``distance_1_5``, or that of the measure, with ``_deg`` if it is an angle."""
         if self.name:
             return _column_of(self.name) + ("" if self.power else DEGREES)
         return re.sub(r"\W", "_", "_".join((self.kind, *self.landmarks)))
