@@ -565,6 +565,7 @@ class Agreement(TypedDict):
     points: Annotated[list[tuple[str, float, float]], "Name, deviation in pixels, and in percent of the size."]
     pictures: Annotated[list[tuple[str, float]], "Name and deviation."]
     unconfirmed: Annotated[list[str], "Pictures that do not count, since points were accepted as they were proposed."]
+    alone: Annotated[dict[str, str], "The only observer who has placed all points of a picture, by other pictures."]
     file: str
     table: str
     shapes: Annotated[list[ShapeAgreement], "Of each other observer and the set that is shown, from 5 pictures on."]

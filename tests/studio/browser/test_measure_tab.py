@@ -127,7 +127,8 @@ def test_a_measure_is_named_where_it_is_listed(measuring, artefacts):
     assert {"Wing_length", "opening_deg"} <= {*head}
 
 
-def test_pictures_without_a_measure_come_last_in_either_order(serve, page, wings):
+def test_pictures_without_a_measure_come_last_in_either_order_and_those_without_a_shape_are_told(serve, page, wings):
+    (wings / "female_03.ljson").unlink()
     incomplete = wings / "male_02.ljson"
     points = read_landmarks(incomplete).points.copy()
     points[4] = np.nan
@@ -142,6 +143,18 @@ def test_pictures_without_a_measure_come_last_in_either_order(serve, page, wings
     for order in (rising + last, rising[::-1] + last):
         page.locator("[data-testid^=sort-distance]").click()
         wait_until(page, lambda order=order: page.evaluate(find) == order)
+    told = page.locator("[data-testid=left-out]")
+    assert told.inner_text() == "Measures of 23 of 24 pictures. Left out: 1 picture"
+    page.locator("[data-testid=measure-view-shapes]").click()
+    told.get_by_text("Shapes of 22 of 24 pictures. Left out: 2 pictures").click()
+    assert told.locator("li").all_inner_texts() == [
+        "1 picture has no points yet – female_03.png",
+        "1 picture is not finished: points are missing – male_02.png",
+    ]
+    told.get_by_text("male_02.png").click()
+    wait_for(page, "() => window.liaamStudio.state.current === 'male_02.png'")
+    page.locator("[data-testid=measure-estimate]").check()
+    told.get_by_text("Shapes of 23 of 24 pictures, 1 of them with estimated points. Left out: 1 picture").wait_for()
 
 
 def test_an_unusual_shape_is_one_click_away(measuring, artefacts):

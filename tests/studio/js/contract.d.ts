@@ -587,6 +587,8 @@ interface Agreement {
   pictures: ([string, number])[];
   /** Pictures that do not count, since points were accepted as they were proposed. */
   unconfirmed: string[];
+  /** The only observer who has placed all points of a picture, by other pictures. */
+  alone: Record<string, string>;
   file: string;
   table: string;
   /** Of each other observer and the set that is shown, from 5 pictures on. */
