@@ -434,7 +434,7 @@ test("a click adds a point at its end, and shows it before", () => {
   assert.deepEqual([made.points, [...made.selection], said], [[[6, 7]], [0], ["point 1 added"]]);
 });
 
-test("a click on the path's first point closes it, with Shift the path runs through a point", () => {
+test("a click on the path's first point closes it, with Shift or on another point the path runs through it", () => {
   const { made, click } = drafting();
   made.togglePath();
   TRIANGLE.forEach(click);
@@ -445,6 +445,12 @@ test("a click on the path's first point closes it, with Shift the path runs thro
   click([50, 50]);
   assert.equal(made.press(1, { shiftKey: true }), true);
   assert.deepEqual(made.draft.contours[1].indices, [3, 1]);
+  made.click(2); // without dragging it
+  made.click(2);
+  assert.deepEqual(made.draft.contours[1].indices, [3, 1, 2]);
+  made.endPath();
+  made.click(0);
+  assert.deepEqual(made.draft.contours[1].indices, [3, 1, 2]);
 });
 
 test("while mirroring a click makes twins, but on the grip it drags the axis", () => {

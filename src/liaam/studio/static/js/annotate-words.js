@@ -1,7 +1,10 @@
 // Texts of the Annotate tab: prompts, descriptions, and announcements for screen readers.
 
-/** How the points of a picture are accepted: screens that are touched have no keys. */
-export const DONE_KEY = globalThis.matchMedia?.("(pointer: coarse)").matches ? "tap Accept" : "press Enter";
+/** Screens that are touched have no keys, and are not clicked. */
+export const IS_TOUCH = globalThis.matchMedia?.("(pointer: coarse)").matches ?? false;
+export const CLICK = IS_TOUCH ? "Tap" : "Click";
+/** How the points of a picture are accepted. */
+export const DONE_KEY = IS_TOUCH ? "tap Accept" : "press Enter";
 
 export const several = (number, what) => `${number} ${what}${number === 1 ? "" : "s"}`;
 
