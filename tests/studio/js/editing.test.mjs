@@ -550,7 +550,7 @@ test("where a point is, what comes next, and what is missing", () => {
   assert.equal(words.tallyOf(marking({ points: TRIANGLE, source: "proposal" }).made), "3 proposed");
   assert.equal(words.tallyOf(marking({ points: TRIANGLE }).made), "3 points");
   assert.match(words.promptOf(proposal), /^Placed by the model \(tip absent: U if not\)/);
-  assert.match(words.promptOf(made), /^1 point is missing/);
+  assert.match(words.promptOf(made), /^right is missing: select it in the list, then click its position/);
   made.select([1]);
   assert.equal(words.promptOf(made), "Click right");
   assert.match(words.missingText(NAMES, [1]), /^'right' is still missing here\. Place it,/);

@@ -67,7 +67,7 @@ export function createToolbar(tab) {
 const TEXTS = {
   saved: "Saved", saving: "Saving…", offline: "Not saved – server not reachable, retrying",
   failing: "Not saved – retrying", refused: "Not saved", conflict: "Not saved – changed elsewhere",
-  draft: "Not saved: press Done",
+  draft: "Press Done to save",
 };
 const WRONG = ["offline", "failing", "refused", "conflict"];
 

@@ -23,9 +23,9 @@ export function promptOf({ state, book, placing, names, active, missing, absent 
       : `Placed by the model${lacks}: drag wrong points, then ${DONE_KEY}`;
   }
   if (state.source === "layout") return "Mean shape: move it into place by its frame, then drag single points";
-  if (placing) return `Click ${names[active]}`;
-  const are = missing.length === 1 ? "point is" : "points are";
-  if (missing.length) return `${missing.length} ${are} missing: select one in the list, then click its position`;
+  if (placing) return `${CLICK} ${names[active]}`;
+  if (missing.length === 1) return `${names[missing[0]]} is missing: select it in the list, then ${CLICK.toLowerCase()} its position`;
+  if (missing.length) return `${missing.length} points are missing: select one in the list, then ${CLICK.toLowerCase()} its position`;
   return proposed ? `${several(proposed, "point")} as proposed: drag wrong ones, then ${DONE_KEY}` : "";
 }
 

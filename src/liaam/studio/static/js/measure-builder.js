@@ -1,5 +1,6 @@
 // The card in which a measure is made by clicking points, with the list of measures and the scale.
 
+import { CLICK } from "./annotate-words.js";
 import { KINDS, measureOf, measureText } from "./measures.js";
 import { picker } from "./shape-plots.js";
 import { curveText } from "./template.js";
@@ -103,7 +104,7 @@ export class MeasureBuilder {
     const [picked, tab] = [this.#picked, this.#tab];
     const { fewest, most } = KINDS[this.#kind.value];
     const count = fewest === most ? String(fewest) : `${fewest} or more`;
-    if (!picked.length) return `Click ${count} points${this.#kind.value === "angle" ? "; the angle is at the second" : ""}.`;
+    if (!picked.length) return `${CLICK} ${count} points${this.#kind.value === "angle" ? "; the angle is at the second" : ""}.`;
     const names = picked.map((i) => tab.names[i]).join(" – ");
     const lacking = fewest - picked.length;
     return lacking > 0 ? `${names}: ${lacking} more` : names;

@@ -273,7 +273,7 @@ export class Tab {
     if (chosen < 0) return this.state.picture()?.state === "proposed" ? "has proposed points only: accept them to measure it" : "has no landmarks yet";
     const { space } = this.#data;
     const shape = space ? space.of.indexOf(chosen) : -1;
-    if (shape < 0) return "";
+    if (shape < 0) return space ? "has no shape, since points are missing" : "";
     const distance = space.distances[shape];
     return `${numberText(distance)} from the mean shape${distance > space.limit ? ", unusual" : ""}`;
   }

@@ -89,7 +89,7 @@ function pointList(onchoose) {
   const item = (name, state, i) => h("li.point", {
     role: "option", id: `point-${i}`, dataset: { index: i, state }, "aria-label": `${name}, ${state}`,
   },
-  h("span.point-dot", { "aria-hidden": "true" }), h("span.number.muted", String(i + 1)),
+  h("span.point-dot", { "aria-hidden": "true" }), h("span.number.muted", name === String(i + 1) ? "" : String(i + 1)),
   h("span.point-name.grow", name), h("span.point-state.small.muted", !QUIET.includes(state) && state));
 
   return {
