@@ -708,7 +708,10 @@ def test_invisible_points_have_to_be_there(tmp_path: Path) -> None:
 def test_contours_come_back_from_ljson(tmp_path: Path, order: list[int], cuts: set[int], data: st.DataObject) -> None:
     bounds = [0, *sorted(cuts), 9]
     parts = [tuple(order[a:b]) for a, b in pairwise(bounds) if b - a > 1]
-    contours = tuple(Contour(part, len(part) > 2 and data.draw(st.booleans())) for part in parts)
+    names = [data.draw(st.sampled_from(["", f"curve {i}"])) for i in range(len(parts))]
+    contours = tuple(
+        Contour(part, len(part) > 2 and data.draw(st.booleans()), name) for part, name in zip(parts, names, strict=True)
+    )
     write_landmarks(tmp_path / "a.ljson", Landmarks(np.zeros((9, 2)), contours))
     assert read_landmarks(tmp_path / "a.ljson").contours == contours
 

@@ -89,6 +89,9 @@ def test_short_names() -> None:
     assert Measure.parse("angle:left-eye, nose, right-eye").landmarks == ("left-eye", "nose", "right-eye")
     assert Measure.parse("area:1-2-3-4").column == "area_1_2_3_4"
     assert Measure.parse("distance:left-eye,tip of nose").column == "distance_left_eye_tip_of_nose"
+    assert Measure.parse("wing length = distance:1-5") == Measure("distance", ("1", "5"), "wing length")
+    assert Measure.parse("wing length=distance:1-5").column == "wing_length"
+    assert Measure.parse("opening=angle:1-2-3").column == "opening_deg"
     assert parse_scale("0.012") == Length(0.012)
     assert parse_scale("0.0031mm") == Length(0.0031, "mm")
     assert parse_scale("11-12=5") == ScaleBar(("11", "12"), 5)
@@ -105,6 +108,10 @@ def test_unknown_measures(text: str) -> None:
 @pytest.mark.parametrize(
     ("text", "words"),
     [
+        ("12=distance:1-2", "cannot be called '12': .* with letters"),
+        ("a=b=distance:1-2", "cannot be called 'a=b': .* without ':' and '='"),
+        ("Centroid size=distance:1-2", "as another column of tables is"),
+        (f"{'w' * 61}=distance:1-2", "longer than 60 characters: shorten it"),
         ("distance:1-2-3", "distance takes 2 different landmarks"),
         ("distance:1-1", "distance takes 2 different"),
         ("angle:1-2", "angle takes 3 different"),
@@ -112,7 +119,7 @@ def test_unknown_measures(text: str) -> None:
         ("length:1", "length takes 2 or more different landmarks"),
     ],
 )
-def test_wrong_numbers_of_landmarks(text: str, words: str) -> None:
+def test_wrong_names_and_numbers_of_landmarks(text: str, words: str) -> None:
     with pytest.raises(LiaamError, match=words):
         Measure.parse(text)
 

@@ -9,6 +9,7 @@ import pytest
 from liaam.errors import LiaamError
 from liaam.io import write_columns
 from liaam.morphometry import Specimen, measure
+from liaam.morphometry.table import comparable
 
 SQUARE = np.array([[0.0, 0], [10, 0], [10, 10], [0, 10]])
 MEASURES = ("distance:1-2", "angle:1-2-3", "area:1-2-3-4")
@@ -58,6 +59,15 @@ def test_landmarks_by_name() -> None:
     assert table["distance_tip_left_eye"][0] == pytest.approx(np.sqrt(200))
     with pytest.raises(LiaamError, match=r"distance_1_9: there is no landmark '9'; give numbers from 1 to 4 or their"):
         measure([specimen], ["distance:1-9"])
+
+
+def test_columns_of_measures_with_names() -> None:
+    specimens = [square("a", scale=0.5, unit="mm"), square("b")]
+    table = measure(specimens, ["Wing length=distance:1-2", "opening=angle:1-2-3"])
+    assert table["Wing_length_mm"][0] == 5
+    assert comparable(table, "opening_deg").tolist() == [90, 90]  # angles need no scale
+    with pytest.raises(LiaamError, match="two measures have the column 'Width': give one of them another name"):
+        measure(specimens, ["width=distance:1-2", "Width=distance:1-3"])
 
 
 @pytest.mark.parametrize("scale", [None, "0.02", "7-8=3"])

@@ -9,9 +9,9 @@ from liaam.studio.contract import ShapesQuery
 from liaam.studio.measuring import kept_in
 from liaam.studio.project import Project
 from liaam.studio.sets import make_set
-from liaam.studio.shapes import table
+from liaam.studio.shapes import shapes, table
 
-NOTHING = {"measures": [], "scale": "", "by": "", "gone": []}
+NOTHING = {"measures": [], "names": {}, "scale": "", "by": "", "gone": []}
 
 
 def test_measures_the_scale_and_groups_survive_a_restart(small):
@@ -19,24 +19,26 @@ def test_measures_the_scale_and_groups_survive_a_restart(small):
     small.save_measuring({"add": ["distance:1-2", "angle:a-b-c"], "by": "name"})
     small.save_measuring({"add": ["distance:1-2"], "scale": "a-c=5 mm"})
     kept = kept_in(Project(small.root).store)
-    assert kept == {"measures": ["distance:1-2", "angle:1-2-3"], "scale": "1-3=5 mm", "by": "name", "gone": []}
+    measures = ["distance:1-2", "angle:1-2-3"]
+    assert kept == {"measures": measures, "names": {}, "scale": "1-3=5 mm", "by": "name", "gone": []}
     small.save_measuring({"remove": ["distance:1-2"], "scale": "", "by": ""})
     assert kept_in(small.store) == {**NOTHING, "measures": ["angle:1-2-3"]}
 
 
 def test_measures_follow_their_landmarks_through_a_change_of_the_template(small):
-    small.save_measuring({"add": ["distance:a-c", "angle:a-b-c"], "scale": "b-c=2 mm"})
+    small.save_measuring({"add": ["wing length=distance:a-c", "angle:a-b-c"], "scale": "b-c=2 mm"})
     small.save_template({"names": ["apex", "new", "a", "b"], "mapping": [2, None, 0, 1]})
     kept = kept_in(Project(small.root).store)
-    assert kept == {"measures": ["distance:3-1", "angle:3-4-1"], "scale": "4-1=2 mm", "by": "", "gone": []}
+    measures = {"measures": ["distance:3-1", "angle:3-4-1"], "names": {"distance:3-1": "wing length"}}
+    assert kept == {**measures, "scale": "4-1=2 mm", "by": "", "gone": []}
 
 
 def test_measures_whose_landmark_is_gone_are_named_until_that_was_seen(small):
-    small.save_measuring({"add": ["distance:a-c", "distance:a-b"], "scale": "b-c=2 mm"})
+    small.save_measuring({"add": ["width=distance:a-c", "distance:a-b"], "scale": "b-c=2 mm"})
     small.save_template({"names": ["b", "a"], "mapping": [1, 0]})
     kept = kept_in(small.store)
     assert kept["measures"] == ["distance:2-1"] and kept["scale"] == ""
-    assert kept["gone"] == ["distance: a – c", "scale: b – c = 2 mm"]
+    assert kept["gone"] == ["width (distance: a – c)", "scale: b – c = 2 mm"]
     assert small.save_measuring({"seen": True})["gone"] == []
 
 
@@ -58,6 +60,23 @@ def test_columns_of_the_table_have_the_names_of_the_landmarks(small):
     put(small, "p1.png", POINTS)
     rows = csv.DictReader(table(small, ShapesQuery(measures="distance:1-3 length:1-3-2"))[1].decode().splitlines())
     assert {"distance_a_c", "length_a_c_b"} <= {*(rows.fieldnames or ())}
+
+
+def test_a_measure_has_a_name_of_its_own_in_the_table(small):
+    put(small, "p1.png", POINTS)
+    small.save_measuring({"add": ["distance:1-3", "distance:1-2", "angle:1-2-3"]})
+    small.save_measuring({"names": {"distance:1-3": " Wing length ", "angle:1-2-3": "opening"}})
+    asked = ShapesQuery(measures="distance:1-3 distance:1-2 angle:1-2-3")
+    rows = csv.DictReader(table(small, asked)[1].decode().splitlines())
+    assert {"Wing_length", "distance_a_b", "opening_deg"} <= {*(rows.fieldnames or ())}
+    assert [column["called"] for column in shapes(small, asked)["columns"]] == ["Wing length", "", "opening", ""]
+    said = str(refused(small.save_measuring, {"names": {"distance:1-2": "wing-length"}}))
+    assert "'wing-length' is the name of another measure (distance: a – c): choose another name, or rename" in said
+    assert "cannot be called 'side'" in str(refused(small.save_measuring, {"names": {"distance:1-2": "side"}}))
+    assert kept_in(small.store)["names"] == {"distance:1-3": "Wing length", "angle:1-2-3": "opening"}
+    small.save_measuring({"names": {"distance:1-3": ""}})
+    small.save_measuring({"remove": ["angle:1-2-3"]})
+    assert kept_in(small.store)["names"] == {}
 
 
 @pytest.mark.parametrize(

@@ -17,7 +17,8 @@ def test_proposals_are_shown_until_there_are_landmarks(small):
         assert (marks["source"], marks["points"], marks["revision"]) == ("proposal", POINTS, None)
         assert marks["quality"] == 0.9
     put(small, "p1.png", POINTS)  # taken as it is
-    assert small.marks("p1.png")["source"] == "file"
+    marks = small.marks("p1.png")
+    assert (marks["source"], marks["fitted"], len(marks["covariances"])) == ("file", POINTS, 3)  # for the ellipses
     assert by_name(small)["p1.png"]["uncertainty"] is None
     assert by_name(small)["p2.png"]["rank"] == 1
 

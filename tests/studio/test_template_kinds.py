@@ -1,9 +1,9 @@
 """Kinds of points: landmarks, and semilandmarks that slide along a curve."""
 
 import pytest
-from small_projects import TRIANGLE, put, refused
+from small_projects import POINTS, TRIANGLE, put, refused
 
-from liaam.io import Contour, Landmarks
+from liaam.io import Contour, Landmarks, read_landmarks
 from liaam.studio.project import Project
 from liaam.studio.template import sliders_text, template_of
 
@@ -26,6 +26,18 @@ def test_points_between_the_ends_of_contours_in_a_file_are_semilandmarks(small):
     contours = (Contour((0, 1, 2)), Contour((2, 3, 0)), Contour((4, 5, 6), closed=True))
     kinds = template_of(Landmarks(points, contours)).kinds
     assert [i for i, kind in enumerate(kinds) if kind == "semilandmark"] == [1, 3, 5, 6]
+
+
+def test_the_name_of_a_curve_goes_to_the_landmark_files_and_comes_back(small):
+    put(small, "p1.png", POINTS)
+    two = [{"indices": [0, 1, 2], "closed": False, "name": " costa "}, {"indices": [0, 2], "closed": False}]
+    small.save_template({**CURVE, "contours": two})
+    stored = read_landmarks(small.root / "p1.ljson")
+    assert stored.contours == (Contour((0, 1, 2), name="costa"), Contour((0, 2)))
+    assert template_of(stored).as_json()["contours"] == [{**two[0], "name": "costa"}, two[1]]
+    for second in ("Costa", 7, "x" * 101, "a\nb"):
+        said = str(refused(small.save_template, {**CURVE, "contours": [two[0], {**two[1], "name": second}]}))
+        assert "two curves have the name 'costa': rename one" in said or "the name of curve 2 is not valid" in said
 
 
 def test_kinds_that_are_not_valid_are_refused(small):

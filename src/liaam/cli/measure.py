@@ -87,7 +87,7 @@ def measure(
             metavar="MEASURE...",
             help="distance:1-5, angle:1-2-3 (at landmark 2), area:1-2-3-4 or length:1-2-3-4 (of the line through "
             "them), with landmarks counted from 1, or with "
-            "their names.",
+            "their names. A name of the measure may come first: 'wing length=distance:1-5'.",
         ),
     ] = None,
     scales: Annotated[

@@ -105,8 +105,18 @@ _KINDS = {
 
 _REMEDY = (
     "give distance:1-5, angle:1-2-3 (at landmark 2), area:1-2-3-4 or length:1-2-3-4 (of the line through them), with "
-    "landmarks counted from 1, or with their names"
+    "landmarks counted from 1, or with their names; a name may come first, as in 'wing length=distance:1-5'"
 )
+
+LONGEST_NAME = 60
+"""Characters of the name of a measure."""
+
+_OTHER_COLUMNS = re.compile(
+    r"specimen|image|individual|status|side|group|estimated|scale|scale_.*|centroid_size.*|distance_from_mean|"
+    r"[xy]\d+|pc\d+|.*_se",
+    re.IGNORECASE,
+)
+"""Columns of tables of measurements that are no measures of a person's."""
 
 
 @dataclass(frozen=True)
@@ -118,27 +128,40 @@ class Measure:
     kind : {"distance", "angle", "area", "length"}
     landmarks : tuple of str
         Landmarks by number, counted from 1, or by name.
+    name : str
+        What a person calls it, such as ``wing length``; empty if nothing. Its column has this name.
+
+    Raises
+    ------
+    LiaamError
+        If the name has no letter or is that of another column.
     """
 
     kind: str
     landmarks: tuple[str, ...]
+    name: str = ""
+
+    def __post_init__(self) -> None:
+        if self.name:
+            _check_name(self.name)
 
     @classmethod
     def parse(cls, text: str) -> Measure:
         """Parse ``distance:1-5``, ``angle:1-2-3``, ``area:1-2-3-4`` or ``length:1-2-3-4``.
 
-        Commas separate names that contain hyphens.
+        Commas separate names that contain hyphens. A name of the measure may come first: ``wing length=distance:1-5``.
 
         Raises
         ------
         LiaamError
             If the kind is unknown or the number of landmarks does not suit it.
         """
-        kind, _, rest = text.partition(":")
+        called, _, rest = text.partition(":")
+        name, _, kind = map(str.strip, called.rpartition("="))
         landmarks = _split(rest)
         if kind not in _KINDS or not all(landmarks):
             raise LiaamError(f"measure '{text}': {_REMEDY}")
-        measure = cls(kind, landmarks)
+        measure = cls(kind, landmarks, name)
         fewest = _KINDS[kind].fewest
         most = _KINDS[kind].most
         if not fewest <= len(landmarks) <= most or len(set(landmarks)) < len(landmarks):
@@ -148,7 +171,9 @@ class Measure:
 
     @property
     def column(self) -> str:
-        """Name of its column, such as ``distance_1_5``."""
+        """Name of its column, such as ``distance_1_5``, or that of the measure, with ``_deg`` if it is an angle."""
+        if self.name:
+            return _column_of(self.name) + ("" if self.power else DEGREES)
         return re.sub(r"\W", "_", "_".join((self.kind, *self.landmarks)))
 
     @property
@@ -159,6 +184,32 @@ class Measure:
     def __call__(self, points: np.ndarray) -> Measured:
         """Measure the points of its landmarks, (k, 2)."""
         return _KINDS[self.kind].function(points)
+
+
+DEGREES = "_deg"
+"""End of the column of an angle that has a name."""
+
+
+def same_name(one: str, other: str) -> bool:
+    """Return whether two names of measures would be one in a table."""
+    return _column_of(one).casefold() == _column_of(other).casefold()
+
+
+def _column_of(name: str) -> str:
+    return re.sub(r"\W+", "_", name).strip("_")
+
+
+def _check_name(name: str) -> None:
+    """Raise if a measure cannot have a name."""
+    remedy = "give it another name, such as 'wing length'"
+    if not re.search(r"[^\W\d_]", name) or not name.isprintable() or {*":="} & {*name}:
+        raise LiaamError(f"a measure cannot be called '{name}': {remedy}, with letters and without ':' and '='")
+    if len(name) > LONGEST_NAME:
+        raise LiaamError(
+            f"the name '{name[:LONGEST_NAME]}…' of a measure is longer than {LONGEST_NAME} characters: shorten it"
+        )
+    if _OTHER_COLUMNS.fullmatch(_column_of(name)):
+        raise LiaamError(f"a measure cannot be called '{name}', as another column of tables is: {remedy}")
 
 
 @dataclass(frozen=True)

@@ -16,6 +16,7 @@ from liaam.io.landmarks import Contour
 from liaam.model.shape import procrustes_mean
 from liaam.morphometry.curves import slide as slid
 from liaam.morphometry.measures import (
+    DEGREES,
     Measure,
     Measured,
     ScaleBar,
@@ -62,7 +63,8 @@ def measure(
         Those that have other landmarks than most are left out with a warning, see :func:`alike`.
     measures : str, or iterable of str or Measure
         Such as ``"distance:1-5"``, ``"angle:1-2-3"`` (at landmark 2), ``"area:1-2-3-4"`` and ``"length:1-2-3-4"`` (of
-        the line through the landmarks), by numbers counted from 1 or by names.
+        the line through the landmarks), by numbers counted from 1 or by names. A name of the measure may come first, as
+        in ``"wing length=distance:1-5"``, which is that of its column, ``wing_length``.
     scale : str, float, Length or ScaleBar, optional
         Length of a pixel, such as ``"0.0031 mm"``, or a scale bar such as ``"11-12=5 mm"``, whose ends are then not
         part of the shape. A unit alone, such as ``"mm"``, is that of the specimens whose scale has none. Default: each
@@ -83,8 +85,8 @@ def measure(
     Raises
     ------
     LiaamError
-        If there is no specimen with landmarks or curves to use, a measure names a landmark that does not exist, or some
-        scales have a unit and others have none.
+        If there is no specimen with landmarks or curves to use, a measure names a landmark that does not exist, two
+        measures have one name, or some scales have a unit and others have none.
     """
     specimens, left_out = alike(specimens)
     for line in left_out:
@@ -100,6 +102,7 @@ def measure(
     n = len(usable[0].points)
     given = [measures] if isinstance(measures, str) else measures
     wanted = [Measure.parse(item) if isinstance(item, str) else item for item in given]
+    _check_columns(wanted)
     names = next((specimen.names for specimen in usable if specimen.names), ())
     places = [indices_of(item.column, item.landmarks, names, n) for item in wanted]
     rule = parse_scale(str(scale)) if isinstance(scale, str | float | int) else scale
@@ -116,6 +119,15 @@ def measure(
     mean = procrustes_mean(np.array([specimens[i].points[inside] for i in whole])) if whole else None
     with np.errstate(divide="ignore", invalid="ignore"):  # by points that are missing or coincide
         return _columns([_row(specimen, items, rule, bar, mean, unit) for specimen in specimens], unit)
+
+
+def _check_columns(wanted: Sequence[Measure]) -> None:
+    """Raise if two measures of different landmarks would have one column."""
+    known: dict[str, Measure] = {}
+    for item in wanted:
+        other = known.setdefault(item.column.casefold(), item)
+        if replace(other, name="") != replace(item, name=""):
+            raise LiaamError(f"two measures have the column '{item.column}': give one of them another name")
 
 
 def in_unit(column: str, unit: str, power: int = 1) -> str:
@@ -155,7 +167,7 @@ def comparable(columns: Columns, name: str) -> np.ndarray:
     """
     values = np.array(columns[name], np.float64)
     scales = scales_in(columns)
-    is_angle = name.startswith("angle_")
+    is_angle = name.startswith("angle_") or name.endswith(DEGREES)
     return values if scales is None or is_angle else np.where(np.isfinite(scales), values, np.nan)
 
 
@@ -248,7 +260,7 @@ def _in_order(specimen: Specimen, names: tuple[str, ...]) -> Specimen:
     order = [specimen.names.index(name) for name in names]
     spread = None if specimen.covariances is None else np.asarray(specimen.covariances)[order]
     place = {index: i for i, index in enumerate(order)}
-    curves = tuple(Contour(tuple(place[i] for i in curve.indices), curve.closed) for curve in specimen.curves)
+    curves = tuple(replace(curve, indices=tuple(place[i] for i in curve.indices)) for curve in specimen.curves)
     estimated = tuple(place[i] for i in specimen.estimated)
     return replace(
         specimen, points=specimen.points[order], covariances=spread, names=names, curves=curves, estimated=estimated

@@ -61,6 +61,7 @@ class Contour(TypedDict):
 
     indices: list[int]
     closed: bool
+    name: Annotated[NotRequired[str], "What a person calls it; empty if nothing."]
 
 
 class Picture(TypedDict):
@@ -148,7 +149,8 @@ class Marks(TypedDict):
     revision: str | None
     tag: str
     file: str | None
-    covariances: list[list[list[float]]] | None
+    covariances: Annotated[list[list[list[float]]] | None, "Of the points that the model proposes, even beside a file."]
+    fitted: Annotated[list[Point] | None, "These points, which the covariances belong to."]
     quality: float | None
     status: str | None
     doubtful: bool
@@ -381,6 +383,7 @@ class Measuring(TypedDict):
     measures: Annotated[list[str], "Such as distance:1-5, with numbers of points."]
     scale: Annotated[str, "Of pictures that have none, such as 11-12=5 mm; empty if none is given."]
     by: Annotated[str, "What groups pictures: folder, name or table; empty if nothing."]
+    names: Annotated[dict[str, str], "What a person calls measures, by measure."]
     gone: Annotated[list[str], "What a change of the template has removed with its points, in words."]
 
 
@@ -390,6 +393,7 @@ class SaveMeasuring(Request):
 
     add: Annotated[list[str] | Omitted, "Measures, with numbers or names of points."] = OMITTED
     remove: Annotated[list[str] | Omitted, "Measures as they are kept."] = OMITTED
+    names: Annotated[dict[str, str] | Omitted, "New names of measures; an empty one takes the name away."] = OMITTED
     scale: str | Omitted = OMITTED
     by: str | Omitted = OMITTED
     seen: Annotated[bool, "Whether what is gone was seen, and need not be said again."] = False
@@ -449,6 +453,7 @@ class Column(TypedDict):
     """A measure of all pictures with landmarks."""
 
     measure: Annotated[str | None, "Such as distance:1-5; null: the centroid size."]
+    called: Annotated[str, "What a person calls it; empty if nothing."]
     name: str
     unit: Annotated[str, "px, °, or a unit of length or area."]
     values: Annotated[list[float | None], "null: a landmark is missing, or the picture has no scale."]
@@ -560,6 +565,7 @@ class Agreement(TypedDict):
     points: Annotated[list[tuple[str, float, float]], "Name, deviation in pixels, and in percent of the size."]
     pictures: Annotated[list[tuple[str, float]], "Name and deviation."]
     unconfirmed: Annotated[list[str], "Pictures that do not count, since points were accepted as they were proposed."]
+    alone: Annotated[dict[str, str], "The only observer who has placed all points of a picture, by other pictures."]
     file: str
     table: str
     shapes: Annotated[list[ShapeAgreement], "Of each other observer and the set that is shown, from 5 pictures on."]

@@ -5,10 +5,11 @@ landmarks, and a change of the template gives them the new numbers. Those that l
 """
 
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import Any
 
 from liaam.morphometry import Measure
-from liaam.morphometry.measures import ScaleBar, indices_of, parse_scale
+from liaam.morphometry.measures import ScaleBar, indices_of, parse_scale, same_name
 from liaam.studio import contract
 from liaam.studio.contract import OMITTED
 from liaam.studio.refusal import Refusal, refusing
@@ -29,8 +30,9 @@ MOST = 200
 
 def kept_in(store: Store) -> contract.Measuring:
     """Return what is measured in a folder, or a set of its landmarks."""
-    nothing: contract.Measuring = {"measures": [], "scale": "", "by": "", "gone": []}
-    return store.get(MEASURING) or nothing
+    nothing: contract.Measuring = {"measures": [], "names": {}, "scale": "", "by": "", "gone": []}
+    kept: contract.Measuring = store.get(MEASURING) or nothing
+    return {**nothing, **kept}  # earlier versions kept no names
 
 
 def changed(kept: contract.Measuring, asked: contract.SaveMeasuring, names: Sequence[str]) -> contract.Measuring:
@@ -38,15 +40,50 @@ def changed(kept: contract.Measuring, asked: contract.SaveMeasuring, names: Sequ
     add = [] if asked.add is OMITTED else _texts(asked.add, "add")
     remove = [] if asked.remove is OMITTED else _texts(asked.remove, "remove")
     with refusing():
-        added = [_numbered(Measure.parse(text), names) for text in add]
+        parsed = [Measure.parse(text) for text in add]
+        added = {_numbered(measure, names): measure.name for measure in parsed}
         measures = [text for text in dict.fromkeys([*kept["measures"], *added]) if text not in remove]
+        given = {text: name for text, name in added.items() if name} | _new_names(asked.names)
+        called = _renamed(kept["names"], given, measures, names)
         scale = kept["scale"] if asked.scale is OMITTED else _numbered_scale(asked.scale, names)
     by = kept["by"] if asked.by is OMITTED else asked.by
     if by not in [*GROUPED_BY]:
         raise Refusal(422, f"pictures cannot be grouped by '{str(by)[:20]}': choose one of {', '.join(GROUPED_BY[1:])}")
     if len(measures) > MOST:
         raise Refusal(422, f"there are {len(measures)} measures, more than the {MOST} allowed: remove some")
-    return {"measures": measures, "scale": scale, "by": by, "gone": [] if asked.seen is True else kept["gone"]}
+    gone = [] if asked.seen is True else kept["gone"]
+    return {"measures": measures, "names": called, "scale": scale, "by": by, "gone": gone}
+
+
+def _new_names(data: Any) -> dict[str, str]:
+    if data is OMITTED:
+        return {}
+    if not isinstance(data, dict) or not all(isinstance(name, str) for name in data.values()):
+        raise Refusal(422, "names is not valid: send the name of each measure, such as {'distance:1-5': 'wing length'}")
+    return {measure: name.strip() for measure, name in data.items()}
+
+
+def _renamed(
+    before: dict[str, str], given: dict[str, str], measures: Sequence[str], landmarks: Sequence[str]
+) -> dict[str, str]:
+    """Return the names of measures after some have been given new ones."""
+    after = {measure: name for measure, name in (before | given).items() if name and measure in measures}
+    for measure, name in given.items():
+        replace(Measure.parse(measure), name=name)  # refuses what cannot be a name
+        owner = next((each for each in measures if each != measure and _has_name(each, after.get(each), name)), None)
+        if name and owner is not None:
+            taken = f"'{name}' is the name of another measure ({_described(Measure.parse(owner), landmarks)})"
+            raise Refusal(422, f"{taken}: choose another name, or rename that measure first")
+    return after
+
+
+def _has_name(measure: str, called: str | None, name: str) -> bool:
+    """Return whether a measure, as it is called, would have the column of a name in tables."""
+    return same_name(called or Measure.parse(measure).column, name)
+
+
+def _described(measure: Measure, landmarks: Sequence[str]) -> str:
+    return f"{measure.kind}: {_called(measure.landmarks, landmarks)}"
 
 
 def followed(kept: contract.Measuring, mapping: Sequence[int | None], names: Sequence[str]) -> contract.Measuring:
@@ -63,13 +100,16 @@ def followed(kept: contract.Measuring, mapping: Sequence[int | None], names: Seq
     """
     place = {str(old + 1): str(new + 1) for new, old in enumerate(mapping) if old is not None}
     measures = []
+    called = {}
     gone = [*kept["gone"]]
     for text in kept["measures"]:
         measure = Measure.parse(text)
+        name = kept["names"].get(text, "")
         if all(number in place for number in measure.landmarks):
             measures.append(_text(measure.kind, [place[number] for number in measure.landmarks]))
+            called |= {measures[-1]: name} if name else {}
         else:
-            gone.append(f"{measure.kind}: {_called(measure.landmarks, names)}")
+            gone.append(f"{name} ({_described(measure, names)})" if name else _described(measure, names))
     scale = kept["scale"]
     bar = parse_scale(scale) if scale else None
     if isinstance(bar, ScaleBar):
@@ -79,18 +119,20 @@ def followed(kept: contract.Measuring, mapping: Sequence[int | None], names: Seq
         else:
             gone.append(f"scale: {_called(bar.ends, names)} = {length}")
             scale = ""
-    return {"measures": measures, "scale": scale, "by": kept["by"], "gone": gone}
+    return {"measures": measures, "names": called, "scale": scale, "by": kept["by"], "gone": gone}
 
 
 def columns_of(measures: Sequence[Measure], names: Sequence[str]) -> dict[str, str]:
     """Return the columns of measures by those that names of landmarks make, such as ``distance_base_tip``.
 
+    Measures that have a name keep it.
     Columns stay as they are where names would make two alike.
     """
     named = {}
     for measure in measures:
         indices = indices_of("measures", measure.landmarks, names, len(names))
-        named[measure.column] = Measure(measure.kind, tuple(names[i] for i in indices)).column
+        own = measure if measure.name else Measure(measure.kind, tuple(names[i] for i in indices))
+        named[measure.column] = own.column
     unique = [column for column in named.values() if [*named.values()].count(column) == 1]
     return {column: name for column, name in named.items() if name in unique}
 

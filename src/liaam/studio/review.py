@@ -253,6 +253,7 @@ class PictureStates:
             "tag": file.tag,
             "file": marks.file or None,
             "covariances": None,
+            "fitted": None,
             "quality": None,
             "status": None,
             "doubtful": False,
@@ -266,14 +267,18 @@ class PictureStates:
             "origins": None,
             "beside": self.beside(file, marks),
         }
+        proposal = self.proposal_of(file)
+        if proposal is not None:
+            answer["covariances"] = proposal["covariances"]
+            answer["fitted"] = proposal["points"]
         if marks.landmarks is not None and marks.n_placed:
             answer["source"] = "file"
             answer["points"] = marks.points
             answer["invisible"] = list(marks.landmarks.invisible)
             answer["origins"] = self.origins_of(file, marks)
-        elif (proposal := self.proposal_of(file)) is not None:
+        elif proposal is not None:
             answer["source"] = "proposal"
-            for key in ("points", "covariances", "quality", "status", "doubtful"):
+            for key in ("points", "quality", "status", "doubtful"):
                 answer[key] = proposal[key]
             answer["absent"] = self._absent_with(file, proposal)
             answer["points"] = [None if i in answer["absent"] else point for i, point in enumerate(answer["points"])]

@@ -125,6 +125,11 @@ def agreement(project: Project) -> contract.Agreement:
         "points": sorted(points, key=lambda row: -row[1]),
         "pictures": sorted(spread.items(), key=lambda item: -item[1]),
         "unconfirmed": sorted(unconfirmed - pictures.keys()),
+        "alone": {
+            picture: next(iter(values))
+            for picture, values in sorted(placed.items())
+            if picture not in pictures and picture not in unconfirmed
+        },
         "file": f"{plain_name(project.title)}-agreement.csv",
         "table": columns_text(table),
         "shapes": [

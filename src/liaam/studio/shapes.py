@@ -31,7 +31,7 @@ from liaam.scale.lengths import unit_of
 from liaam.studio import contract
 from liaam.studio.contract import ShapesQuery
 from liaam.studio.folder import plain_name
-from liaam.studio.measuring import GROUPED_BY, GROUPS, columns_of
+from liaam.studio.measuring import GROUPED_BY, GROUPS, columns_of, kept_in
 from liaam.studio.project import Placed, Project
 from liaam.studio.refusal import Refusal
 from liaam.studio.sides import for_measuring
@@ -79,7 +79,9 @@ def sample_of(project: Project, asked: ShapesQuery) -> Sample:
     scale = asked.scale or _unit_of_files(specimens)
     if asked.estimate:
         specimens, _ = with_estimated_landmarks(specimens, "tps", scale)
-    measures = tuple(dict.fromkeys(Measure.parse(text) for text in asked.measures.split()))
+    called = kept_in(project.store)["names"]
+    texts = dict.fromkeys(asked.measures.split())
+    measures = tuple(replace(Measure.parse(text), name=called.get(text, "")) for text in texts)
     columns = measure(specimens, measures, scale)
     return Sample(
         pictures=tuple(picture.file.name for picture in placed),
@@ -244,6 +246,7 @@ def _column_json(sample: Sample, name: str, wanted: Measure | None, power: int) 
     units = {0: "°", 1: unit, 2: f"{unit}²"}
     return {
         "measure": None if wanted is None else f"{wanted.kind}:{'-'.join(wanted.landmarks)}",
+        "called": "" if wanted is None else wanted.name,
         "name": name,
         "unit": units[power],
         "values": finite_list(comparable(sample.columns, name)),

@@ -62,11 +62,16 @@ class Template:
         """Return the template as JSON for :func:`parse_template`."""
         return {
             "names": [*self.names],
-            "contours": [{"indices": [*contour.indices], "closed": contour.closed} for contour in self.contours],
+            "contours": [_contour_json(contour) for contour in self.contours],
             "mirror": None if self.mirror is None else [*self.mirror],
             "points": None if self.points is None else [[*point] for point in self.points],
             "kinds": [*self.kinds],
         }
+
+
+def _contour_json(contour: Contour) -> contract.Contour:
+    named: contract.Contour = {"indices": [*contour.indices], "closed": contour.closed}
+    return {**named, "name": contour.name} if contour.name else named
 
 
 def parse_template(data: Any, most: int) -> Template:
@@ -125,8 +130,19 @@ def _parse_contours(data: list[contract.Contour] | None, n: int) -> tuple[Contou
         indices = parse_indices(item["indices"], n, f"contour {i}")
         if len(indices) < 2:
             raise Refusal(422, f"contour {i} has fewer than 2 points: add one, or remove the contour")
-        contours.append(Contour(tuple(indices), item["closed"]))
+        contours.append(Contour(tuple(indices), item["closed"], _parse_name_of_curve(item.get("name", ""), i)))
+    called = [contour.name.casefold() for contour in contours if contour.name]
+    duplicate = next((contour.name for contour in contours if called.count(contour.name.casefold()) > 1), None)
+    if duplicate is not None:
+        raise Refusal(422, f"two curves have the name '{duplicate}': rename one")
     return tuple(contours)
+
+
+def _parse_name_of_curve(data: Any, number: int) -> str:
+    """Check the name of a curve, which may be empty."""
+    if not isinstance(data, str) or not data.isprintable() or len(data) > LONGEST_NAME:
+        raise Refusal(422, f"the name of curve {number} is not valid: send at most {LONGEST_NAME} printable characters")
+    return data.strip()
 
 
 def _parse_kinds(data: Any, names: Sequence[str], contours: Sequence[Contour]) -> tuple[contract.Kind, ...]:

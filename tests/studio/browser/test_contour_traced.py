@@ -131,7 +131,7 @@ def test_points_are_replaced_and_spaced_evenly(lips, serve, open_page):
     for place in (ARC[0], (50, 190), (60, 180)):
         press(*client(page, [float(v) for v in place]))
     page.locator("[data-testid=point-list] [data-index='1']").click()
-    page.get_by_role("button", name="Space the contour's points evenly").click()
+    page.get_by_role("button", name="Space the curve's points evenly").click()
     points = points_of(page)[list(UPPER)]
     steps = np.linalg.norm(np.diff(points, axis=0), axis=1)
     assert np.isfinite(points).all() and steps.max() / steps.min() < 1.01
@@ -149,4 +149,4 @@ def test_without_contours_there_is_nothing_to_trace(marked, serve, page):
     opened(page, "portrait-01.png")
     assert page.locator("[data-testid=trace]").is_disabled()
     page.keyboard.press("c")
-    page.locator(".toast", has_text="The template defines the contours").wait_for()
+    page.locator(".toast", has_text="Draw curves in the template").wait_for()

@@ -103,7 +103,32 @@ def test_measures_are_made_by_clicking_and_follow_the_points(measuring, wings, a
     wait_for(page, find, [names.index(shortest), before])
 
 
-def test_pictures_without_a_measure_come_last_in_either_order(serve, page, wings):
+def test_a_measure_is_named_where_it_is_listed(measuring, artefacts):
+    page = measuring
+    add(page, "distance", 0, 4)
+    add(page, "angle", 0, 8, 4)
+    names = page.locator("[data-testid=measure-name]")
+    names.nth(0).fill("Wing length")
+    names.nth(0).press("Enter")
+    page.locator("[aria-label=Histogram] h2", has_text="Wing length, px").wait_for()
+    names.nth(1).fill("wing length")
+    names.nth(1).press("Tab")
+    fault = page.locator("[data-testid=measure-name-fault]")
+    fault.get_by_text("is the name of another measure (distance: base – tip): choose another name").wait_for()
+    assert names.nth(1).input_value() == "wing length"
+    shoot(page, artefacts, "measure-names-1280")
+    names.nth(1).fill("opening")
+    names.nth(1).press("Enter")
+    fault.wait_for(state="hidden")
+    page.locator("th", has_text="opening, °").wait_for()
+    with page.expect_download() as download:
+        page.locator("[data-testid=measure-save]").select_option("csv")
+    head = Path(download.value.path()).read_text().splitlines()[0].split(",")
+    assert {"Wing_length", "opening_deg"} <= {*head}
+
+
+def test_pictures_without_a_measure_come_last_in_either_order_and_those_without_a_shape_are_told(serve, page, wings):
+    (wings / "female_03.ljson").unlink()
     incomplete = wings / "male_02.ljson"
     points = read_landmarks(incomplete).points.copy()
     points[4] = np.nan
@@ -118,6 +143,18 @@ def test_pictures_without_a_measure_come_last_in_either_order(serve, page, wings
     for order in (rising + last, rising[::-1] + last):
         page.locator("[data-testid^=sort-distance]").click()
         wait_until(page, lambda order=order: page.evaluate(find) == order)
+    told = page.locator("[data-testid=left-out]")
+    assert told.inner_text() == "Measures of 23 of 24 pictures. Left out: 1 picture"
+    page.locator("[data-testid=measure-view-shapes]").click()
+    told.get_by_text("Shapes of 22 of 24 pictures. Left out: 2 pictures").click()
+    assert told.locator("li").all_inner_texts() == [
+        "1 picture has no points yet – female_03.png",
+        "1 picture is not finished: points are missing – male_02.png",
+    ]
+    told.get_by_text("male_02.png").click()
+    wait_for(page, "() => window.liaamStudio.state.current === 'male_02.png'")
+    page.locator("[data-testid=measure-estimate]").check()
+    told.get_by_text("Shapes of 23 of 24 pictures, 1 of them with estimated points. Left out: 1 picture").wait_for()
 
 
 def test_an_unusual_shape_is_one_click_away(measuring, artefacts):

@@ -99,6 +99,12 @@ def test_the_picture_goes_on_under_the_panels(page, serve, marked):
     wait_for(page, f"(where) => ({PIXEL})(where).some((value) => value > 0)", ["annotate", *under])
 
 
+THUMBNAILS = (
+    "() => [...document.querySelectorAll('[data-testid=strip] img')].every((img) => img.complete && img.naturalWidth)"
+)
+"""Whether those in the list have been fetched."""
+
+
 def test_brightness_changes_what_is_seen_and_never_the_file(page, serve, tiles, artefacts):
     page.goto(serve(tiles).address)
     opened(page, NAMES[0])
@@ -106,6 +112,7 @@ def test_brightness_changes_what_is_seen_and_never_the_file(page, serve, tiles, 
     at = client(page, [123.5, 83.5])
     wait_for_pixel(page, at, read_image(tiles / NAMES[0])[83, 123], within=25)  # the page has it as a JPEG
     plain = pixel(page, at)
+    wait_for(page, THUMBNAILS)
     requests = []
     page.on("request", lambda request: requests.append(request.url) if "/api/" in request.url else None)
     page.keyboard.press("a")

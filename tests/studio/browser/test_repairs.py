@@ -4,7 +4,19 @@ from pathlib import Path
 from urllib.parse import unquote
 
 import pytest
-from people import NAMES, annotate, as_expert, client, shoot, wait_for, wait_for_state, wait_until
+from people import (
+    NAMES,
+    annotate,
+    as_expert,
+    client,
+    open_picture,
+    opened,
+    saved,
+    shoot,
+    wait_for,
+    wait_for_state,
+    wait_until,
+)
 from test_adding import READY
 
 from liaam.io import Landmarks, write_landmarks
@@ -230,3 +242,29 @@ def test_a_proposal_that_comes_while_a_picture_opens_is_shown(serve, page, folde
     for route in held:
         route.continue_()
     wait_for(page, "() => window.liaamStudio?.annotate?.source() === 'proposal'")
+
+
+def test_ellipses_stay_around_the_points_that_nobody_has_moved(serve, open_page, folder, portrait_model):
+    """They were gone from a picture that a person had touched and came back to."""
+    page = open_page(390, 800, has_touch=True)
+    page.goto(serve(folder, "--model", str(portrait_model)).address)
+    wait_for(page, "() => window.liaamStudio?.annotate?.source() === 'proposal'")
+    around = "window.liaamStudio.annotate.ellipses().map((has, i) => (has ? -1 : i)).filter((i) => i >= 0).join()"
+    without = f"expected => window.liaamStudio.annotate.ellipses().length === 58 && {around} === expected"
+    for where in (20, [4, 4]):
+        page.touchscreen.tap(*client(page, where))
+        wait_for(page, without, "")
+    page.touchscreen.tap(*client(page, 20))
+    page.keyboard.press("ArrowLeft")
+    saved(page)
+    wait_for(page, without, "20")
+    open_picture(page, NAMES[1])
+    open_picture(page, NAMES[0])
+    wait_for(page, without, "20")
+    page.locator("[data-testid=undo]").click()
+    wait_for(page, without, "")
+    page.locator("[data-testid=redo]").click()
+    saved(page)
+    page.reload()
+    opened(page, NAMES[0])
+    wait_for(page, without, "20")

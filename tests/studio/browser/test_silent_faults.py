@@ -140,18 +140,26 @@ def test_clicks_of_a_template_are_landmarks_by_themselves_until_a_curve_is_drawn
     wait_for(page, "() => window.liaamStudio.annotate?.source() === 'template'")
     for x in (40.0, 80.0, 120.0):
         page.mouse.click(*client(page, [x, 60.0]))
-    page.keyboard.press("n")
-    for x in (40.0, 80.0, 120.0, 160.0):
-        page.mouse.click(*client(page, [x, 160.0]))
+    for y in (160.0, 200.0):
+        page.keyboard.press("n")
+        for x in (40.0, 80.0, 120.0, 160.0):
+            page.mouse.click(*client(page, [x, y]))
+        page.keyboard.press("n")
+    page.locator("[data-testid=curve-name]").nth(1).fill("costa")
+    page.locator("[data-testid=curve-name]").nth(0).fill("Costa")
+    page.locator("[data-testid=template-done]").click()
+    page.get_by_text("Two curves have the name 'Costa': rename one.").wait_for()
+    page.locator("[data-testid=curve-name]").nth(0).fill("")
     page.locator("[data-testid=template-done]").click()
     wait_for(page, "() => window.liaamStudio.annotate.source() === 'file'")
     saved(page)
-    assert read_landmarks(marked / "portrait-01.ljson").contours == (Contour((3, 4, 5, 6)),)
+    stored = read_landmarks(marked / "portrait-01.ljson").contours
+    assert stored == (Contour((3, 4, 5, 6)), Contour((7, 8, 9, 10), name="costa"))
     kinds = page.evaluate("() => window.liaamStudio.state.project.template.kinds")
-    assert [i for i, kind in enumerate(kinds) if kind == "semilandmark"] == [4, 5]
+    assert [i for i, kind in enumerate(kinds) if kind == "semilandmark"] == [4, 5, 8, 9]
     with page.expect_download() as waited:
         page.locator("[data-testid=export-all]").select_option("sliders")
-    assert waited.value.path().read_text().split() == ["before,slide,after", "4,5,6", "5,6,7"]
+    assert waited.value.path().read_text().split() == ["before,slide,after", "4,5,6", "5,6,7", "8,9,10", "9,10,11"]
 
 
 def test_a_picture_is_finished_without_a_point_that_its_object_lacks(serve, page, marked):
@@ -192,3 +200,42 @@ def test_two_tabs_do_not_take_back_each_others_absent_points(serve, open_page, m
     tabs[0].reload()
     opened(tabs[0], NAMES[0])
     assert tabs[0].locator(".point[data-state=absent]").count() == 2
+
+
+def test_undo_takes_back_the_same_in_two_tabs(serve, open_page, marked):
+    """A change in one tab emptied the history of the other, where Undo then did nothing."""
+    server = serve(marked)
+    tabs = [open_page(), open_page()]
+    for tab in tabs:
+        tab.goto(server.address)
+        opened(tab, NAMES[0])
+    before = points_of(tabs[0])
+
+    def are(places, steps):
+        for tab in tabs:
+            for index in (0, 1):
+                wait_for_point(tab, index, places[index].tolist())
+            saved(tab)
+            assert annotate(tab, "undoSteps()") == steps
+
+    def moved(tab, index):
+        x, y = client(tab, index)
+        drag(tab, [x, y], [x + 30, y])
+        saved(tab)
+        return points_of(tab)
+
+    first = moved(tabs[0], 0)
+    are(first, 1)
+    second = moved(tabs[1], 1)
+    are(second, 2)
+    tabs[0].keyboard.press("Control+z")  # what the other tab has done
+    are(first, 1)
+    tabs[1].keyboard.press("Control+z")  # what that tab has done
+    are(before, 0)
+    tabs[0].keyboard.press("Control+y")
+    are(first, 1)
+    open_picture(tabs[1], NAMES[1])
+    tabs[0].keyboard.press("Control+y")
+    saved(tabs[0])
+    open_picture(tabs[1], NAMES[0])
+    are(second, 2)

@@ -4,6 +4,8 @@
 interface Contour {
   indices: number[];
   closed: boolean;
+  /** What a person calls it; empty if nothing. */
+  name?: string;
 }
 
 /** A picture of the folder, as the list shows it. */
@@ -110,7 +112,10 @@ interface Marks {
   revision: string | null;
   tag: string;
   file: string | null;
+  /** Of the points that the model proposes, even beside a file. */
   covariances: number[][][] | null;
+  /** These points, which the covariances belong to. */
+  fitted: (number[] | null)[] | null;
   quality: number | null;
   status: string | null;
   doubtful: boolean;
@@ -360,6 +365,8 @@ interface Measuring {
   scale: string;
   /** What groups pictures: folder, name or table; empty if nothing. */
   by: string;
+  /** What a person calls measures, by measure. */
+  names: Record<string, string>;
   /** What a change of the template has removed with its points, in words. */
   gone: string[];
 }
@@ -372,6 +379,8 @@ interface SaveMeasuring {
   add?: string[];
   /** Measures as they are kept. */
   remove?: string[];
+  /** New names of measures; an empty one takes the name away. */
+  names?: Record<string, string>;
   scale?: string;
   by?: string;
   /** Whether what is gone was seen, and need not be said again. */
@@ -439,6 +448,8 @@ interface Unchanged {
 interface Column {
   /** Such as distance:1-5; null: the centroid size. */
   measure: string | null;
+  /** What a person calls it; empty if nothing. */
+  called: string;
   name: string;
   /** px, °, or a unit of length or area. */
   unit: string;
@@ -576,6 +587,8 @@ interface Agreement {
   pictures: ([string, number])[];
   /** Pictures that do not count, since points were accepted as they were proposed. */
   unconfirmed: string[];
+  /** The only observer who has placed all points of a picture, by other pictures. */
+  alone: Record<string, string>;
   file: string;
   table: string;
   /** Of each other observer and the set that is shown, from 5 pictures on. */

@@ -175,7 +175,7 @@ test("places are undone, redone, removed and moved", () => {
   const { marking, tracing } = begin();
   tracing.turn(CONTOURS[0]);
   for (const x of [0, 10, 80]) click(tracing, [x, 0]);
-  assert.equal(tracing.travel("undo"), "place on the contour");
+  assert.equal(tracing.travel("undo"), "place on the curve");
   assert.deepEqual(tracing.points, [[0, 0], [10, 0]]);
   assert.deepEqual(marking.points[4], [10, 0]);
   tracing.travel("redo");
@@ -254,7 +254,7 @@ test("undo before the first place leaves tracing and undoes the step before it",
   gesture.up();
   tracing.turn(CONTOURS[0]);
   click(tracing, [1, 1]);
-  assert.equal(tracing.travel("undo"), "place on the contour");
+  assert.equal(tracing.travel("undo"), "place on the curve");
   assert.equal(tracing.on, true);
   tracing.travel("undo");
   assert.deepEqual([tracing.on, marking.points[13], marking.active], [false, null, 13]);

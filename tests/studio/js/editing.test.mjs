@@ -236,7 +236,7 @@ test("an absent point is not waited for, until it is placed after all", () => {
 test("ellipses stay around the points that are still as the model proposed them", () => {
   const { made } = marking();
   const seen = { points: TRIANGLE, invisible: [], source: "proposal" };
-  made.open({ history: new History(seen), doubtful: false, seen });
+  made.open({ history: new History(seen), doubtful: false, seen, fitted: TRIANGLE });
   assert.deepEqual(made.uncertain, TRIANGLE);
   made.select([1]);
   made.commit(TRIANGLE.map((point, i) => (i === 1 ? [31, 21] : point)), "move");
@@ -394,7 +394,7 @@ test("marks that another program has changed are fetched, also after changes of 
   const picture = { tag: "t", state: "done", revision: "1" };
   const tab = {
     editing: false, state: { picture: () => picture },
-    marking: { book: { tag: "t" }, history: { canUndo: true } },
+    marking: { book: { tag: "t" }, history: { canUndo: true }, state: { source: "file" } },
     saver: { isDirty: () => false, revisionOf: () => "1" },
     saving: { tryToFetch: async (name) => { fetched.push(name); return null; } },
   };
@@ -434,7 +434,7 @@ test("a click adds a point at its end, and shows it before", () => {
   assert.deepEqual([made.points, [...made.selection], said], [[[6, 7]], [0], ["point 1 added"]]);
 });
 
-test("a click on the path's first point closes it, with Shift the path runs through a point", () => {
+test("a click on the path's first point closes it, with Shift or on another point the path runs through it", () => {
   const { made, click } = drafting();
   made.togglePath();
   TRIANGLE.forEach(click);
@@ -445,6 +445,12 @@ test("a click on the path's first point closes it, with Shift the path runs thro
   click([50, 50]);
   assert.equal(made.press(1, { shiftKey: true }), true);
   assert.deepEqual(made.draft.contours[1].indices, [3, 1]);
+  made.click(2); // without dragging it
+  made.click(2);
+  assert.deepEqual(made.draft.contours[1].indices, [3, 1, 2]);
+  made.endPath();
+  made.click(0);
+  assert.deepEqual(made.draft.contours[1].indices, [3, 1, 2]);
 });
 
 test("while mirroring a click makes twins, but on the grip it drags the axis", () => {
@@ -544,7 +550,7 @@ test("where a point is, what comes next, and what is missing", () => {
   assert.equal(words.tallyOf(marking({ points: TRIANGLE, source: "proposal" }).made), "3 proposed");
   assert.equal(words.tallyOf(marking({ points: TRIANGLE }).made), "3 points");
   assert.match(words.promptOf(proposal), /^Placed by the model \(tip absent: U if not\)/);
-  assert.match(words.promptOf(made), /^1 point is missing/);
+  assert.match(words.promptOf(made), /^right is missing: select it in the list, then click its position/);
   made.select([1]);
   assert.equal(words.promptOf(made), "Click right");
   assert.match(words.missingText(NAMES, [1]), /^'right' is still missing here\. Place it,/);

@@ -303,7 +303,8 @@ const STEP = {
       else assert.deepEqual(marking.points[i], before.points[i]);
     }
     const traced = copy(marking.points);
-    expected.step((now) => {
+    const isStep = JSON.stringify(traced) !== JSON.stringify(before.points); // all others of the contour may be absent
+    if (isStep) expected.step((now) => {
       for (const i of indices)
         if (JSON.stringify(traced[i]) !== JSON.stringify(now.points[i])) now.origins[i] = "placed";
       now.points = traced;
@@ -333,7 +334,7 @@ test("points of the last done picture before this one are copied as proposed, in
 
 /** Weights of the steps; the others are of the whole session. */
 const WEIGHTS = { click: 12, drag: 6, choose: 4, undo: 7, redo: 4, clear: 2, hide: 1, absent: 1, confirm: 2, accept: 1, trace: 2 };
-const SESSION = { go: 2, reload: 0.4, elsewhere: 0.4 };
+const SESSION = { go: 2, reload: 0.4, elsewhere: 1 };
 
 test(`${STEPS} random steps leave the names and points that a plain model expects`, async () => {
   const random = generator(SEED);
@@ -341,6 +342,7 @@ test(`${STEPS} random steps leave the names and points that a plain model expect
   const books = new Map(); // what is expected of each picture that was opened since the page was loaded
   const choices = Object.entries({ ...WEIGHTS, ...SESSION });
   const total = choices.reduce((sum, [, weight]) => sum + weight, 0);
+  const behind = new Set(); // the pictures that another tab has changed since they were open
   const log = [];
   let name = PICTURES[0];
   let tab = await openTab(server, storage, name);
@@ -351,6 +353,7 @@ test(`${STEPS} random steps leave the names and points that a plain model expect
   };
   /** As the page opens a picture: points are clicked one after another. */
   const opened = () => {
+    behind.delete(name);
     const expected = expectedOf(name);
     expected.select([]);
     if (!expected.now.suggested && expected.left.length) expected.select([expected.left[0]]);
@@ -385,6 +388,31 @@ test(`${STEPS} random steps leave the names and points that a plain model expect
     }
   };
 
+  /** Another tab takes its last step in a picture back, or places a point: Undo here is to take back the same as there. */
+  const elsewhere = (picture, step) => {
+    const marks = server.marks(picture);
+    const expected = books.get(picture);
+    const isOpen = picture === name;
+    if (!isOpen && behind.has(picture)) return; // several changes are one step of a page that does not show the picture
+    behind.add(picture);
+    const [chosen, active] = isOpen ? [expected.now.chosen, expected.now.active] : [[], -1];
+    const before = expected?.past.at(-1);
+    const takesBack = before && !before.suggested && before.points.some(Boolean) && random() < 0.5;
+    const index = Math.floor(random() * NAMES.length);
+    const points = takesBack ? before.points : marks.points.map((point, i) => (i === index ? [step + 0.5, 7] : point));
+    const origins = takesBack ? before.origins
+      : points.map((point, i) => point && (i === index ? "placed" : (marks.origins?.[i] ?? "proposed")));
+    const { absent, invisible } = takesBack ? before : { ...marks, absent: marks.absent.filter((i) => i !== index) };
+    const { revision } = server.put(picture, { points, origins, absent, invisible, revision: marks.revision });
+    tab.saver.heard(picture, revision);
+    if (!expected) return;
+    if (!isOpen) expected.select([]);
+    if (takesBack) expected.undo();
+    else expected.step((now) => Object.assign(now, copy({ points, origins, absent, invisible, suggested: false })));
+    expected.select(chosen, active);
+    if (isOpen && !chosen.length && expected.left.length) expected.select([expected.left[0]]);
+  };
+
   opened();
   check();
   for (let step = 0; step < STEPS; step += 1) {
@@ -400,19 +428,13 @@ test(`${STEPS} random steps leave the names and points that a plain model expect
     } else if (what === "reload") {
       await saved();
       books.clear();
+      behind.clear();
       tab = await openTab(server, storage, name);
       opened();
-    } else if (what === "elsewhere") { // another tab has saved another picture
-      const other = PICTURES.find((each) => each !== name);
+    } else if (what === "elsewhere") {
       await saved();
-      const marks = server.marks(other);
-      const index = Math.floor(random() * NAMES.length);
-      const points = marks.points.map((point, i) => (i === index ? [step + 0.5, 7] : point));
-      const origins = points.map((point, i) => point && (i === index ? "placed" : (marks.origins?.[i] ?? "proposed")));
-      const absent = marks.absent.filter((i) => i !== index);
-      const { revision } = server.put(other, { ...marks, points, origins, absent });
-      tab.saver.heard(other, revision);
-      books.delete(other);
+      elsewhere(PICTURES[Math.floor(random() * PICTURES.length)], step);
+      await new Promise(setImmediate); // the open picture follows
     } else STEP[what]({ tab, expected: expectedOf(name), free, random });
     check();
   }

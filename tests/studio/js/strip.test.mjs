@@ -7,6 +7,7 @@ import { namesFor, summary } from "./modules/adding.js";
 import { outcome, whoAmI } from "./modules/bulk.js";
 import { percent } from "./modules/annotate-words.js";
 import { faultIn, meant } from "./modules/hotkeys.js";
+import { leftOut, reasonText } from "./modules/left-out.js";
 import { bins, kindFor, measureOf, measureText, numberText, parsed, summary as summaryOf, valueOf } from "./modules/measures.js";
 import { accuracyText, errorText, sentence } from "./modules/review.js";
 import { between, describe, FILTERS, foldersOf, matching, openIn } from "./modules/strip-filters.js";
@@ -177,4 +178,25 @@ test("keys that choose in a closed list open a menu of actions, and others do wh
   for (const key of ["Tab", "Escape", "Shift", "F2", "Delete"]) assert.ok(!isChoosing({ key }), key);
   assert.ok(!isChoosing({ key: "a", ctrlKey: true }));
   assert.ok(!isChoosing({ key: "ArrowDown", altKey: true })); // opens the list by itself
+});
+
+test("figures say which pictures they leave out, and why", () => {
+  const pictures = [
+    { name: "a", state: "done" }, { name: "b", state: "done", absent: 1 }, { name: "c", state: "partial", proposed: 2, placed: 5 },
+    { name: "d", state: "partial", placed: 3 }, { name: "e", state: "proposed", doubtful: true }, { name: "f", state: "proposed" },
+    { name: "g", state: "broken" }, { name: "h", state: "new" }, { name: "i", state: "new" },
+    { name: "j", state: "partial", placed: 3, error: "3 points where the template has 5" }, { name: "k", state: "proposed", nothing_found: true, doubtful: true },
+  ];
+  const data = { pictures: ["a", "b", "c", "d"], space: { of: [0] }, unscaled: [1] };
+  const told = (ofShapes) => leftOut(pictures, data, ofShapes).map(({ why, names }) => [names.join(), why.split(":")[0]]);
+  const unmeasured = [
+    ["g", "cannot be read"], ["j", "have a file with points that do not fit the template"],
+    ["k", "have only a guess of the model, which found nothing"], ["e", "have doubtful points of the model"],
+    ["f", "have proposed points only"], ["h,i", "have no points yet"],
+  ];
+  assert.deepEqual(told(false), [...unmeasured, ["b", "have no scale, and so no lengths and areas"]]);
+  assert.deepEqual(told(true), [
+    ...unmeasured, ["c", "have points that are only proposed"], ["b", "lack points that are marked as absent"], ["d", "are not finished"],
+  ]);
+  assert.match(reasonText(leftOut(pictures, data, false)[2]), /^1 picture has only a guess .* its points$/);
 });

@@ -5,7 +5,7 @@ says otherwise. Annotators clicked on whole pixels, so there is no shift of half
 """
 
 from collections import Counter, defaultdict
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from functools import cache, partial
 from itertools import chain, count
@@ -16,7 +16,7 @@ from typing import Any
 from liaam.errors import LandmarkError
 from liaam.io.files import natural_key
 from liaam.io.landmarks import reading as rd
-from liaam.io.landmarks.base import PRESENT, Contour, Landmarks, Placing, chain_edges, edges_from
+from liaam.io.landmarks.base import PRESENT, Contour, Landmarks, Placing, chain_edges, edges_from, edges_of
 from liaam.io.landmarks.matching import names_picture
 from liaam.io.landmarks.reading import HIDDEN, MISSING, SEEN, Mark, Source
 
@@ -253,8 +253,8 @@ def parse_ljson(source: Source) -> list[Landmarks]:
 
     Of several groups in version 3 the chosen one is read. The edges of the connectivity are joined into contours.
     Labels name sets of landmarks: if each landmark has its own label, the labels are the names. A further label
-    ``invisible`` holds the occluded landmarks. The length of a pixel, ``scale``, and its unit, ``scale_unit``, are
-    additions of liaam, which menpo ignores.
+    ``invisible`` holds the occluded landmarks. The contours that have names, ``curves``, the length of a pixel,
+    ``scale``, and its unit, ``scale_unit``, are additions of liaam, which menpo ignores.
     """
     group = _group(source.json, source.reading.category)
     edges = [(start, end) for start, end in group["landmarks"].get("connectivity") or ()]
@@ -266,7 +266,22 @@ def parse_ljson(source: Source) -> list[Landmarks]:
     scale = None if group.get("scale") is None else rd.parse_number(group["scale"], "the scale")
     names = _names_of_masks(masks, len(points))
     unit = str(group.get("scale_unit") or "")
-    return [Landmarks(points, chain_edges(edges), names, None, tuple(invisible), scale, unit=unit)]
+    return [Landmarks(points, _contours_of(group, edges), names, None, tuple(invisible), scale, unit=unit)]
+
+
+def _contours_of(group: Mapping[str, Any], edges: Sequence[tuple[int, int]]) -> tuple[Contour, ...]:
+    """Return the contours along edges, of which the group may name some."""
+    curves = group.get("curves") or ()
+    named = [Contour(tuple(curve["landmarks"]), bool(curve["closed"]), str(curve["name"])) for curve in curves]
+    if not named:
+        return chain_edges(edges)
+    _check_indices(index for contour in named for index in contour.indices)
+    place = {frozenset(edge): number for number, edge in reversed([*enumerate(edges)])}
+    known = {frozenset(edge) for edge in edges_of(named)}
+    if not known <= place.keys():  # another program has changed the edges
+        return chain_edges(edges)
+    others = chain_edges(edge for edge in edges if frozenset(edge) not in known)
+    return tuple(sorted([*named, *others], key=lambda line: min(place[frozenset(edge)] for edge in edges_of([line]))))
 
 
 def _check_indices(given: Iterable[Any]) -> None:

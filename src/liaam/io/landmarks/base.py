@@ -33,10 +33,13 @@ class Contour:
         Landmarks along the line, counted from 0. A closed line does not repeat the first.
     closed : bool
         Whether the last landmark is connected to the first.
+    name : str
+        What it is called, such as ``costa``; empty if nothing.
     """
 
     indices: tuple[int, ...]
     closed: bool = False
+    name: str = ""
 
     @classmethod
     def all_of(cls, pairs: Iterable[tuple[Iterable[int], bool]]) -> "tuple[Contour, ...]":
@@ -188,7 +191,7 @@ class Landmarks:
         is_lacking = np.less(order, 0)
         new_index = {old: new for new, old in enumerate(order) if old >= 0}
         contours = [
-            Contour(tuple(new_index[i] for i in contour.indices), contour.closed)
+            replace(contour, indices=tuple(new_index[i] for i in contour.indices))
             for contour in self.contours
             if all(i in new_index for i in contour.indices)
         ]

@@ -22,7 +22,11 @@ def pts_text(landmarks: Landmarks) -> str:
 
 
 def ljson_text(landmarks: Landmarks) -> str:
-    """Return the text of an ``.ljson`` file. It labels each named landmark, or all, which menpo requires with edges."""
+    """Return the text of an ``.ljson`` file. It labels each named landmark, or all, which menpo requires with edges.
+
+    Contours that have a name are listed as ``curves``, beside the edges of all, since menpo's labels may be names of
+    landmarks.
+    """
     points = [[None, None] if x != x else [y, x] for x, y in landmarks.points.tolist()]
     edges = edges_of(landmarks.contours)
     body = {"points": points, **({"connectivity": edges} if edges else {})}
@@ -34,7 +38,16 @@ def ljson_text(landmarks: Landmarks) -> str:
     scale: dict[str, Any] = {} if landmarks.scale is None else {"scale": landmarks.scale}
     if scale and landmarks.unit:
         scale["scale_unit"] = landmarks.unit
-    return json.dumps({"labels": labels, "landmarks": body, **scale, "version": 2}, ensure_ascii=False, indent=1) + "\n"
+    named = [
+        {"name": contour.name, "landmarks": [*contour.indices], "closed": contour.closed}
+        for contour in landmarks.contours
+        if contour.name
+    ]
+    curves: dict[str, Any] = {"curves": named} if named else {}
+    return (
+        json.dumps({"labels": labels, "landmarks": body, **curves, **scale, "version": 2}, ensure_ascii=False, indent=1)
+        + "\n"
+    )
 
 
 def csv_text(landmarks: Landmarks, more: Mapping[str, str] = {}) -> str:

@@ -94,7 +94,7 @@ export function createAdding(app) {
     await app.sources.take(item.file);
     const source = app.sources.current;
     if (source?.file !== item.file) return undefined; // another one was opened meanwhile
-    if (source.quality >= SURE) return toast("Drag the lamp to move its light.");
+    if (source.quality >= SURE) return undefined; // the view says that its lamp can be dragged
     app.sources.backToFolder();
     return add([item]);
   }

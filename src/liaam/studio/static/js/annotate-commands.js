@@ -7,7 +7,7 @@ import { placed } from "./points.js";
 
 const NOT_MIRRORED = "The template has no mirrored points. Mirror pairs new points only: add them with Mirror on, or " +
   "load a template with left and right in its names.";
-const ALL_STAY = "All points of this contour are placed landmarks, and only semilandmarks are moved by tracing and " +
+const ALL_STAY = "All points of this curve are placed landmarks, and only semilandmarks are moved by tracing and " +
   "spacing. Edit the template to make points between the ends semilandmarks.";
 const EDGE = 20; // css pixels; a point closer to the border of the view is scrolled into it
 
@@ -68,7 +68,7 @@ export function createCommands(tab) {
     const { wanted } = tab.tracing;
     if (wanted && !tab.tracing.mayChange(wanted)) return void app.toast(ALL_STAY);
     if (wanted) say(work(wanted));
-    else app.toast("Select a point of a contour with three points or more. The template defines the contours.");
+    else app.toast("Select a point of a curve that has three points or more. Draw curves in the template (Edit template…).");
   }
 
   const commands = {
@@ -149,7 +149,7 @@ export function createCommands(tab) {
 
     space: () => toContour((contour) => {
       tab.tracing.space(contour);
-      return "The points of the contour are evenly spaced";
+      return "The points of the curve are evenly spaced";
     }),
 
     escape() {

@@ -11,6 +11,9 @@ const UNREACHABLE = {
 };
 const LAYOUT_OF = 8; // number of done pictures in the mean layout
 
+const isSame = (one, other) => one.source === other.source && sameMarks(one, other);
+const isSaved = ({ source }) => source === "file";
+
 /** begins() -> the start of pictures without points, "layout" or "click"; cover: the element that a message or the first
  *  screen is shown in, over the view.
  *  @param {import("./annotate.js").Tab} tab; @param {{begins: () => string, cover?: any}} options */
@@ -89,12 +92,15 @@ export function createOpening(tab, { begins, cover = null }) {
     const shown = kept && !isOther ? { ...kept, source: "file" } : await first.of(name, known);
     if (own !== turn) return;
     const old = books.get(name);
+    const tag = state.picture(name)?.tag;
     const before = old?.history.state;
-    const same = old && (saver.isDirty(name) || (before.source === shown.source && sameMarks(before, shown)));
+    const same = old && (saver.isDirty(name) || isSame(before, shown));
+    const isChanged = old && old.tag === tag && before.points.length === shown.points.length && [before, shown].some(isSaved);
+    if (!same && isChanged) old.history.follow(shown, isSame, "the change elsewhere", old === marking.book ? marking.context : null);
     const book = {
-      history: same ? old.history : new History(shown), covariances: marks.covariances ?? null,
+      history: same || isChanged ? old.history : new History(shown), covariances: marks.covariances ?? null, fitted: marks.fitted ?? [],
       doubtful: marks.doubtful, nothing: state.picture(name)?.nothing_found ?? false, sharedBar: marks.bar_shared ? marks.bar : null,
-      pixel: marks.pixel, key, tag: state.picture(name)?.tag, seen: null,
+      pixel: marks.pixel, key, tag, seen: null,
     };
     book.seen = book.history.state; // as it was opened
     books.set(name, book);
@@ -131,8 +137,8 @@ export function createOpening(tab, { begins, cover = null }) {
 
   const isIdle = () => !tab.saver.isDirty(opened) && !tab.tool.gesture;
 
-  /** Whether the user has not changed anything, so that newer marks may replace the shown ones. */
-  const isPristine = () => marking.book !== null && !marking.history.canUndo && isIdle();
+  /** Whether no marks are shown that a person has made, so that newer ones may replace them. */
+  const isPristine = () => marking.book !== null && !(marking.history.canUndo && isSaved(marking.state)) && isIdle();
 
   /** Key that changes when the marks of an unchanged picture may have to be reloaded. */
   function keyOf(name) {
@@ -162,7 +168,7 @@ export function createOpening(tab, { begins, cover = null }) {
   /** A picture's landmarks were changed elsewhere, or the changes of this page were discarded. */
   function foreign(name, discarded = false) {
     first.forget(name);
-    if (discarded || name !== opened) books.delete(name);
+    if (discarded) books.delete(name);
     if (name !== opened) return;
     if (discarded && !tab.editing) open(name); // the discarded points must not be edited until then
     else reload();

@@ -1,5 +1,6 @@
 // The template in the Annotate tab: creating, editing and saving it, and following changes made elsewhere.
 
+import { CLICK, IS_TOUCH } from "./annotate-words.js";
 import { drawDrafting } from "./drawing.js";
 import { Drafting } from "./drafting.js";
 import { expected, indicesOf, layoutIn, placed, rounded } from "./points.js";
@@ -243,9 +244,8 @@ export function createTemplates(tab) {
     get prompt() {
       if (isLooking() && !doc.started) return "Looking for faces in these pictures…";
       if (doc.layingOut) return "Move the points into place: drag the frame's handles, then single points";
-      if (doc.draft.path >= 0) return "Click the next point of this curve – N ends it, C closes it";
-      if (!doc.started) return "Click the first landmark of your template on this picture, or press N to draw a curve";
-      return "Click the next landmark – N draws a curve";
+      if (doc.draft.path >= 0) return `${CLICK} the next point of this curve${IS_TOUCH ? "" : " – N ends it, C closes it"}`;
+      return `${CLICK} the ${doc.started ? "next" : "first"} point${IS_TOUCH ? "" : " – N draws a curve"}`;
     },
     key: (event) => runKey(event, keys),
   };

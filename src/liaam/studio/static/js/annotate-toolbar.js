@@ -10,13 +10,13 @@ export function createToolbar(tab) {
   const show = (name, title, face, shortcut, pressed) =>
     button(face.text ?? name, {
       icon: face.icon, iconOnly: !face.text, "aria-label": name, kind: "ghost", shortcut, pressed, title,
-      onclick: (event) => tab.act(event, () => commands.flick(name.toLowerCase())),
+      onclick: (event) => tab.act(event, () => commands.flick(face.what ?? name.toLowerCase())),
     });
   const rule = () => h("span.rule", { "aria-hidden": "true" });
   const undo = tool("Undo", "undo", "Ctrl+Z", () => commands.travel("undo"), { testid: "undo" });
   const redo = tool("Redo", "redo", "Ctrl+Y", () => commands.travel("redo"), { testid: "redo" });
   const names = show("Names", "Show the names of all points", { text: "Aa" }, "L", false);
-  const contours = show("Contours", "Show the contours", { icon: "path" }, "K", true);
+  const contours = show("Curves", "Show the curves", { icon: "path", what: "contours" }, "K", true);
   const around = "Show ellipses that contain each point with 95 % probability";
   const ellipses = show("Ellipses", around, { icon: "target" }, "E", true);
   const measures = button("mm", {
@@ -30,8 +30,8 @@ export function createToolbar(tab) {
   const ruler = tool("Scale bar", "ruler", "S", commands.ruler, {
     pressed: false, testid: "scale-bar", title: "Scale bar: click both ends of a ruler, and enter its length",
   });
-  const trace = tool("Trace a contour", "curve", "C", commands.trace, {
-    pressed: false, testid: "trace", title: "Trace a contour: click a few places along it, and its points are placed evenly",
+  const trace = tool("Trace a curve", "curve", "C", commands.trace, {
+    pressed: false, testid: "trace", title: "Trace a curve: click a few places along it, and its points are placed evenly",
   });
   const drawing = { names, contours, ellipses, measures };
   const modes = { box, mirror };
@@ -67,7 +67,7 @@ export function createToolbar(tab) {
 const TEXTS = {
   saved: "Saved", saving: "Saving…", offline: "Not saved – server not reachable, retrying",
   failing: "Not saved – retrying", refused: "Not saved", conflict: "Not saved – changed elsewhere",
-  draft: "Press Done to save the template",
+  draft: "Press Done to save",
 };
 const WRONG = ["offline", "failing", "refused", "conflict"];
 

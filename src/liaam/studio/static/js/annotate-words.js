@@ -1,7 +1,10 @@
 // Texts of the Annotate tab: prompts, descriptions, and announcements for screen readers.
 
-/** How the points of a picture are accepted: screens that are touched have no keys. */
-export const DONE_KEY = globalThis.matchMedia?.("(pointer: coarse)").matches ? "tap Accept" : "press Enter";
+/** Screens that are touched have no keys, and are not clicked. */
+export const IS_TOUCH = globalThis.matchMedia?.("(pointer: coarse)").matches ?? false;
+export const CLICK = IS_TOUCH ? "Tap" : "Click";
+/** How the points of a picture are accepted. */
+export const DONE_KEY = IS_TOUCH ? "tap Accept" : "press Enter";
 
 export const several = (number, what) => `${number} ${what}${number === 1 ? "" : "s"}`;
 
@@ -20,9 +23,9 @@ export function promptOf({ state, book, placing, names, active, missing, absent 
       : `Placed by the model${lacks}: drag wrong points, then ${DONE_KEY}`;
   }
   if (state.source === "layout") return "Mean shape: move it into place by its frame, then drag single points";
-  if (placing) return `Click ${names[active]}`;
-  const are = missing.length === 1 ? "point is" : "points are";
-  if (missing.length) return `${missing.length} ${are} missing: select one in the list, then click its position`;
+  if (placing) return `${CLICK} ${names[active]}`;
+  if (missing.length === 1) return `${names[missing[0]]} is missing: select it in the list, then ${CLICK.toLowerCase()} its position`;
+  if (missing.length) return `${missing.length} points are missing: select one in the list, then ${CLICK.toLowerCase()} its position`;
   return proposed ? `${several(proposed, "point")} as proposed: drag wrong ones, then ${DONE_KEY}` : "";
 }
 

@@ -335,6 +335,8 @@ export class Tab {
       selection: () => [...this.doc.selection],
       invisible: () => [...this.marking.invisible],
       bar: () => this.ruler.bar,
+      /** Which points have an ellipse. */
+      ellipses: () => this.marking.uncertain.map((point, i) => Boolean(point && this.marking.book.covariances?.[i])),
       undoSteps: () => this.doc.history?.steps ?? 0,
       isDirty: () => this.saver.dirty.length > 0,
       /** The loupe: {xy under its centre, centre on the screen, scale}, or null. */

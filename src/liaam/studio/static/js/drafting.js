@@ -135,6 +135,11 @@ export class Drafting extends Editable {
     return true;
   }
 
+  /** While a curve is drawn, a click on another point leads it there. */
+  click(index) {
+    if (this.draft.path >= 0) this.apply(drafts.connect(this.draft, index), "connect");
+  }
+
   close() { this.endPath(true, "close the curve", "Curve closed"); }
 
   /** Begin to draw a curve, or end the one that is being drawn. */

@@ -4,6 +4,7 @@ import { api } from "./api.js";
 import { Divider } from "./divider.js";
 import { expert } from "./expert.js";
 import { drawFit, drawOver, drawSpecimens, Overlays } from "./fit-draw.js";
+import { IS_TOUCH } from "./annotate-words.js";
 import { objectOf, significant } from "./fit-run.js";
 import { InvariantView } from "./fit-theta.js";
 import { look } from "./look.js";
@@ -12,7 +13,7 @@ import { button, FrameMeter, h, press, segmented, slider } from "./ui.js";
 import { Viewer } from "./viewer.js";
 
 const VIEWS = [
-  { name: "picture", label: "Picture", hint: "Drop or paste another picture here, or select one in the list." },
+  { name: "picture", label: "Picture", hint: `For another picture, ${IS_TOUCH ? "" : "drop or paste it here, or "}press Open….` },
   { name: "flat", label: "Flat", after: "Flat",
     hint: "The picture without its shading: in the light of the pictures that the model was trained on." },
   { name: "shading", label: "Shading", after: "Shading",

@@ -56,6 +56,8 @@ export class Editable {
   framed() { return []; }
   /** Whether a press on a point has another meaning than dragging. */
   press(_index, _event) { return false; }
+  /** A point was clicked, and not dragged. */
+  click(_index) {}
   /** Also move the mirrored points (twins). */
   follow(_before, after, _indices) { return after; }
   /** End of a gesture: one undo step. */
@@ -304,6 +306,7 @@ export class PointTool {
     const at = this.#viewer.toScreen(xy);
     const isFar = (to) => distance(to, at) > slip;
     const onclick = () => {
+      if (!adds) doc.click(index);
       if (!adds && doc.selection.size > 1) doc.select([index], index); // a click on one of several
     };
     return dragging(doc, index, [...doc.selection], xy, isFar, onclick);

@@ -2,6 +2,7 @@
 // all else that the next click depends on, such as the active point. Undo and redo restore both.
 
 const LIMIT = 500; // maximum number of steps
+const NEAR = 20; // steps that a person takes back, by a held key, before they are saved and another tab hears of them
 const BURST = 800; // milliseconds within which steps with the same key are merged
 
 export class History {
@@ -49,6 +50,20 @@ export class History {
   /** context: of the present state. */
   undo(context = null) { return this.#travel(this.#past, this.#future, context); }
   redo(context = null) { return this.#travel(this.#future, this.#past, context); }
+
+  /** Follow another tab, which has saved a state: what it has undone or redone is undone or redone here, and all else is
+   *  one more step, so that Undo takes back the same in both. context: of the present state. */
+  follow(state, isSame, what, context = null) {
+    const find = (list) => [...list].reverse().slice(0, NEAR).findIndex((step) => isSame(step.state, state)) + 1;
+    const [undone, redone] = [find(this.#past), find(this.#future)];
+    if (!undone && !redone) return this.push(state, what, null, context);
+    const isUndone = undone && (!redone || undone <= redone);
+    for (let i = 0; i < (isUndone ? undone : redone); i += 1) {
+      if (isUndone) this.undo(context);
+      else this.redo(context);
+    }
+    return undefined;
+  }
 
   #travel(from, to, now) {
     if (!from.length) return null;

@@ -9,7 +9,7 @@ const KEY = "liaam-studio:keys";
 export const COMMANDS = {
   n: "Next picture without accepting", p: "Place the missing point", v: "Visible or invisible", y: "Confirm a point", u: "Absent",
   x: "Move mirrored points together", m: "Flip the points", f: "Show the picture mirrored", b: "Select with a box", s: "Scale bar",
-  t: "Measure", c: "Trace a contour", l: "Names", k: "Contours", e: "Ellipses", r: "Loupe", h: "Hide all points",
+  t: "Measure", c: "Trace a curve", l: "Names", k: "Curves", e: "Ellipses", r: "Loupe", h: "Hide all points",
 };
 
 /** The letter of a command by the letter that is pressed for it. @returns {Record<string, string>} */

@@ -68,10 +68,9 @@ export class Marking extends Editable {
 
   /** The points that are where the model proposed them, null for others, whose uncertainty is not known. */
   get uncertain() {
-    const seen = this.#book?.seen;
-    if (seen?.source !== "proposal") return [];
+    const { fitted = [] } = this.#book ?? {};
     return this.points.map((point, i) =>
-      (point && this.origins[i] === "proposed" && samePoint(point, seen.points[i]) ? point : null));
+      (point && fitted[i] && this.origins[i] === "proposed" && samePoint(point, fitted[i]) ? point : null));
   }
 
   framed() {

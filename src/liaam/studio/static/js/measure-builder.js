@@ -1,12 +1,16 @@
 // The card in which a measure is made by clicking points, with the list of measures and the scale.
 
+import { CLICK } from "./annotate-words.js";
 import { KINDS, measureOf, measureText } from "./measures.js";
 import { picker } from "./shape-plots.js";
+import { curveText } from "./template.js";
 import { button, h, iconButton, segmented } from "./ui.js";
 
-const SCALE = "Scale, if the pictures have none: length of a pixel, or two points, by name or number, and the length between them, such as 11-12=5 mm";
+const SCALE = "Scale of pictures that have none: the length of a pixel (0.003 mm), or two points and their distance (11-12=5 mm)";
 
 export class MeasureBuilder {
+  /** @type {Map<string, {element: HTMLElement, about: HTMLElement, name: any, remove: HTMLElement}>} */
+  #rows = new Map(); // of the list, by measure: what is being typed stays when the list is drawn
   /** @type {number[]} */
   #picked = []; // indices of the points of the measure that is being made, in order
   element = h("section.panel.measure-card", { "aria-label": "New measure" });
@@ -14,7 +18,7 @@ export class MeasureBuilder {
   #tab;
   #shownScale; // the kept one that the field was last given
   // Elements.
-  #add; #gone; #hint; #kind; #list; #picker; #scale;
+  #add; #curves; #fault; #gone; #hint; #kind; #list; #picker; #scale;
 
   /** @param {import("./measure.js").Tab} tab */
   constructor(tab) {
@@ -25,7 +29,9 @@ export class MeasureBuilder {
     this.#add = button("Add", { kind: "primary", small: true, testid: "measure-add", onclick: () => this.#addPicked() });
     this.#picker = h("div.measure-plot");
     this.#hint = h("p.small.muted", { role: "status" });
+    this.#curves = h("div.row.tight.small", { testid: "measure-curves" });
     this.#list = h("ul.measure-list", { "aria-label": "Measures", testid: "measure-list" });
+    this.#fault = h("p.small.error-text", { role: "alert", hidden: true, testid: "measure-name-fault" });
     this.#scale = h("input.text", {
       type: "text",
       placeholder: "of each picture, or in pixels",
@@ -39,7 +45,9 @@ export class MeasureBuilder {
       h("div.row", this.#kind.element, h("span.grow"), this.#add),
       this.#picker,
       this.#hint,
+      this.#curves,
       this.#list,
+      this.#fault,
       this.#gone,
       h("label.field", SCALE, this.#scale));
   }
@@ -82,6 +90,7 @@ export class MeasureBuilder {
     this.#add.disabled = this.#picked.length < KINDS[this.#kind.value].fewest;
     this.#hint.textContent = this.#hintText();
     this.#drawPicker();
+    this.#drawCurves();
     this.#drawList();
     this.#drawGone();
     const { scale } = this.#tab.measuring;
@@ -95,7 +104,7 @@ export class MeasureBuilder {
     const [picked, tab] = [this.#picked, this.#tab];
     const { fewest, most } = KINDS[this.#kind.value];
     const count = fewest === most ? String(fewest) : `${fewest} or more`;
-    if (!picked.length) return `Click ${count} points${this.#kind.value === "angle" ? "; the angle is at the second" : ""}.`;
+    if (!picked.length) return `${CLICK} ${count} points${this.#kind.value === "angle" ? "; the angle is at the second" : ""}.`;
     const names = picked.map((i) => tab.names[i]).join(" – ");
     const lacking = fewest - picked.length;
     return lacking > 0 ? `${names}: ${lacking} more` : names;
@@ -110,13 +119,58 @@ export class MeasureBuilder {
       : h("p.muted.small", "The points are drawn here once three pictures are done."));
   }
 
+  /** Buttons that measure a curve of the template as a whole: the length of an open one, or the area of a closed one. */
+  #drawCurves() {
+    const kind = this.#kind.value;
+    const { fewest } = KINDS[kind];
+    const isFit = ({ indices, closed }) => indices.length >= fewest && closed === (kind === "area");
+    const buttons = kind === "length" || kind === "area" ? this.#tab.contours.flatMap((curve, k) => (isFit(curve)
+      ? [button(curveText(curve, k), { small: true, testid: "measure-curve", onclick: () => this.#addCurve(kind, curve) })] : [])) : [];
+    this.#curves.hidden = !buttons.length;
+    this.#curves.replaceChildren(h("span.muted", kind === "area" ? "Or the area of a whole curve:" : "Or the length of a whole curve:"), ...buttons);
+  }
+
+  /** @param {string} kind; @param {Contour} curve */
+  #addCurve(kind, { indices, name = "" }) {
+    this.#change({ add: [`${name && `${name} ${kind}=`}${measureOf(kind, indices)}`] });
+    this.#pick([]);
+  }
+
   #drawList() {
-    const row = (measure) => {
+    const { measures, names } = this.#tab.measuring;
+    const shown = [...this.#rows.keys()];
+    for (const gone of shown.filter((measure) => !measures.includes(measure))) this.#rows.delete(gone);
+    for (const measure of measures) if (!this.#rows.has(measure)) this.#rows.set(measure, this.#row(measure));
+    if (shown.join() !== measures.join()) this.#list.replaceChildren(...measures.map((measure) => this.#rows.get(measure).element));
+    for (const [measure, { about, name, remove }] of this.#rows) {
       const text = measureText(measure, this.#tab.names);
-      const remove = iconButton(`Remove ${text}`, "close", () => this.#remove(measure), { small: true });
-      return h("li.row", h("span.grow", text), remove);
-    };
-    this.#list.replaceChildren(...this.#tab.measuring.measures.map(row));
+      about.textContent = text;
+      name.setAttribute("aria-label", `Name of ${text}`);
+      remove.setAttribute("aria-label", `Remove ${text}`);
+      if (name !== document.activeElement && name.getAttribute("aria-invalid") !== "true") name.value = names[measure] ?? "";
+    }
+  }
+
+  /** A measure in the list, with its name. */
+  #row(measure) {
+    const name = h("input.text.measure-name", {
+      type: "text", placeholder: "Name", spellcheck: "false", autocomplete: "off", maxlength: "60",
+      title: "What you call it, such as wing length: in the table, the plots and the saved file", testid: "measure-name",
+      onchange: () => this.#rename(measure, name),
+      onkeydown: (event) => { if (event.key === "Enter") name.blur(); },
+    });
+    const about = h("span.grow.muted.small");
+    const remove = iconButton("Remove", "close", () => this.#remove(measure), { small: true });
+    return { element: h("li.row", name, about, remove), about, name, remove };
+  }
+
+  /** A name that another measure has is refused, and stays to be changed. */
+  async #rename(measure, field) {
+    const fault = await this.#tab.state.changeMeasuring({ names: { [measure]: field.value.trim() } }).then(() => "", ({ message }) => message);
+    field.setAttribute("aria-invalid", String(Boolean(fault)));
+    this.#fault.textContent = fault;
+    this.#fault.hidden = !fault;
+    this.#drawList();
   }
 
   /** Name the measures that a change of the template has removed with their points. */

@@ -2,6 +2,7 @@
 // points as they are placed.
 
 import { several } from "./annotate-words.js";
+import { createLeftOut, leftOut } from "./left-out.js";
 import { MeasureBuilder } from "./measure-builder.js";
 import { bins, measureText, numberText, summary } from "./measures.js";
 import { plotFiles } from "./plot-files.js";
@@ -39,7 +40,7 @@ export class Tab {
   #timer = null;
   #complain = complaints(); // about tables of groups
   // Elements.
-  #builder; #chart; #chosen; #content; #empty; #estimate; #fault; #groupList; #legend; #measures; #table; #tableFile; #views;
+  #builder; #chart; #chosen; #content; #empty; #estimate; #fault; #groupList; #leftOut; #legend; #measures; #table; #tableFile; #views;
 
   /** @param {HTMLElement} root; @param {App} app */
   constructor(root, app) {
@@ -148,7 +149,8 @@ export class Tab {
     this.#space.show(false);
     this.#empty = h("div.empty.big", { hidden: true });
     this.#chosen = h("div.row.measure-chosen", { role: "status", testid: "measure-chosen" });
-    this.#content = h("div.measure-content.glass", this.#fault, this.#measures, this.#space.element);
+    this.#leftOut = createLeftOut((name) => this.state.select(name), "left-out");
+    this.#content = h("div.measure-content.glass", this.#fault, this.#leftOut.element, this.#measures, this.#space.element);
     root.append(h("div.workspace.measure-tab", this.#toolbar(), this.#content, this.#empty, this.#chosen));
   }
 
@@ -224,6 +226,7 @@ export class Tab {
     if (!data) return this.#drawEmpty();
     this.#drawLegend();
     this.#drawChosen();
+    this.#drawLeftOut(data);
     if (this.#views.value === "shapes") return this.#space.draw();
     this.#builder.draw();
     this.#drawChart();
@@ -239,6 +242,19 @@ export class Tab {
         ? "Proposed points are not measured: accept those of a picture, or correct them. Its measures are then here, and from three pictures on their shapes."
         : "Place the landmarks of a picture. Its measures are then here, and from three pictures on their shapes."),
       h("div.row", go));
+  }
+
+  /** Say how many pictures the figures are of, and which they leave out. @param {Shapes} data */
+  #drawLeftOut(data) {
+    const { pictures } = this.state.project;
+    const ofShapes = this.#views.value === "shapes";
+    const groups = leftOut(pictures, data, ofShapes);
+    const used = ofShapes && data.space ? data.space.of.length : data.pictures.length;
+    const estimated = data.estimated.filter((count) => count > 0).length;
+    const what = ofShapes ? "Shapes" : "Measures";
+    const some = used === pictures.length ? `all ${several(used, "picture")}` : `${used} of ${several(pictures.length, "picture")}`;
+    this.#leftOut.show(`${what} of ${some}${estimated ? `, ${estimated} of them with estimated points` : ""}` +
+      `${groups.length ? `. Left out: ${several(groups.reduce((sum, { names }) => sum + names.length, 0), "picture")}` : "."}`, groups);
   }
 
   #drawLegend() {
@@ -257,14 +273,14 @@ export class Tab {
     if (chosen < 0) return this.state.picture()?.state === "proposed" ? "has proposed points only: accept them to measure it" : "has no landmarks yet";
     const { space } = this.#data;
     const shape = space ? space.of.indexOf(chosen) : -1;
-    if (shape < 0) return "";
+    if (shape < 0) return space ? "has no shape, since points are missing" : "";
     const distance = space.distances[shape];
     return `${numberText(distance)} from the mean shape${distance > space.limit ? ", unusual" : ""}`;
   }
 
   /** Title of a column for people. @param {Column} column */
-  #title({ measure, unit }) {
-    const text = measure === null ? "Centroid size" : measureText(measure, this.names);
+  #title({ measure, called, unit }) {
+    const text = called || (measure === null ? "Centroid size" : measureText(measure, this.names));
     return `${text}, ${unit}`;
   }
 

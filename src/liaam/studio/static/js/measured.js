@@ -13,13 +13,17 @@ const LABEL = [76, 15]; // css pixels across and down that a value takes
 export function createMeasured(tab) {
   const { state, marking, viewer, ruler } = tab;
   let measures = [];
-  const read = () => {
+  const readAll = () => {
     const { measuring, template } = state.project;
-    measures = measuring.measures.map((each) => parsed(each, template?.names ?? [])).filter(Boolean);
+    const read = (text) => {
+      const measure = parsed(text, template?.names ?? []);
+      return measure && { ...measure, name: measuring.names[text] };
+    };
+    measures = measuring.measures.map(read).filter(Boolean);
     viewer.redraw();
   };
-  for (const event of ["measuring", "project"]) state.addEventListener(event, read);
-  read();
+  for (const event of ["measuring", "project"]) state.addEventListener(event, readAll);
+  readAll();
 
   const pixel = () => (ruler.bar ? { length: ruler.bar.length / distance(...ruler.bar.ends), unit: ruler.bar.unit }
     : marking.book?.pixel ?? null);
@@ -40,7 +44,8 @@ export function createMeasured(tab) {
     inked(ctx, colour, 1.6, [6, 3]);
     const at = measure.kind === "angle" ? places[1] : [0, 1].map((side) => mean(places.map((place) => place[side])));
     const [x, y] = freeOf([at[0], at[1] - 8], taken);
-    drawText(ctx, numberText(found.value, found.unit), x, y, { align: "center", colour });
+    const value = numberText(found.value, found.unit);
+    drawText(ctx, measure.name ? `${measure.name} ${value}` : value, x, y, { align: "center", colour });
   }
 
   return {

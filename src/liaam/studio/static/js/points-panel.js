@@ -22,7 +22,7 @@ export function createPointsPanel(tab) {
   const confirm = act("Confirm where it is", "check", "Y", commands.confirm);
   const absent = act("Absent", "minus", "U", commands.toggleAbsent);
   const remove = act("Clear position", "trash", "Delete", commands.removeChosen);
-  const space = act("Space the contour's points evenly", "curve", "Shift+C", commands.space);
+  const space = act("Space the curve's points evenly", "curve", "Shift+C", commands.space);
   // Another observer places points: those of a mean shape would be no one's own.
   const { set, observers } = tab.state.project;
   const isObserver = set !== "" && observers.length > 1;
@@ -89,7 +89,7 @@ function pointList(onchoose) {
   const item = (name, state, i) => h("li.point", {
     role: "option", id: `point-${i}`, dataset: { index: i, state }, "aria-label": `${name}, ${state}`,
   },
-  h("span.point-dot", { "aria-hidden": "true" }), h("span.number.muted", String(i + 1)),
+  h("span.point-dot", { "aria-hidden": "true" }), h("span.number.muted", name === String(i + 1) ? "" : String(i + 1)),
   h("span.point-name.grow", name), h("span.point-state.small.muted", !QUIET.includes(state) && state));
 
   return {

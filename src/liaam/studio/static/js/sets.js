@@ -3,6 +3,7 @@
 import { calledSet, percent, several } from "./annotate-words.js";
 import { COLOURS } from "./drawing.js";
 import { numberText } from "./measures.js";
+import { createLeftOut } from "./left-out.js";
 import { discs, stroked } from "./overlays.js";
 import { shapeFacts, shapeNote } from "./shape-agreement.js";
 import { button, dialog, h, press, relist, saveFile, toast } from "./ui.js";
@@ -107,26 +108,40 @@ export function createAgreement(tab) {
   return element;
 }
 
+/** The pictures that the agreement of observers leaves out, and why: [{why, names}].
+ *  @param {Pick<Picture, "name">[]} all; @param {Pick<Agreement, "pictures" | "unconfirmed" | "alone">} found */
+export function notCompared(all, { pictures, unconfirmed, alone }) {
+  const known = new Set([...pictures.map(([name]) => name), ...unconfirmed, ...Object.keys(alone)]);
+  const by = [...new Set(Object.values(alone))].map((observer) => ({
+    why: `are finished in ${calledSet(observer)} only`, names: Object.keys(alone).filter((name) => alone[name] === observer),
+  }));
+  return [
+    { why: "have points that were accepted as they were proposed: move or confirm (Y) each of them", names: unconfirmed },
+    ...by,
+    { why: "are not finished by any observer", names: all.map(({ name }) => name).filter((name) => !known.has(name)) },
+  ].filter(({ names }) => names.length);
+}
+
 /** Show how far observers are apart, and the pictures and points where most. @param {App} app */
 export async function showAgreement({ api, state }) {
-  const { observers, sd, percent: share, repeatability, points, pictures, unconfirmed, file, table: text, shapes, pixel } =
-    await api.get(api.url("agreement"));
-  const ignored = unconfirmed.length > 0 && h("p.small.warn-text", { testid: "agreement-unconfirmed" },
-    `${several(unconfirmed.length, "picture")} ${unconfirmed.length === 1 ? "does" : "do"} not count, since points were ` +
-    `accepted as they were proposed: ${unconfirmed.slice(0, SHOWN).join(", ")}${unconfirmed.length > SHOWN ? " and others" : ""}. ` +
-    "Move or confirm (Y) each of them.");
+  const found = await api.get(api.url("agreement"));
+  const { observers, sd, percent: share, repeatability, points, pictures, file, table: text, shapes, pixel } = found;
   const inUnit = (value) => (pixel ? ` (${numberText(value * pixel.length, pixel.unit)})` : "");
   const pixels = (value) => `${value.toFixed(2)} px${inUnit(value)}`;
   const table = (title, head, rows) => h("section.agreement-table", h("h3", title), h("table",
     h("thead", h("tr", head.map((what) => h("th", { scope: "col" }, what)))), h("tbody", rows.slice(0, SHOWN))));
   const openPicture = (name) => (event) => { event.target.closest("dialog").close(); state.select(name); };
+  const without = createLeftOut((name) => { body.closest("dialog").close(); state.select(name); }, "agreement-left-out");
+  const all = state.project.pictures;
+  without.show(pictures.length === all.length ? `All ${several(all.length, "picture")} count.`
+    : `Left out: ${several(all.length - pictures.length, "picture")} of ${all.length}`, notCompared(all, found));
   const pictureRow = ([name, value]) => h("tr", h("th", { scope: "row" },
     button(name, { small: true, kind: "ghost", testid: "agreement-picture", onclick: openPicture(name) })), h("td", pixels(value)));
   const pointRow = ([name, value, own]) =>
     h("tr", h("th", { scope: "row" }, name), h("td", pixels(value)), h("td", percent(own / 100)));
   const fact = (what, value, testid) => h("div", h("dt.small.muted", what), h("dd", { testid }, value));
   const body = h("div.column",
-    h("p", `${several(pictures.length, "picture")} done by at least two of: ${observers.map(calledSet).join(", ")}.`),
+    h("p", `${several(pictures.length, "picture")} done by at least two of: ${observers.map(calledSet).join(", ")}.`), without.element,
     h("dl.agreement-facts",
       fact("Standard deviation of a point", pixels(sd), "agreement-sd"), fact("of the centroid size", percent(share / 100)),
       fact("Repeatability of the shape", repeatability === null ? "needs 2 pictures" : repeatability.toFixed(3))),
@@ -134,7 +149,7 @@ export async function showAgreement({ api, state }) {
     h("div.agreement-tables",
       table("Points, worst first", ["Point", "Deviation", "of size"], points.map(pointRow)),
       table("Pictures, worst first", ["Picture", "Deviation"], pictures.map(pictureRow))),
-    ignored, h("p.small.muted", "Deviation: standard deviation of an observer from the mean of all. Repeatability: share of the variance of shapes that is between specimens, 1 if observers agree."));
+    h("p.small.muted", "Deviation: standard deviation of an observer from the mean of all. Repeatability: share of the variance of shapes that is between specimens, 1 if observers agree."));
   const save = { label: "Save the table", value: "save", testid: "agreement-save" };
   const close = { label: "Close", kind: "primary", value: null };
   if ((await dialog("Agreement of observers", body, [save, close], { wide: true })) === "save")

@@ -8,6 +8,9 @@ export const GROUP_COLOURS = ["#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f
 const SHAPES = ["circle", "square", "triangle", "diamond"]; // so that groups differ without colours as well
 const PAD = 14;
 const AXIS = 34; // room for numbers beside an axis
+const MOST_NAMED = 24; // points that are all named where they are picked
+const ROOM_FOR_NAME = 70;
+const LONGEST = 14; // characters of a name that are drawn
 
 export const colourOf = (index) => GROUP_COLOURS[index % GROUP_COLOURS.length];
 
@@ -173,7 +176,6 @@ export function picker({ points, names, contours, lit, closed, onpick, width = 4
     const title = svg("title", {});
     title.textContent = `${i + 1}: ${names[i]}`; // a scale names points by their numbers
     dot.append(title);
-    if (order >= 0) dot.append(text(x + 8, y - 7, String(order + 1)));
     dot.addEventListener("click", () => onpick(i));
     dot.addEventListener("keydown", (event) => {
       if (event.key !== " " && event.key !== "Enter") return;
@@ -183,6 +185,14 @@ export function picker({ points, names, contours, lit, closed, onpick, width = 4
     });
     return dot;
   });
+  /** The name of a point, beside it; apart from the point, so that it takes no click of another. */
+  const named = (point, i) => {
+    if (!point || (points.length > MOST_NAMED && !lit.includes(i))) return null;
+    const [x, y] = at(point);
+    const isRight = x > width - ROOM_FOR_NAME;
+    const name = names[i].length > LONGEST ? `${names[i].slice(0, LONGEST - 1)}…` : names[i];
+    return text(x + (isRight ? -8 : 8), y - 7, name, { "text-anchor": isRight ? "end" : "start", "aria-hidden": "true", "pointer-events": "none" });
+  };
   return plot(width, height, "Points to measure between", svg("path", { d: outlines(points, contours, at), class: "plot-mean-line" }),
-    svg("path", { d: pathOf(line, closed), class: "plot-measure" }), dots);
+    svg("path", { d: pathOf(line, closed), class: "plot-measure" }), dots, points.map(named));
 }

@@ -1,6 +1,5 @@
 // The space of shapes: a scatter of principal components, the shapes over each other, and the thin-plate grid of a change.
 
-import { several } from "./annotate-words.js";
 import { numberText } from "./measures.js";
 import { bentGrid, scatter, superimposed } from "./shape-plots.js";
 import { button, h, labelledSlider, relist } from "./ui.js";
@@ -9,6 +8,7 @@ const MOST_NAMED = 12; // unusual shapes that are named
 const MOST_AXES = 10; // components that can be chosen
 const MOST_PAIRS = 30; // pairs of groups that can be chosen
 const SELECTED = "selected";
+const UNTESTED = "The groups are not tested: that takes two groups of two shapes or more, and at most 1000 pictures. “liaam measure --groups” has no such limit.";
 const MOST_AMOUNT = 3; // standard deviations, or times a change, to which the slider goes
 
 const percent = (share, digits = 0) => `${(100 * share).toFixed(digits)} %`;
@@ -57,6 +57,7 @@ export function createShapeSpace(tab) {
   });
   const scatterPlot = h("div.measure-plot", { testid: "shape-scatter" });
   const cloudPlot = h("div.measure-plot", { testid: "shape-cloud" });
+  const cloudTitle = h("h2.panel-title");
   const gridPlot = h("div.measure-plot", { testid: "shape-grid" });
   const outliers = h("div.row.tight.small", { testid: "shape-outliers" });
   const tests = h("ul.small.shape-tests", { testid: "shape-tests", "aria-label": "Differences between groups" });
@@ -68,7 +69,7 @@ export function createShapeSpace(tab) {
     h("section.panel.measure-card", { "aria-label": "Thin-plate grid" },
       h("div.row", h("h2.panel-title.grow", "Change as a grid"), changeList), slider.element, gridPlot),
     h("section.panel.measure-card", { "aria-label": "Procrustes superimposition" },
-      h("h2.panel-title", "All shapes, superimposed"), cloudPlot));
+      cloudTitle, cloudPlot));
   const element = h("div.measure-view", whyNot, cards);
 
   /** The group of each shape as an index; -1 for none. */
@@ -184,6 +185,8 @@ export function createShapeSpace(tab) {
 
   function drawCloud(/** @type {Space} */ space, contours) {
     const chosen = space.shapes[selectedIn(space)] ?? null;
+    const [drawn, all] = [space.shapes.length, space.of.length];
+    cloudTitle.textContent = drawn < all ? `The first ${drawn} of ${all} shapes, superimposed` : "All shapes, superimposed";
     cloudPlot.replaceChildren(
       superimposed({ shapes: space.shapes, mean: space.mean, contours, chosen, groups: groupsOf(space) }));
   }
@@ -202,8 +205,9 @@ export function createShapeSpace(tab) {
       const apart = distance === null ? "" : `${numberText(distance)} apart, `;
       return h("li", `${groups}: ${apart}${percent(share)} of the variance of shape of ${specimens}, P = ${p.toFixed(3)}`);
     };
-    tests.hidden = !tab.data.tests.length;
-    tests.replaceChildren(...tab.data.tests.map(line));
+    const isUntested = !tab.data.tests.length && tab.groups.names.length > 1;
+    tests.hidden = !tab.data.tests.length && !isUntested;
+    tests.replaceChildren(...(isUntested ? [h("li.muted", UNTESTED)] : tab.data.tests.map(line)));
   }
 
   function draw() {
@@ -211,12 +215,11 @@ export function createShapeSpace(tab) {
     whyNot.hidden = Boolean(space);
     cards.hidden = !space;
     whyNot.textContent = space ? "" : `Shapes are compared from three complete pictures on: ${reason}.`;
-    const without = space ? tab.data.pictures.filter((_, i) => !space.of.includes(i)) : [];
-    const lack = without.length > 0 && `${several(without.length, "picture")} ${without.length === 1 ? "lacks" : "lack"} points, and ` +
-      `so ${without.length === 1 ? "has" : "have"} no shape: ${without.slice(0, MOST_NAMED).join(", ")}${without.length > MOST_NAMED ? " and others" : ""}. ` +
-      "“Estimate missing points” includes them.";
-    sidesNote.hidden = !sides && !lack;
-    sidesNote.textContent = [sides && `${sides[0].toUpperCase()}${sides.slice(1)}.`, lack].filter(Boolean).join(" ");
+    const isWhole = !space || space.of.length === tab.data.pictures.length;
+    sidesNote.hidden = !sides && isWhole;
+    sidesNote.textContent = [
+      sides && `${sides[0].toUpperCase()}${sides.slice(1)}.`, !isWhole && "“Estimate missing points” includes pictures that lack points.",
+    ].filter(Boolean).join(" ");
     if (!space) return;
     if (lastPicture !== tab.state.current && change === SELECTED) amount = 1; // another picture is another change
     lastPicture = tab.state.current;

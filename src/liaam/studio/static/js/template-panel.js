@@ -1,23 +1,19 @@
 // The panel beside the picture while the template is edited: instructions, points, paths, and Done.
 
-import { several } from "./annotate-words.js";
+import { CLICK, several } from "./annotate-words.js";
 import { fileOf } from "./api.js";
 import * as drafts from "./template.js";
 import { button, consume, fileField, h, icon, iconButton, menu, press } from "./ui.js";
 
-const START =
-  "Which points will be placed on every picture? Click them on this picture: each click is a landmark. Draw a curve for " +
-  "points along an outline.";
-const CONTINUE =
-  "Each click adds a landmark, or a semilandmark to the curve that you draw. Click the curve's first point to close it, " +
-  "Shift-click a point to connect the curve to it. You can change names below, now or later.";
-const EDIT =
-  "Click the picture to add points. Shift-click a point to connect a curve to it. Other pictures change when you " +
-  "press Done.";
-const LAY_OUT = "Drag the frame's handles until the points lie on this picture, then move single points.";
-
-const OFFERED = "Meanwhile a model has placed its own points in your pictures. Yours are kept: go on, or use those.";
-const LOOKING = "Faces are looked for in these pictures. If there are any, their points are placed for you.";
+const START = `Which points will you place on every picture? ${CLICK} each of them on this one. For points along an outline, press “Draw a curve” first.`;
+const OTHER = "Or start with a common set of points, or with the points of a landmark file:";
+const CONTINUE = `${CLICK} the next point, or press Done when all are there. Names can be changed below, also later.`;
+const DRAW = `${CLICK} along the outline, and on points that the curve goes through. ${CLICK} its first point to close it, or press “Draw a curve” again to end it.`;
+const SLIDING = "S: semilandmark, which slides along its curve. Press S to change it.";
+const EDIT = `${CLICK} the picture to add points, drag points to move them. Nothing changes in other pictures before you press Done.`;
+const LAY_OUT = "Drag the corners of the frame until the points lie on this picture, then drag single points.";
+const OFFERED = "Meanwhile a model has placed other points in your pictures. Yours are kept: go on, or press “Use the model's points”.";
+const LOOKING = `Looking for faces in these pictures. If there are any, their points are placed for you. If not, ${CLICK.toLowerCase()} your own.`;
 
 /** Common sets of points to start with, by the name of their landmark file. */
 const PRESETS = {
@@ -38,45 +34,48 @@ export function createTemplatePanel({ drafting, formats, onload, onsliders, ondo
       OF_LANDMARKS.includes(set) ? "landmark" : null);
   const tool = (label, face, onclick, more = {}) => button(label, { icon: face, small: true, onclick, ...more });
   const path = tool("Draw a curve", "path", () => drafting.togglePath(), {
-    shortcut: "N", testid: "template-new-path", pressed: false, title: "Clicks add points of a curve, until you press it again",
+    shortcut: "N", testid: "template-new-path", pressed: false, title: "Clicks add points to a curve, until you press this again",
   });
-  const close = tool("Join its ends", "curve", () => drafting.close(), {
-    shortcut: "C", testid: "template-close-path", title: "Close the curve: join its last point with its first",
+  const pathBelow = tool("Draw a curve", "path", () => drafting.togglePath(), { pressed: false, class: "narrow-only" });
+  const close = tool("Close it", "curve", () => drafting.close(), {
+    shortcut: "C", testid: "template-close-path", title: "Close the curve: join its last point to its first",
   });
   const slidersFile = fileField((chosen) => onsliders(chosen), {
     id: "template-sliders", accept: ".csv,.txt", testid: "template-sliders", tabindex: null,
   });
   const sliders = h("label.button.small", {
-    for: "template-sliders", title: "Take semilandmarks and curves from a table of the numbers before, slide and after",
-  }, icon("upload"), "Load sliders");
-  const mirror = tool("Mirror", "mirror", () => drafting.toggleMirror(), {
-    shortcut: "X", pressed: false, title: "Add a mirrored point on the other side of the line with each point",
+    for: "template-sliders", title: "Semilandmarks and curves from a table for geomorph: the numbers of the points before, slide and after",
+  }, icon("upload"), "Load sliders…");
+  const mirror = tool("In pairs", "mirror", () => drafting.toggleMirror(), {
+    shortcut: "X", pressed: false, title: "Left and right: with each point, add its mirror image on the other side of a line",
   });
-  const flip = tool("Flip", "swap", () => drafting.flip(), { title: "Swap left and right" });
+  const flip = tool("Flip", "swap", () => drafting.flip(), { title: "Flip the points: swap left and right" });
   const done = button("Done", { icon: "check", kind: "primary", testid: "template-done", onclick: ondone });
   const cancel = button("Cancel", { kind: "ghost", onclick: onleave });
   const endLayout = () => drafting.endLayout();
   const settled = button("The points are in place", { kind: "primary", small: true, onclick: endLayout });
   const message = h("p.small.error-text", { role: "status" });
   const points = pointRows(drafting);
-  const paths = h("ul.template-paths", { "aria-label": "Curves of the template" });
+  const sliding = h("p.small.muted", { hidden: true }, SLIDING);
+  const curves = curveRows(drafting);
   const element = h("div.template-panel",
     h("section.panel", heading, intro, h("div.row", path, close, mirror, flip, slidersFile, sliders)),
     h("section.panel.grow.template-lists",
-      h("h2.panel-title", "Points"), points.element, h("h2.panel-title", "Curves"), paths),
-    h("section.panel.side-foot", message, h("div.row", done, cancel)));
+      h("h2.panel-title", "Points"), points.element, sliding, h("h2.panel-title", "Curves"), curves.element),
+    h("section.panel.side-foot", message, h("div.row", done, cancel, pathBelow)));
 
   /** What to do, above the buttons. */
   function steps() {
     const { draft, saved, layout } = drafting;
     const hint = (text) => [h("p.muted.small", text)];
     if (layout) return [h("p", `Points of ${layout.file}. ${LAY_OUT}`), settled];
-    if (saved) return hint(EDIT);
-    if (draft.names.length && isOffered()) return hint(`${OFFERED} ${CONTINUE}`);
+    if (saved && draft.path < 0) return hint(EDIT);
+    if (draft.path >= 0) return hint(DRAW);
+    if (draft.names.length && isOffered()) return hint(OFFERED);
     if (draft.names.length) return hint(CONTINUE);
     if (isLooking()) return hint(LOOKING);
-    const label = h("label.button", { for: "template-file" }, icon("upload"), "Load a landmark file");
-    const other = hint(`Or start with a common set, or with a landmark file (${formats.join(" ")}):`);
+    const label = h("label.button", { for: "template-file", title: formats.join(" ") }, icon("upload"), "Load a landmark file…");
+    const other = hint(OTHER);
     const common = menu("Choose a common set…", PRESETS, loadPreset, {
       "aria-label": "Common sets of points", testid: "template-preset",
     });
@@ -86,10 +85,12 @@ export function createTemplatePanel({ drafting, formats, onload, onsliders, ondo
   function refresh() {
     const { draft, saved, layingOut } = drafting;
     const open = draft.path >= 0;
-    heading.textContent = saved ? "Edit the template" : "Start with a template";
+    heading.textContent = saved ? "Edit the template" : "Template: the points of every picture";
     intro.replaceChildren(...steps());
     path.disabled = layingOut;
-    press(path, open);
+    for (const each of [path, pathBelow]) press(each, open);
+    pathBelow.disabled = layingOut;
+    sliding.hidden = !draft.kinds.some((_, i) => drafts.slides(draft, i));
     sliders.hidden = !draft.names.length || layingOut;
     close.disabled = !open || draft.contours[draft.path].indices.length < (draft.twinPath < 0 ? 3 : 2);
     mirror.disabled = layingOut;
@@ -104,10 +105,8 @@ export function createTemplatePanel({ drafting, formats, onload, onsliders, ondo
   return {
     element, mark: points.mark, tell: (text) => { message.textContent = text; },
     render() {
-      const { contours } = drafting.draft;
       points.render();
-      paths.dataset.empty = contours.length ? "" : "No curves yet";
-      paths.replaceChildren(...contours.map((contour, k) => pathRow(drafting, contour, k)));
+      curves.render();
       refresh();
     },
     setBusy(now) {
@@ -118,20 +117,57 @@ export function createTemplatePanel({ drafting, formats, onload, onsliders, ondo
   };
 }
 
-function pathRow(drafting, { indices, closed }, k) {
-  const current = k === drafting.draft.path;
-  const label = `Curve ${k + 1}`;
-  const length = ` ${several(indices.length, "point")}${current ? ", being drawn" : ""}`;
-  const edit = (what, change, ...more) => () => drafting.apply(change(drafting.draft, k, ...more), what);
-  const small = (text, face, onclick, more = {}) =>
-    iconButton(`${text} curve ${k + 1}`, face, onclick, { small: true, ...more });
-  const state = { small: true, kind: "ghost", pressed: closed, "aria-label": `${label}: closed` };
-  return h("li.template-path", { class: current && "chosen" },
-    h("span.grow", label, h("span.muted.small", length)),
-    !current && indices.length > 2 &&
-      button(closed ? "closed" : "open", { ...state, onclick: edit("close the curve", drafts.setClosed, !closed) }),
-    !current && small("Continue", "edit", edit("continue the curve", drafts.continuePath)),
-    small("Delete", "trash", edit("delete the curve", drafts.removePath), { title: "Delete this curve; its points stay" }));
+/** The list of the curves, to name, close, continue or delete them. A row stays while its name is typed. */
+function curveRows(drafting) {
+  const rows = [];
+  const element = h("ul.template-paths", { "aria-label": "Curves of the template" });
+
+  function render() {
+    const { contours, path } = drafting.draft;
+    while (rows.length > contours.length) rows.pop().element.remove();
+    while (rows.length < contours.length) add(rows.length);
+    rows.forEach((row, k) => {
+      const { indices, closed, name = "" } = contours[k];
+      const isDrawn = k === path;
+      row.element.classList.toggle("chosen", isDrawn);
+      if (row.name.value !== name) row.name.value = name;
+      row.length.textContent = isDrawn && !indices.length ? "being drawn" : `${several(indices.length, "point")}${isDrawn ? ", being drawn" : ""}`;
+      row.closed.hidden = isDrawn || indices.length < 3;
+      row.closed.textContent = closed ? "closed" : "open";
+      row.closed.setAttribute("aria-label", `${drafts.curveText(contours[k], k)}: closed`);
+      press(row.closed, closed);
+      row.more.hidden = isDrawn;
+    });
+    element.dataset.empty = contours.length ? "" : "No curves yet";
+  }
+
+  function add(k) {
+    const edit = (what, change) => () => drafting.apply(change(drafting.draft, k), what);
+    const small = (text, face, onclick, more = {}) => iconButton(`${text} curve ${k + 1}`, face, onclick, { small: true, ...more });
+    const name = h("input.text", {
+      type: "text", placeholder: `Curve ${k + 1}`, "aria-label": `Name of curve ${k + 1}`, testid: "curve-name", maxlength: "100",
+      spellcheck: "false", autocomplete: "off", title: "Name of the curve, such as costa",
+      oninput: () => drafting.apply(drafts.nameCurve(drafting.draft, k, name.value), "rename the curve", `rename curve ${k}`),
+      onkeydown: (event) => {
+        if (event.key !== "Enter") return;
+        consume(event);
+        name.blur();
+      },
+    });
+    const length = h("span.muted.small");
+    const toggle = (draft) => drafts.setClosed(draft, k, !draft.contours[k].closed);
+    const closed = button("open", {
+      small: true, kind: "ghost", pressed: false, onclick: edit("close the curve", toggle), title: "Whether its last point is joined to its first",
+    });
+    const more = small("Continue", "edit", edit("continue the curve", (draft) => drafts.continuePath(draft, k)));
+    const gone = small("Delete", "trash", edit("delete the curve", (draft) => drafts.removePath(draft, k)), {
+      title: "Delete this curve; its points stay" });
+    const row = { element: h("li.template-path", name, length, closed, more, gone), name, length, closed, more };
+    rows.push(row);
+    element.append(row.element);
+  }
+
+  return { element, render };
 }
 
 /** The list of the points, to rename, reorder or delete them. */
@@ -189,7 +225,7 @@ function pointRows(drafting) {
     const gone = iconButton("Delete", "trash", () => drafting.deleteChosen([at()]), { small: true });
     const kind = button("S", {
       kind: "ghost", small: true, pressed: false, onclick: () => drafting.changeKind(at()),
-      title: "Semilandmark: tracing and spacing of its curve move it",
+      title: "Semilandmark: tracing its curve, or spacing its points evenly, moves it",
     });
     const row = { element: h("li.template-point", grip, number, name, twin, kind, gone), number, name, twin, kind, gone };
     rows.push(row);

@@ -1,7 +1,7 @@
 // The landmark template as an immutable value: points, names, paths and symmetry. Every function returns a new draft.
 // The twin of a point is its mirrored point.
 //
-// A draft is {names, points, kinds: "landmark" or "semilandmark", contours: [{indices, closed}], mirror: twin of each
+// A draft is {names, points, kinds: "landmark" or "semilandmark", contours: [{indices, closed, name, if it has one}], mirror: twin of each
 //  point (itself if none), origins: index of each point in the saved template or null, path: the curve that is being
 //  drawn, which clicks continue, or -1, twinPath: its mirror image or -1, layout: see Drafting.layout, if there is one}
 // Curves are called contours in files. Without a curve that is being drawn, a click adds a landmark by itself.
@@ -24,7 +24,7 @@ export function draftOf(template, points = null) {
   return {
     names: template.names.slice(), points: points ?? template.points ?? template.names.map(() => null),
     kinds: template.kinds?.slice() ?? template.names.map(() => LANDMARK),
-    contours: template.contours.map(({ indices, closed }) => ({ indices: indices.slice(), closed: Boolean(closed) })),
+    contours: template.contours.map((curve) => ({ ...curve, indices: curve.indices.slice(), closed: Boolean(curve.closed) })),
     mirror: template.mirror?.slice() ?? indicesOf(template.names), origins: indicesOf(template.names), path: -1,
     twinPath: -1,
   };
@@ -100,9 +100,10 @@ export function startPath(draft) {
 /** End the curve that is being drawn; the next click adds a landmark by itself. */
 export function newPath(draft, closed = false) {
   if (draft.path < 0) return draft;
-  const { indices } = draft.contours[draft.path];
+  const { indices, ...curve } = draft.contours[draft.path];
   const twin = draft.twinPath < 0 ? null : draft.contours[draft.twinPath].indices;
-  const done = twin ? joined(indices, twin, closed) : [{ indices, closed: closed && indices.length > 2 }];
+  const [own, ...others] = twin ? joined(indices, twin, closed) : [{ indices, closed: closed && indices.length > 2 }];
+  const done = [{ ...curve, ...own }, ...others]; // a mirror image has no name
   const contours = draft.contours.flatMap((contour, k) =>
     k === draft.path ? done : k === draft.twinPath ? [] : contour);
   const whole = { ...draft, contours: contours.filter((contour) => contour.indices.length > 1), path: -1, twinPath: -1 };
@@ -127,6 +128,12 @@ export function connect(draft, index) {
 export const setClosed = (draft, path, closed) =>
   ({ ...draft, contours: draft.contours.map((c, k) => (k === path ? { ...c, closed } : c)) });
 
+export const nameCurve = (draft, path, name) =>
+  ({ ...draft, contours: draft.contours.map((curve, k) => (k === path ? { ...curve, name } : curve)) });
+
+/** The name of a curve, or else its number. */
+export const curveText = ({ name = "" }, k) => name.trim() || `Curve ${k + 1}`;
+
 export const removePath = (draft, path) =>
   settled({ ...draft, path: -1, twinPath: -1, contours: draft.contours.filter((_, k) => k !== path) });
 
@@ -143,9 +150,9 @@ export const rename = (draft, index, name) =>
 function arranged(draft, order) {
   const now = new Map(order.map((old, i) => [old, i]));
   const pick = (list) => order.map((old) => list[old]);
-  const kept = draft.contours.map(({ indices, closed }) => {
-    const left = indices.filter((i) => now.has(i)).map((i) => now.get(i));
-    return { indices: left, closed: closed && left.length > 2 };
+  const kept = draft.contours.map((curve) => {
+    const left = curve.indices.filter((i) => now.has(i)).map((i) => now.get(i));
+    return { ...curve, indices: left, closed: curve.closed && left.length > 2 };
   });
   // The curve that is being drawn may have no point yet; all others need two.
   const alive = kept.map((contour, k) => k === draft.path || k === draft.twinPath || contour.indices.length > 1);
@@ -169,14 +176,19 @@ export function reorder(draft, from, to) {
   return arranged(draft, order);
 }
 
+const repeated = (names) => names.find((name, i) => names.indexOf(name) !== i);
+
 /** What is wrong with a draft; null if it can be saved. */
 export function fault(draft) {
   if (draft.names.length < 3)
     return `A template needs at least three points: add ${3 - draft.names.length} more.`;
   const blank = draft.names.findIndex((name) => !name.trim());
   if (blank >= 0) return `Point ${blank + 1} has no name: enter one.`;
-  const duplicate = draft.names.find((name, i) => draft.names.findIndex((other) => other.trim() === name.trim()) !== i);
+  const duplicate = repeated(draft.names.map((name) => name.trim()));
   if (duplicate !== undefined) return `Two points have the name '${duplicate}': rename one.`;
+  const curves = draft.contours.map(({ name = "" }) => name.trim()).filter(Boolean);
+  const twice = repeated(curves.map((name) => name.toLowerCase()));
+  if (twice !== undefined) return `Two curves have the name '${curves.find((name) => name.toLowerCase() === twice)}': rename one.`;
   const lost = draft.points.findIndex((point) => !point);
   if (lost >= 0) return `'${draft.names[lost]}' is not placed: click its position on the picture, or delete it.`;
   return null;
@@ -188,7 +200,7 @@ export function templateOf(draft) {
   const { names, points, kinds, contours, mirror } = newPath(draft);
   return {
     names: names.map((name) => name.trim()), points, kinds,
-    contours: contours.map(({ indices, closed }) => ({ indices, closed })),
+    contours: contours.map(({ indices, closed, name = "" }) => ({ indices, closed, ...(name.trim() && { name: name.trim() }) })),
     mirror: mirror.some((twin, i) => twin !== i) ? mirror : null,
   };
 }
@@ -285,9 +297,9 @@ export function changes(draft, count) {
 }
 
 /** The measures that lose a point by a change of the template with these names, in words. */
-function lostMeasures(draft, names, { measures }) {
+function lostMeasures(draft, names, { measures, names: called = {} }) {
   const isLost = (measure) => parsed(measure, names)?.indices.some((i) => !draft.origins.includes(i));
-  return measures.filter(isLost).map((measure) => measureText(measure, names));
+  return measures.filter(isLost).map((measure) => called[measure] ?? measureText(measure, names));
 }
 
 /** The sets of other observers, which keep their points as they are, in words; "" if they stay comparable. */

@@ -38,10 +38,10 @@ export class Tracing extends Editable {
   get knots() { return this.shown ?? this.#history.state; }
   get points() { return [...this.first, ...this.knots, ...this.last]; }
   get prompt() {
-    const { indices, closed } = this.#contour;
+    const { indices, closed, name } = this.#contour;
     const { names } = this.#marking;
     const [from, to] = [indices[0], indices.at(-1)].map((index) => names[index]);
-    return `Click along the contour from ${from}${closed ? "" : ` to ${to}`}. Enter or a click on the last place ends it`;
+    return `Click along ${name || "the curve"} from ${from}${closed ? "" : ` to ${to}`}. Enter or a click on the last place ends it`;
   }
 
   /** The contour to trace: that of the selected point, or of the next one to place; null if there is none. */
@@ -105,7 +105,7 @@ export class Tracing extends Editable {
     const [contour, before] = [this.#contour, this.#before];
     if (!whole) return;
     this.turn(false);
-    this.#marking.commit(whole, "trace the contour", null, { changed: "placed", context: before });
+    this.#marking.commit(whole, "trace the curve", null, { changed: "placed", context: before });
     this.#marking.onplaced(contour.indices.at(-1));
   }
 
@@ -117,7 +117,7 @@ export class Tracing extends Editable {
     const { origins } = this.#marking;
     const isOfPerson = contour.indices.every((index) => !origins[index] || isOwn(origins[index]));
     const fresh = isOfPerson ? "placed" : "proposed"; // what runs through proposed points is no person's either
-    this.#marking.commit(this.along(line, contour, this.fixedOf(contour)), "space the contour evenly", null, { fresh });
+    this.#marking.commit(this.along(line, contour, this.fixedOf(contour)), "space the curve evenly", null, { fresh });
   }
 
   /** The knots among points that a gesture has edited. */
@@ -157,7 +157,7 @@ export class Tracing extends Editable {
     const { first, knots, last } = this;
     const show = (at) => this.preview([...first, ...knots, rounded(at), ...last]);
     const up = () => {
-      this.commit(this.points, "place on the contour");
+      this.commit(this.points, "place on the curve");
       this.select([first.length + knots.length]);
     };
     return placing(xy, show, up, () => this.preview(null));
