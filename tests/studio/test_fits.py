@@ -163,7 +163,10 @@ class TestFit:
         fits = make_fits(tmp_path, head_model)
         seen = fit(fits, "far.png").as_json()
         expected = Fitter(head_model).fit(picture)  # which weighs that there are many small places
-        assert (seen["status"], seen["quality"]) == (str(expected.status), pytest.approx(expected.quality, abs=1e-5))
+        assert (seen["status"], seen["quality"]) == (
+            str(expected.status),
+            pytest.approx(expected.quality, abs=5e-5),
+        )  # rounded
 
     def test_says_where_further_objects_are(self, fitted):
         result = fitted.result
