@@ -87,6 +87,7 @@ def test_a_measure_has_a_name_of_its_own_in_the_table(small):
         ({"add": "distance:1-2"}, "add is not valid"),
         ({"scale": "banana"}, "scale 'banana'"),
         ({"scale": 3}, "scale is not valid"),
+        ({"scale": "200"}, "scale '200': give its unit, such as '0.005 mm', or '200 px/mm'"),
         ({"by": "size"}, "cannot be grouped by 'size'"),
     ],
 )

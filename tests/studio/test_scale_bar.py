@@ -75,6 +75,13 @@ def test_a_scale_in_a_file_is_known_where_its_measures_are_drawn(small):
     assert small.marks("p1.png")["pixel"] is None  # the bar says it
 
 
+def test_the_scale_of_measure_is_that_of_pictures_without_one(small):
+    small.save_measuring({"scale": "200 px/mm"})
+    assert small.marks("p1.png")["pixel"] == {"length": 0.005, "unit": "mm"}
+    small.save_measuring({"scale": "a-b=5 mm"})  # measured in each picture
+    assert small.marks("p1.png")["pixel"] is None
+
+
 def test_a_pts_file_has_no_room_for_it_but_the_studio_knows_it(small):
     write_landmarks(small.root / "p1.pts", Landmarks(np.array(POINTS)))
     put(small, "p1.png", bar=CM)

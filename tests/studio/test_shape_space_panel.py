@@ -10,7 +10,7 @@ from liaam.errors import LiaamError
 from liaam.io import write_image
 from liaam.studio.contract import ShapesQuery
 from liaam.studio.project import Project
-from liaam.studio.shapes import save_groups, shapes, table
+from liaam.studio.shapes import sample_of, save_groups, shapes, table
 
 BASE = np.array([[2.0, 3], [36, 4], [34, 26], [5, 25], [20, 15]])
 TEMPLATE = {"names": ["a", "b", "c", "d", "e"], "contours": [], "mirror": None}
@@ -150,3 +150,5 @@ def test_pictures_without_a_scale_are_named_where_others_have_one(sample):
     bar = {"ends": [[0.0, 0.0], [20.0, 0.0]], "length": 10.0, "unit": "mm"}
     sample.review({"pictures": [first], "did": "scaled", "bar": bar, "of": first})
     assert shapes(sample, ShapesQuery())["unscaled"] == [1, 2, 3, 4, 5, 6]
+    columns = sample_of(sample, ShapesQuery(scale="0.25 mm")).columns
+    assert columns["scale_mm_per_px"] == [0.5] + [0.25] * 6  # the first has its own

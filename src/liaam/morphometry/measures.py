@@ -247,8 +247,8 @@ def parse_scale(text: str) -> Length | ScaleBar | str:
     are_ends = len(set(ends)) == 2 and all(ends)
     if length is None or (equals and not are_ends):
         raise LiaamError(
-            f"scale '{text}': give the length of a pixel, such as '0.0031 mm'; or two landmarks and the length between "
-            "them, such as '11-12=5 mm'; or the unit of the SCALE in the files, such as mm"
+            f"scale '{text}': give the length of a pixel, such as '0.0031 mm' or '200 px/mm'; or two landmarks and the "
+            "length between them, such as '11-12=5 mm'; or the unit of the SCALE in the files, such as mm"
         )
     return ScaleBar(ends, length.value, length.unit, length.se) if equals else length
 

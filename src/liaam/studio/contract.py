@@ -159,7 +159,7 @@ class Marks(TypedDict):
     height: int
     bar: Bar | None
     bar_shared: Annotated[bool, "Whether it was drawn on another picture, so that its place here means nothing."]
-    pixel: Annotated[Pixel | None, "By the scale of the landmark file, where there is no bar."]
+    pixel: Annotated[Pixel | None, "By the scale of the landmark file, or that of Measure, where there is no bar."]
     beside: Annotated[str, "Changes with the absent points and the origins, which the file does not hold."]
 
 
@@ -381,7 +381,7 @@ class Measuring(TypedDict):
     """What is measured of the pictures, as it is kept with the folder."""
 
     measures: Annotated[list[str], "Such as distance:1-5, with numbers of points."]
-    scale: Annotated[str, "Of pictures that have none, such as 11-12=5 mm; empty if none is given."]
+    scale: Annotated[str, "Of pictures that have none, such as 0.005 mm, or of all, such as 11-12=5 mm; else empty."]
     by: Annotated[str, "What groups pictures: folder, name or table; empty if nothing."]
     names: Annotated[dict[str, str], "What a person calls measures, by measure."]
     gone: Annotated[list[str], "What a change of the template has removed with its points, in words."]

@@ -10,6 +10,7 @@ from typing import Any
 
 from liaam.morphometry import Measure
 from liaam.morphometry.measures import ScaleBar, indices_of, parse_scale, same_name
+from liaam.scale.lengths import Length
 from liaam.studio import contract
 from liaam.studio.contract import OMITTED
 from liaam.studio.refusal import Refusal, refusing
@@ -33,6 +34,12 @@ def kept_in(store: Store) -> contract.Measuring:
     nothing: contract.Measuring = {"measures": [], "names": {}, "scale": "", "by": "", "gone": []}
     kept: contract.Measuring = store.get(MEASURING) or nothing
     return {**nothing, **kept}  # earlier versions kept no names
+
+
+def pixel_by(kept: contract.Measuring) -> contract.Pixel | None:
+    """Return the length of a pixel of pictures that have no scale; None if none is given, or by two points."""
+    pixel = parse_scale(kept["scale"]) if kept["scale"] else None
+    return {"length": pixel.value, "unit": pixel.unit} if isinstance(pixel, Length) else None
 
 
 def changed(kept: contract.Measuring, asked: contract.SaveMeasuring, names: Sequence[str]) -> contract.Measuring:
@@ -153,6 +160,8 @@ def _numbered_scale(text: Any, names: Sequence[str]) -> str:
     if not isinstance(text, str):
         raise Refusal(422, "scale is not valid: send text, such as 11-12=5 mm")
     bar = parse_scale(text) if text.strip() else None
+    if isinstance(bar, Length) and not bar.unit:
+        raise Refusal(422, f"scale '{text.strip()}': give its unit, such as '0.005 mm', or '200 px/mm'")
     if not isinstance(bar, ScaleBar):
         return text.strip()
     return f"{'-'.join(_numbers('scale', bar.ends, names))}={text.rpartition('=')[2].strip()}"

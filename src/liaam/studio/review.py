@@ -18,6 +18,7 @@ from liaam.io.landmarks import Landmarks, parse_landmark_data
 from liaam.studio import contract
 from liaam.studio.folder import File, Listing, revision_of
 from liaam.studio.landmark_files import LandmarkFiles, Marks, revision_of_proposal
+from liaam.studio.measuring import kept_in, pixel_by
 from liaam.studio.origins import OWN, Origin, Origins
 from liaam.studio.refusal import Refusal
 from liaam.studio.store import Store, StoredTable
@@ -285,10 +286,12 @@ class PictureStates:
         return answer
 
     def _pixel_of(self, file: File) -> contract.Pixel | None:
-        """Return the length of a pixel of a picture; None if it has no scale, or none with a unit."""
+        """Return the length of a pixel of a picture by its file, or else by what is kept for all; None if unknown."""
         length = self.landmarks.scale_of(file)
+        if not length:
+            return pixel_by(kept_in(self.store))
         unit = self.landmarks.unit_of(file)
-        return {"length": length, "unit": unit} if length and unit else None
+        return {"length": length, "unit": unit} if unit else None
 
     def _absent_with(self, file: File, proposal: Mapping[str, Any]) -> list[int]:
         """Return the points that a person said to be absent in a picture, and those that the model found absent.

@@ -25,9 +25,10 @@ from liaam.morphometry import (
     shape_variation,
     with_estimated_landmarks,
 )
+from liaam.morphometry.measures import ScaleBar, parse_scale
 from liaam.morphometry.sides import IGNORED
 from liaam.morphometry.table import comparable, in_unit, scales_in, size_column, unit_of_table
-from liaam.scale.lengths import unit_of
+from liaam.scale.lengths import Length, unit_of
 from liaam.studio import contract
 from liaam.studio.contract import ShapesQuery
 from liaam.studio.folder import plain_name
@@ -76,7 +77,7 @@ def sample_of(project: Project, asked: ShapesQuery) -> Sample:
     if not placed:
         raise Refusal(422, "all points are as they were proposed: accept those of a picture, then measure")
     specimens, sides = _of_one_side(_with_sides([_specimen(picture) for picture in placed]))
-    scale = asked.scale or _unit_of_files(specimens)
+    specimens, scale = _with_scale(specimens, asked.scale)
     if asked.estimate:
         specimens, _ = with_estimated_landmarks(specimens, "tps", scale)
     called = kept_in(project.store)["names"]
@@ -193,6 +194,21 @@ def _of_one_side(specimens: Sequence[Specimen]) -> tuple[tuple[Specimen, ...], s
         return of_one_side(specimens)
     except LiaamError as fault:  # the page shows what there is while sides are being completed
         return of_one_side(specimens, IGNORED)[0], str(fault)
+
+
+def _with_scale(
+    specimens: tuple[Specimen, ...], written: str | None
+) -> tuple[tuple[Specimen, ...], str | ScaleBar | None]:
+    """Give specimens without a scale the length of a pixel that a person has written; return them, and the rule.
+
+    A scale between two points is measured in each picture.
+    """
+    rule = parse_scale(written) if written else None
+    if not isinstance(rule, Length):
+        return specimens, rule or _unit_of_files(specimens)
+    of_all = {"scale": rule.value, "unit": rule.unit, "scale_se": rule.se}
+    scaled = tuple(each if each.scale is not None else replace(each, **of_all) for each in specimens)
+    return scaled, rule.unit
 
 
 def _unit_of_files(specimens: Sequence[Specimen]) -> str | None:

@@ -125,7 +125,7 @@ interface Marks {
   bar: Bar | null;
   /** Whether it was drawn on another picture, so that its place here means nothing. */
   bar_shared: boolean;
-  /** By the scale of the landmark file, where there is no bar. */
+  /** By the scale of the landmark file, or that of Measure, where there is no bar. */
   pixel: Pixel | null;
   /** Changes with the absent points and the origins, which the file does not hold. */
   beside: string;
@@ -361,7 +361,7 @@ interface Limits {
 interface Measuring {
   /** Such as distance:1-5, with numbers of points. */
   measures: string[];
-  /** Of pictures that have none, such as 11-12=5 mm; empty if none is given. */
+  /** Of pictures that have none, such as 0.005 mm, or of all, such as 11-12=5 mm; else empty. */
   scale: string;
   /** What groups pictures: folder, name or table; empty if nothing. */
   by: string;

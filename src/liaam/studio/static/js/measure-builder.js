@@ -6,7 +6,7 @@ import { picker } from "./shape-plots.js";
 import { curveText } from "./template.js";
 import { button, h, iconButton, segmented } from "./ui.js";
 
-const SCALE = "Scale of pictures that have none: the length of a pixel (0.003 mm), or two points and their distance (11-12=5 mm)";
+const SCALE = "Scale of pictures that have none: the length of a pixel (0.005 mm, or 200 px/mm); or of all, two points and their distance (11-12=5 mm)";
 
 export class MeasureBuilder {
   /** @type {Map<string, {element: HTMLElement, about: HTMLElement, name: any, remove: HTMLElement}>} */
