@@ -55,17 +55,17 @@ void remove_hidden(const Objective& objective, const Samples& samples, const Wei
     }
 }
 
-// The Cholesky factor of A'A plus the ridge, over the usable pixels: that of the weights, unless some are hidden.
-void factorise_usable(const Objective& objective, const Samples& samples, const Weights& weights, std::size_t hidden,
-                      AppearanceRoom& room) {
-    Matrix& factor = room.fitted.factor;
-    if (!hidden) {
-        factor = weights.factor;
-        return;
-    }
+// The Cholesky factor of A'A plus the ridge, over the usable pixels.
+void factorise(const Objective& objective, const Samples& samples, const Weights& weights, std::size_t hidden,
+               std::vector<float>& line, Matrix& factor) {
+    const Doubles ridge = objective.model.ridge;
     factor = weights.gram;
-    remove_hidden(objective, samples, weights, room.line, factor);
-    factorise(objective.model.ridge, factor);
+    if (hidden) remove_hidden(objective, samples, weights, line, factor);
+    for (std::size_t a = 0; a < ridge.size(); ++a) factor[a][a] += ridge[a];
+    if (cholesky(factor)) return;
+    factor.fill(0.0);  // not positive definite, by rounding: use the diagonal, for small steps of lambda
+    for (std::size_t a = 0; a < ridge.size(); ++a)
+        factor[a][a] = std::sqrt(std::max(weights.gram[a][a], 0.0) + ridge[a]);
 }
 
 // Subtracts the step of lambda from the residual, and sums the squares that are left and the weights.
@@ -92,7 +92,7 @@ const FittedAppearance& solve_appearance(const Objective& objective, const Sampl
                                          bool solves, AppearanceRoom& room) {
     FittedAppearance& fitted = room.fitted;
     const std::size_t hidden = mask_weights(samples, weights, objective.k(), fitted.sqrt_weights);
-    factorise_usable(objective, samples, weights, hidden, room);
+    factorise(objective, samples, weights, hidden, room.line, fitted.factor);
     fitted.slope.resize(objective.m());
     multiply_modes(samples.modes, fitted.sqrt_weights, fitted.residual, fitted.slope);
     for (std::size_t j = 0; j < fitted.lam.size(); ++j) fitted.slope[j] -= objective.model.ridge[j] * fitted.lam[j];

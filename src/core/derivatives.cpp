@@ -256,13 +256,12 @@ void multiply_derivatives(const Objective& objective, const Samples& samples, co
         for (std::size_t i = 0; i < n_p && n_free; ++i)
             hessian[i][n_p + f] = hessian[n_p + f][i] = room.carried_right[i][1];
     }
+    multiply_transposed(mesh.basis, room.modes_by_vertex.view(), n_p, room.carried_modes);
     for (std::size_t i = 0; i < n_p; ++i) {
         room.equations.gradient[i] = room.carried_right[i][0];
         std::copy_n(room.carried[i], n_p, hessian[i]);
+        for (std::size_t j = 0; j < m; ++j) room.aj[j][i] = samples.modes.scales[j] * room.carried_modes[i][j];
     }
-    multiply_transposed(room.modes_by_vertex.view(), mesh.basis, m, room.carried_modes);
-    for (std::size_t j = 0; j < m; ++j)
-        for (std::size_t i = 0; i < n_p; ++i) room.aj[j][i] = samples.modes.scales[j] * room.carried_modes[j][i];
     eliminate_appearance(fitted, room);
 }
 

@@ -30,8 +30,7 @@ struct LinearisationRoom {
     std::vector<float> fours;                 // of the pixels of a triangle
     Matrix by_vertex, modes_by_vertex;        // E'J, symmetrised, and J'A, by the coordinates of the vertices
     Matrix right_by_vertex;                   // E'r, E' times an angle column, and zeros up to the width of a vector
-    Matrix carried, carried_right;            // the same by p, and the right sides
-    Matrix carried_modes;                     // A'J by p, of the codes of the modes
+    Matrix carried, carried_modes, carried_right;  // the same by p
     Matrix aj;                                // A'J
     Matrix whitened, product;                 // L^-1 A'J, and its square
     std::vector<double> whitened_slope;       // L^-1 A'r

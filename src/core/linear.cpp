@@ -10,23 +10,12 @@ constexpr double kNegligible = 1e-13;  // entries beside the diagonal that count
 constexpr std::size_t kRotations = 3;  // most rotations, as a multiple of n^2; about n^2 are used
 
 constexpr std::size_t kTall = 4, kWide = 8;  // a tile of a product, whose sums stay in registers
-constexpr std::size_t kStrip = 32;           // columns that are solved for together
 
-// Columns i to i + kTall of L, one row after the other: in place, they may compete for the same lines of the cache.
-struct Panel {
-    std::vector<double> numbers;
-
-    explicit Panel(std::size_t n_rows) : numbers(kTall * n_rows) {}
-    void take(MatrixView<const double> left, std::size_t i) {
-        for (std::size_t k = 0; k < left.n_rows; ++k) std::copy_n(left[k].data() + i, kTall, numbers.data() + kTall * k);
-    }
-};
-
-// Rows i to i + kTall and columns j to j + kWide of L'R, of these columns of L.
-void multiply_tile(const Panel& panel, MatrixView<const double> right, std::size_t i, std::size_t j, Matrix& out) {
+// Rows i to i + kTall and columns j to j + kWide of L'R.
+void multiply_tile(MatrixView<const double> left, MatrixView<const double> right, std::size_t i, std::size_t j, Matrix& out) {
     double sums[kTall][kWide]{};
-    const double *a = panel.numbers.data(), *b = right.data + j;
-    for (std::size_t k = 0; k < right.n_rows; ++k, a += kTall, b += right.n_columns)
+    const double *a = left.data + i, *b = right.data + j;
+    for (std::size_t k = 0; k < left.n_rows; ++k, a += left.n_columns, b += right.n_columns)
         for (std::size_t t = 0; t < kTall; ++t)
 #pragma omp simd
             for (std::size_t u = 0; u < kWide; ++u) sums[t][u] += a[t] * b[u];
@@ -39,23 +28,6 @@ void multiply_small(MatrixView<const double> left, MatrixView<const double> righ
     for (std::size_t k = 0; k < left.n_rows; ++k)
         for (std::size_t i = 0; i < out.rows(); ++i)
             for (std::size_t j = 0; j < out.columns(); ++j) out[i][j] += left[k][i] * right[k][j];
-}
-
-// Replaces so many columns of R by those of L^-1 R. The sums of a row stay in registers.
-template <std::size_t kCount>
-void solve_columns(const Matrix& factor, std::size_t first, Matrix& right) {
-    for (std::size_t i = 0; i < factor.rows(); ++i) {
-        const double* own = factor[i];
-        double left[kCount];
-        std::copy_n(right[i] + first, kCount, left);
-        for (std::size_t j = 0; j < i; ++j) {
-            const double* other = right[j] + first;
-#pragma omp simd
-            for (std::size_t x = 0; x < kCount; ++x) left[x] -= own[j] * other[x];
-        }
-        const double scale = 1.0 / own[i];
-        for (std::size_t x = 0; x < kCount; ++x) right[i][first + x] = scale * left[x];
-    }
 }
 
 // Replaces r by (I - f v v') r; v begins at index `first`.
@@ -180,10 +152,25 @@ bool cholesky(Matrix& matrix) {
 }
 
 void solve_lower(const Matrix& factor, Matrix& right) {
-    std::size_t column = 0;
-    for (; column + kStrip <= right.columns(); column += kStrip) solve_columns<kStrip>(factor, column, right);
-    for (; column + kWide <= right.columns(); column += kWide) solve_columns<kWide>(factor, column, right);
-    for (; column < right.columns(); ++column) solve_columns<1>(factor, column, right);
+    const std::size_t n = factor.rows(), width = right.columns();
+    for (std::size_t i = 0; i < n; ++i) {
+        const double* own = factor[i];
+        double* row = right[i];
+        std::size_t j = 0;
+        for (; j + 4 <= i; j += 4) {  // four at a time: each number of the sum is loaded once for four products
+            const double *a = right[j], *b = right[j + 1], *c = right[j + 2], *d = right[j + 3];
+#pragma omp simd
+            for (std::size_t x = 0; x < width; ++x)
+                row[x] -= (own[j] * a[x] + own[j + 1] * b[x]) + (own[j + 2] * c[x] + own[j + 3] * d[x]);
+        }
+        for (; j < i; ++j) {
+            const double* a = right[j];
+#pragma omp simd
+            for (std::size_t x = 0; x < width; ++x) row[x] -= own[j] * a[x];
+        }
+        const double scale = 1.0 / own[i];
+        for (std::size_t x = 0; x < width; ++x) row[x] *= scale;
+    }
 }
 
 void solve_lower(const Matrix& factor, std::span<double> right) {
@@ -212,22 +199,18 @@ void multiply_transposed(MatrixView<const double> left, MatrixView<const double>
     const std::size_t width = right.n_columns;
     out.resize(rows, width);
     if (rows < kTall || width < kWide) return multiply_small(left, right, out);
-    Panel panel(left.n_rows);
-    for (std::size_t i = 0; i < rows; i += kTall) {  // the last tiles overlap those before them
-        const std::size_t top = std::min(i, rows - kTall);
-        panel.take(left, top);
-        for (std::size_t j = 0; j < width; j += kWide) multiply_tile(panel, right, top, std::min(j, width - kWide), out);
-    }
+    for (std::size_t i = 0; i < rows; i += kTall)  // the last tiles overlap those before them
+        for (std::size_t j = 0; j < width; j += kWide)
+            multiply_tile(left, right, std::min(i, rows - kTall), std::min(j, width - kWide), out);
 }
 
 void multiply_symmetric(MatrixView<const double> left, MatrixView<const double> right, std::size_t rows, Matrix& out) {
     out.resize(rows, rows);
     if (rows < kWide) return multiply_small(left, right, out);
-    Panel panel(left.n_rows);
     for (std::size_t i = 0; i < rows; i += kTall) {
         const std::size_t top = std::min(i, rows - kTall);
-        panel.take(left, top);
-        for (std::size_t j = 0; j < top + kTall; j += kWide) multiply_tile(panel, right, top, std::min(j, rows - kWide), out);
+        for (std::size_t j = 0; j < top + kTall; j += kWide)
+            multiply_tile(left, right, top, std::min(j, rows - kWide), out);
     }
     for (std::size_t i = 0; i < rows; ++i)
         for (std::size_t j = 0; j < i; ++j) out[j][i] = out[i][j];

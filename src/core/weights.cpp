@@ -4,7 +4,6 @@
 #include <limits>
 
 #include "elementary.hpp"
-#include "linear.hpp"
 #include "modes.hpp"
 #include "thresholds.hpp"
 
@@ -386,26 +385,7 @@ void weigh_at_angle(const Samples& samples, Weights& weights) {
     }
 }
 
-void set_factor(const Objective& objective, Weights& weights) {
-    weights.factor = weights.gram;
-    factorise(objective.model.ridge, weights.factor);
-}
-
-void set_gram(const Objective& objective, const Samples& samples, Weights& weights, WeighingRoom& room) {
-    weighted_gram(samples.modes, weights.sqrt_weights, room.block, weights.gram);
-    set_factor(objective, weights);
-}
-
 }  // namespace
-
-void factorise(Doubles ridge, Matrix& gram) {
-    const std::size_t m = ridge.size();
-    const Matrix without_ridge = gram;
-    for (std::size_t a = 0; a < m; ++a) gram[a][a] += ridge[a];
-    if (cholesky(gram)) return;
-    gram.fill(0.0);  // not positive definite, by rounding: use the diagonal, for small steps of lambda
-    for (std::size_t a = 0; a < m; ++a) gram[a][a] = std::sqrt(std::max(without_ridge[a][a], 0.0) + ridge[a]);
-}
 
 void begin_weights(const Objective& objective, Weights& weights) {
     const Method& method = objective.method;
@@ -417,7 +397,6 @@ void begin_weights(const Objective& objective, Weights& weights) {
     weights.slope.resize(by_noise && method.n_free() ? n * k : 0);
     weights.gram.resize(m, m);
     std::copy_n(objective.model.gram.data, m * m, weights.gram.numbers().begin());
-    set_factor(objective, weights);
     weights.variance.resize(method.weighting != Weighting::model ? n * k : 0);
     weights.noise_variance = by_noise ? 1.0 : nan;
     weights.channel_noise.assign(by_noise ? kChannels * n : 0, 0.0f);
@@ -429,7 +408,8 @@ void begin_weights(const Objective& objective, Weights& weights) {
 void turn_weights(const Objective& objective, const Samples& samples, Weights& weights, WeighingRoom& room) {
     const bool by_noise = objective.method.weighting == Weighting::noise;
     if (by_noise) weigh_at_angle(samples, weights);
-    if (by_noise || objective.model.theta_1_is_free()) set_gram(objective, samples, weights, room);
+    if (by_noise || objective.model.theta_1_is_free())
+        weighted_gram(samples.modes, weights.sqrt_weights, room.block, weights.gram);
 }
 
 bool update_weights(const Objective& objective, const EncodedImage& image, const Samples& samples, Floats residual,
@@ -442,7 +422,7 @@ bool update_weights(const Objective& objective, const EncodedImage& image, const
     if (objective.method.loss != Loss::none) weigh_by_loss(objective, samples, residual, weights, room);
     if (weighting == Weighting::noise) weigh_at_angle(samples, weights);
     else weights.sqrt_weights = weights.base_sqrt_weights;
-    set_gram(objective, samples, weights, room);
+    weighted_gram(samples.modes, weights.sqrt_weights, room.block, weights.gram);
     return true;
 }
 

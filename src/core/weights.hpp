@@ -12,7 +12,6 @@ struct Weights {
     std::vector<float> sqrt_weights;       // (n k): square roots at the angles of the samples
     std::vector<float> slope;              // (n k): their relative derivative by theta_2, or empty
     Matrix gram;                           // A'A under them
-    Matrix factor;                         // the Cholesky factor of A'A plus the ridge, over all pixels
     std::vector<float> variance;           // (n k): of the residuals, for weights that use it
     double noise_variance = 0.0;           // at weight 1; NaN if the weights define none
     std::vector<float> channel_noise;      // (n, 8): variance of the channels, for noise weights
@@ -40,9 +39,6 @@ void turn_weights(const Objective& objective, const Samples& samples, Weights& w
 // Updates the weights, and A'A under them, at a residual; false if they have not changed enough, or no pixel is usable.
 bool update_weights(const Objective& objective, const EncodedImage& image, const Samples& samples, Floats residual,
                     Weights& weights, WeighingRoom& room);
-
-// Replaces the lower triangle of A'A by the Cholesky factor of A'A plus the ridge.
-void factorise(Doubles ridge, Matrix& gram);
 
 // Weight of a residual of u standard deviations.
 double loss_weight(Loss loss, double u);
