@@ -3,6 +3,7 @@
 #include "elementary.hpp"
 #include "encoding.hpp"
 #include "image.hpp"
+#include "mean_field.hpp"
 #include "orientation.hpp"
 #include "painting.hpp"
 #include "search.hpp"
@@ -289,6 +290,20 @@ nb::object srgb(const Array<float, 1>& linear) {
     return owned(std::move(out), {linear.size()});
 }
 
+nb::object segment(const Array<float, 2>& own, const Array<float, 2>& sampled, const Array<float, 1>& taps, float strength,
+                   int rounds) {
+    const std::size_t height = own.shape(0), width = own.shape(1);
+    require(sampled.shape(0) == height && sampled.shape(1) == width, "there is a number for each pixel");
+    require(own.size() > 0 && taps.size() > 0, "there are pixels and taps");
+    MeanField field;
+    {
+        const Unlocked unlocked;
+        field = mean_field({data_of(own), own.size()}, {data_of(sampled), sampled.size()},
+                           static_cast<std::ptrdiff_t>(width), {data_of(taps), taps.size()}, strength, rounds);
+    }
+    return nb::make_tuple(owned(std::move(field.labels), {height, width}), owned(std::move(field.around), {height, width}));
+}
+
 }  // namespace
 
 void bind_images(nb::module_& module) {
@@ -312,6 +327,7 @@ void bind_images(nb::module_& module) {
     module.def("soft_directions", soft_directions, "plane"_a, "turn"_a, "softness"_a);
     module.def("count_orientations", orientations, "brightness"_a, "finite"_a.none(), "blur"_a, "turn"_a, "pixel"_a);
     module.def("blurred_at", blurred_counts, "counts"_a, "points"_a, "sigma"_a);
+    module.def("mean_field", segment, "own"_a, "sampled"_a, "taps"_a, "strength"_a, "rounds"_a);
     module.def("sample_channels", sample_at, "channels"_a, "points"_a);
     module.def("correlate", correlate_spectra, "image"_a, "templates"_a, "product"_a.noconvert());
     module.def("best_peaks", peaks_of, "image"_a, "count"_a, "least"_a, "reach"_a);

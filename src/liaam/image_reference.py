@@ -198,6 +198,28 @@ def blurred_at(counts: np.ndarray, points: np.ndarray, sigma: float) -> np.ndarr
     return sample(blurred, inside)[0].astype(np.float32)
 
 
+def mean_field(
+    own: np.ndarray, sampled: np.ndarray, taps: np.ndarray, strength: float, rounds: int
+) -> tuple[np.ndarray, np.ndarray]:
+    """Update labels (h, w), from -1 to 1, by the log odds ``own`` of each pixel, and by those of its neighbours.
+
+    These are ``strength`` if all neighbours are of one kind. They count by a Gaussian, of which half the ``taps`` are
+    given, and if they are ``sampled`` (1, else 0). Returns the labels, and their mean around each pixel.
+    """
+    from scipy.ndimage import correlate1d  # heavy: imported when first needed
+
+    kernel = np.concatenate([taps[:0:-1], taps])
+
+    def blurred(plane: np.ndarray) -> np.ndarray:
+        return correlate1d(correlate1d(plane, kernel, axis=0, mode="constant"), kernel, axis=1, mode="constant")
+
+    shares = blurred(sampled) + np.float32(1e-6)
+    labels = np.tanh(0.5 * blurred(own * sampled) / shares)
+    for _ in range(rounds):
+        labels = np.tanh(0.5 * (own + strength * blurred(labels * sampled) / shares))
+    return labels, blurred(labels * sampled) / shares
+
+
 def _blurred_colours(colours: np.ndarray, weights: np.ndarray | None, sigma: float) -> np.ndarray:
     """Blur colours (h, w, 3), of which pixels count by weights (h, w), if there are any."""
     planes = np.moveaxis(colours, 2, 0)

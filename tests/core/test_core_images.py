@@ -345,6 +345,20 @@ def test_recursive_filters_are_alike(size, depth, seed):
     np.testing.assert_allclose(found, expected, atol=1e-6)
 
 
+@given(height=st.integers(1, 9), width=st.integers(1, 9), reach=st.integers(0, 12), seed=seeds)
+def test_the_mean_field_is_that_of_the_reference(height, width, reach, seed):
+    rng = np.random.default_rng(seed)
+    own = rng.normal(0.0, 4.0, (height, width)).astype(np.float32)
+    sampled = rng.integers(0, 2, (height, width)).astype(np.float32)
+    taps = np.exp(-np.square(np.arange(reach + 1)) / 8.0).astype(np.float32)
+    taps /= 2.0 * taps.sum() - taps[0]
+    for rounds in (0, 3):
+        found = _core.mean_field(own, sampled, taps, 3.0, rounds)
+        expected = image_reference.mean_field(own, sampled, taps, 3.0, rounds)
+        for a, b in zip(found, expected, strict=True):
+            np.testing.assert_allclose(a, b, atol=2e-5)
+
+
 @given(length=st.integers(1, 30), n_columns=st.integers(0, 3), seed=seeds)
 def test_slopes_are_those_of_clamped_cubic_splines(module, length, n_columns, seed):
     rng = np.random.default_rng(seed)
@@ -390,6 +404,9 @@ REFUSED = {
     ),
     "counts of one row": lambda: _core.blurred_at(np.zeros((1, 5, 8), np.float32), np.zeros((1, 2)), 1.0),
     "counts of seven orientations": lambda: _core.blurred_at(np.zeros((5, 5, 7), np.float32), np.zeros((1, 2)), 1.0),
+    "a mean field of other pixels": lambda: _core.mean_field(
+        np.zeros((3, 4), np.float32), np.zeros((4, 3), np.float32), np.ones(1, np.float32), 3.0, 1
+    ),
     "spectra of other sizes": lambda: _core.correlate(
         np.zeros((5, 2, 4, 4), np.float32), np.zeros((5, 2, 4, 5), np.float32), np.zeros((4, 4, 2), np.float32)
     ),

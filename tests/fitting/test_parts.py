@@ -18,7 +18,15 @@ from liaam.fitting.one_shape_fitter import Blurred, OneShapeFitter
 from liaam.fitting.search import finder as search
 from liaam.fitting.search.finder import AT_FIRST, LARGE, OTHERS_OF_PARTS
 from liaam.fitting.search.other_places import PROMISING_OF_PARTS
-from liaam.fitting.search.parts import BRIEFEST, CLOSE, FIRST, HOPEFUL, LIKELY, fit_likeliest_part
+from liaam.fitting.search.parts import (
+    BRIEFEST,
+    CLOSE,
+    FIRST,
+    HOPEFUL,
+    LIKELY,
+    SURE,
+    fit_likeliest_part,
+)
 from liaam.model.shape import diagonal_of
 
 USUAL = SolverOptions()
@@ -181,6 +189,12 @@ def test_a_part_goes_on_if_it_is_likely_beside_the_best(pretended):
     assert pretended((1.0, 1.0), (unlikely, 1000.0)) == (0, {0: steps})
     assert pretended((1.0, 1.0), (2.0 * unlikely, 1000.0)) == (1, {1: steps})
     assert pretended((1.0, 1.0), (1.0, 0.9 * CLOSE * FIRST), (1.0, 1.1 * CLOSE * FIRST)) == (2, {0: steps, 2: steps})
+
+
+def test_a_first_part_that_is_sure_is_fitted_alone(pretended):
+    sure = SURE / (1.0 - SURE)
+    assert pretended((1.01 * sure, 1.0), (1e6, 1e6))[0] == 0
+    assert pretended((0.99 * sure, 1.0), (1e6, 1e6))[0] == 1
 
 
 def test_without_hope_a_fit_is_not_finished_if_others_follow(pretended):

@@ -14,6 +14,7 @@ from liaam.fitting.reference.problem import Problem
 from liaam.fitting.solution import residual_at
 from liaam.model import SURROUNDINGS
 from liaam.model.shape import diagonal_of
+from liaam.photometry import CameraModel
 from setups import disturb, finest_objective, make_level, model_pixels
 
 EXACT = {"tolerance": 1e-4, "early_tolerance": 0.0, "max_iterations": 300, "shape_prior": 0.0}
@@ -231,6 +232,21 @@ def test_few_pixels_tell_what_all_tell(fine_model, lit_scene):
     n_pixels = fine_model.views[SURROUNDINGS].warp.frame.n_pixels
     for each, result in ((fitter, few), (dense, all_of_them)):
         assert residual_at(each, lit_scene.image, result)[0].shape == (n_pixels, 3)
+
+
+def test_some_rows_and_columns_of_a_large_object_are_enough(model, lit_scene):
+    """Pixels that are not needed are black; the others are those of an image of half the size."""
+    fitter = Fitter(model, "igo", camera=CameraModel(response="linear"))
+    half = np.kron(lit_scene.image, np.ones((3, 3, 1), np.float32))
+    whole = np.zeros((2 * half.shape[0], 2 * half.shape[1], 3), np.float32)
+    whole[1::2, 1::2] = half
+    target, _ = fitter.target(half, 3 * disturb(lit_scene.landmarks))
+    target = target._replace(noise=0.01)
+    expected = fitter.coarse_to_fine.fit(target, fitter.options)[-1]
+    of_whole = target._replace(linear=fitter.linear(whole), start=2 * target.start + 1)
+    found = fitter.coarse_to_fine.fit(of_whole, fitter.options)[-1]
+    np.testing.assert_allclose(found.reached, 2 * expected.reached + 1, atol=1e-6)
+    np.testing.assert_allclose(found.to_patch(2 * target.start + 1), expected.to_patch(target.start), atol=1e-9)
 
 
 def test_directions_are_looked_at_everywhere(fine_model):

@@ -122,7 +122,9 @@ def fit_elsewhere(
     if restarts and is_hopeful and fitter.judge.falls_short(with_prior(result, prior)):
         result = fit_again(fitter, fit.target, result)
     if result.absent.any():
-        other_places = partial(elsewhere.starts_of, fit) if is_hopeful else list  # else they were fitted already
+        # Of a model of several parts, they were fitted already if the first fit was doubtful.
+        are_fitted = len(fitters) > 1 and fit.result.n_starts > 1
+        other_places = list if are_fitted else partial(elsewhere.starts_of, fit)
         result = without_absent(fitter, fit.target, result, other_places)
     result = with_prior(result, prior)
     # The pose that a fit started from has another box than the one that was given.

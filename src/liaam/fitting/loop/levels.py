@@ -26,7 +26,7 @@ from liaam.fitting.loop.objective import Objective, State
 from liaam.fitting.loop.options import SolverOptions, coarse_options
 from liaam.fitting.methods import Method
 from liaam.fitting.thresholds import THRESHOLDS
-from liaam.model.sampling import AveragedImage
+from liaam.model.sampling import SAMPLES_ACROSS, AveragedImage, block_size
 from liaam.model.shape import Similarity, align, diagonal_of, own_parameters
 from liaam.photometry import NoiseModel, Response, is_grey
 from liaam.photometry.encoding import (
@@ -72,6 +72,17 @@ class FittedLevel:
         """Return the shapes (..., n, 2) of parameters (..., n_p), image pixels."""
         return self.pose(self.objective.warp.shape(p)) + self.beyond
 
+    def seen_every(self, stride: int) -> "FittedLevel":
+        """Return the level in the pixels of an image, of which it was fitted to every so many (`LinearImage.every`)."""
+        offset = stride // 2
+        to_patch = Similarity(self.to_patch.matrix / stride, self.to_patch(np.full(2, -offset / stride)))
+        return replace(
+            self,
+            pose=Similarity(stride * self.pose.matrix, stride * self.pose.offset + offset),
+            to_patch=to_patch,
+            begun_at=None if self.begun_at is None else stride * self.begun_at + offset,
+        )
+
 
 @dataclass(frozen=True, eq=False)
 class LinearImage:
@@ -81,6 +92,7 @@ class LinearImage:
     response: Response
     lights: dict[bool, Means] = field(default_factory=dict)  # of an image of floats, by whether of logarithms
     searches: dict[int, Any] = field(default_factory=dict)  # that may go on, by the identity of their detector
+    sparse: dict[int, "LinearImage"] = field(default_factory=dict)  # every so many rows and columns of it
 
     @cached_property
     def grey(self) -> bool:
@@ -93,6 +105,13 @@ class LinearImage:
         if logarithmic not in self.lights:
             self.lights[logarithmic] = light_of_floats(self.image, encoding, self.response)
         return self.lights[logarithmic]
+
+    def every(self, stride: int) -> "LinearImage":
+        """Return every so many rows and columns, from pixel ``stride // 2`` on."""
+        if stride not in self.sparse:
+            offset = stride // 2
+            self.sparse[stride] = LinearImage(self.image[offset::stride, offset::stride], self.response)
+        return self.sparse[stride]
 
     def crop(self, low: np.ndarray, high: np.ndarray) -> "LinearImage":
         """Return the image between two corners (x, y), the second excluded; itself if that is all."""
@@ -132,6 +151,15 @@ class Target(NamedTuple):
         p = warp.parameters(pose.inverse()(self.start))
         return target._replace(start=pose(warp.shape(p)))
 
+    def every(self, stride: int) -> "Target":
+        """Return a target in an image of every so many rows and columns; the noise of a pixel is the same."""
+        offset = stride // 2
+        return self._replace(
+            linear=self.linear.every(stride),
+            start=(self.start - offset) / stride,
+            mapped=None if self.mapped is None else (self.mapped - offset) / stride,
+        )
+
     def measured(self, method: Method) -> "Target":
         """Return a target with the noise measured in the image, if the method needs it and it is unknown."""
         if self.noise is not None or not method.weighs_noise:
@@ -164,13 +192,24 @@ class CoarseToFine:
         return not has_large_floats
 
     def fit(self, target: Target, options: SolverOptions, first: int = 0, last: int | None = None) -> list[FittedLevel]:
-        """Fit an image at the levels ``first`` to ``last``, excluded; fewer levels if the fit diverges."""
+        """Fit an image at the levels ``first`` to ``last``, excluded; fewer levels if the fit diverges.
+
+        Of an object that is large in a photograph, not all rows and columns are read.
+        """
+        objectives = self.objectives[first:last]
+        target = target.prepared(objectives)
+        stride = _enough_of(target, objectives)
+        if stride == 1:
+            return self._fit(target, options, first, last)
+        return [level.seen_every(stride) for level in self._fit(target.every(stride), options, first, last)]
+
+    def _fit(self, target: Target, options: SolverOptions, first: int, last: int | None) -> list[FittedLevel]:
+        """Fit a prepared target, with all pixels around the object."""
         objectives = self.objectives[first:last]
         if not self.can_take(target, options):
             return solve_levels(objectives, target, options)
         if (first, last) not in self._compiled:
             self._compiled[first, last] = self._prepare(objectives)
-        target = target.prepared(objectives)
         solved = self._call(self._compiled[first, last], target, options)
         levels = []
         shape = target.start
@@ -237,6 +276,15 @@ class CoarseToFine:
             return compiled.fit_light(means.light, means.finite, is_grey_soft, floor, target_fields, options.as_dict)
         table = light_table(linear.image.dtype.str, encoding, linear.response)
         return compiled.fit(linear.image, table, is_grey_soft, floor, target_fields, options.as_dict)
+
+
+def _enough_of(target: Target, objectives: Sequence[Objective]) -> int:
+    """Return of how many rows and columns one is enough, for blocks that are averaged to the pixels of patches."""
+    scale = align(objectives[0].warp.rest, target.start).scale
+    if not np.isfinite(scale):
+        return 1
+    size = min(block_size(each.method.encoding, scale, each.blur) for each in objectives)
+    return max(1, min(int(size / SAMPLES_ACROSS), min(target.image.shape[:2]) // 8))
 
 
 def _similarity(rows: np.ndarray) -> Similarity:

@@ -19,7 +19,7 @@ import numpy as np
 
 from liaam.fitting.loop.objective import Objective
 from liaam.fitting.methods import GRADIENT_ROWS
-from liaam.fitting.quality.segmentation import KERNEL, Segmentation, segmented
+from liaam.fitting.quality.segmentation import Segmentation, segmented
 from liaam.fitting.result import LEAST_PRESENT
 from liaam.io.landmarks.base import PRESENT
 from liaam.model.presence import Agreement, Presence
@@ -35,6 +35,7 @@ FLOOR = 0.02
 # Weight of pixels beside the object: another one may lie there, such as a label, without covering a landmark
 BESIDE = 0.25
 LEAST_CONTRAST = 1e-9  # of a window without usable pixels
+REACH = 4.0  # Standard deviations at which a Gaussian is truncated
 
 
 @dataclass(frozen=True, eq=False)
@@ -138,8 +139,18 @@ class Surroundings:
         """Blur values on the grid (h, w, ...); the deviation is a fraction of the diagonal of the mean shape."""
         import cv2  # heavy: imported when first needed
 
-        deviation = width * self._diagonal / self._step
-        return cv2.GaussianBlur(picture, (0, 0), deviation, borderType=cv2.BORDER_CONSTANT)
+        return cv2.GaussianBlur(picture, (0, 0), self._cells_across(width), borderType=cv2.BORDER_CONSTANT)
+
+    def taps(self, width: float) -> np.ndarray:
+        """Return half the taps of a Gaussian on the grid, from the middle on, (k,) float32; for its width see there."""
+        import cv2  # heavy: imported when first needed
+
+        reach = int(np.ceil(REACH * self._cells_across(width)))
+        return cv2.getGaussianKernel(2 * reach + 1, self._cells_across(width), cv2.CV_32F)[reach:, 0]
+
+    def _cells_across(self, width: float) -> float:
+        """Return a fraction of the diagonal of the mean shape in cells of the grid."""
+        return width * self._diagonal / self._step
 
     @cached_property
     def weights(self) -> np.ndarray:
@@ -196,11 +207,6 @@ class Surroundings:
     def is_sampled(self) -> np.ndarray:
         """Whether a cell of the grid has a sampled pixel, (h, w) float32 in {0, 1}."""
         return self.on_grid(np.ones(len(self.cells_of_pixels)))
-
-    @cached_property
-    def sampled_share(self) -> np.ndarray:
-        """Share of the kernel of the segmentation around each cell that has sampled pixels, (h, w) float32."""
-        return self.blurred(self.is_sampled, KERNEL) + np.float32(1e-6)
 
     def nearest_of(self, objective: Objective) -> np.ndarray:
         """Return the nearest sampled pixel to each pixel of another level on the same frame, (m,) int."""

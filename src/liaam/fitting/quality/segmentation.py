@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
+from liaam import _core
 from liaam.model.presence import MOST_LOG_ODDS, probability_of
 
 if TYPE_CHECKING:
@@ -61,14 +62,8 @@ def segmented(surroundings: "Surroundings", seen: np.ndarray, expected: np.ndarr
     log_odds = _log_odds_of_absence(seen, expected, surroundings.error_variances)
     own = surroundings.on_grid(EVIDENCE * surroundings.weights * log_odds)
     is_sampled = surroundings.is_sampled
-
-    def around(labels: np.ndarray) -> np.ndarray:
-        return surroundings.blurred(labels * is_sampled, KERNEL) / surroundings.sampled_share
-
-    labels = np.tanh(0.5 * around(own))  # 1 for absent, -1 for present, and the mean of both by their probabilities
-    for _ in range(ROUNDS):
-        labels = np.tanh(0.5 * (own + STRENGTH * around(labels)))
-    shares = 0.5 + 0.5 * around(labels).ravel()
+    labels, around = _core.mean_field(own, is_sampled, surroundings.taps(KERNEL), STRENGTH, ROUNDS)  # 1 for absent
+    shares = 0.5 + 0.5 * around.ravel()
     log_odds = np.clip(STEEPNESS * (HALF_ABSENT - shares), -MOST_LOG_ODDS, MOST_LOG_ODDS)
     present = probability_of(log_odds.astype(np.float64))
     share_absent = (labels > 0.0)[is_sampled > 0.0].mean()

@@ -95,9 +95,12 @@ def expanded_covariance(spread: np.ndarray, n_p: int, factor: float) -> np.ndarr
 def fitted_covariances(shapes: ShapeModel, spread: np.ndarray) -> np.ndarray:
     """Propagate the covariance of p (first in ``spread``) to the landmarks, (n, 2, 2) float64, model pixels squared."""
     n_p = len(shapes.basis)
-    basis = shapes.basis.reshape(n_p, -1, 2)
-    weighted = (spread[:n_p, :n_p] @ shapes.basis).reshape(n_p, -1, 2)
-    return np.einsum("ina,inb->nab", basis, weighted)
+    weighted = spread[:n_p, :n_p] @ shapes.basis
+    # Sums over the last axis, one number after the other, take a third of the time.
+    basis, weighted = (
+        np.ascontiguousarray(each.reshape(n_p, -1, 2).transpose(1, 2, 0)) for each in (shapes.basis, weighted)
+    )
+    return np.einsum("nai,nbi->nab", basis, weighted)
 
 
 def landmark_covariances(

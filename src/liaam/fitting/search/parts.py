@@ -1,7 +1,7 @@
 """Which part of a model of several shapes an object is of.
 
-All parts are fitted at the coarsest level, which takes a tenth of the time of a fit. Only those that are likely there
-go on to the next, and in general one to the sharpest.
+All parts are fitted at the coarsest level, which takes a tenth of the time of a fit, unless the first one is almost
+surely right. Only those that are likely there go on to the next, and in general one to the sharpest.
 """
 
 from collections.abc import Sequence
@@ -18,6 +18,7 @@ from liaam.fitting.search.finder import Finder
 # Factor on the odds of the first part. A model's quality is that of fits at the sharpest level. The blurred ones
 # underrate the part that has most appearance modes, which the first one is.
 FIRST = 8.0
+SURE = 0.99  # Quality at the coarsest level from which the first part is taken without a look at the others
 LIKELY = 0.1  # Least odds, relative to the best, of parts that are fitted at the next blurred level
 CLOSE = 0.3  # The same for the sharpest level
 # Quality from which a fit is worth more time: at the blurred levels for the sharpest, and there for other starts. Of
@@ -71,12 +72,23 @@ def fit_likeliest_part(
         for part, (fitter, target) in enumerate(zip(fitters, targets, strict=True)):
             fits[part] = fitter.fit_target(target, options)
     else:
-        likely = _likely(fit_coarsest(fitters, targets, options), LIKELY)
+        likely = _likely_at_coarsest(fitters, targets, options)
         close = _likely([fit_further(fitters, each, options) for each in likely], CLOSE)
         for part, fit in close:
             fits[part] = _fit_sharpest(fitters[part], fit, options, is_last)
     best = max(fits, key=lambda part: (fits[part].status.ok, *likeliness(fits[part])))
     return best, fits[best]
+
+
+def _likely_at_coarsest(
+    fitters: Sequence[OneShapeFitter], targets: Sequence[Target], options: SolverOptions
+) -> list[PartFit]:
+    """Fit an object at the coarsest level with each part, or the first alone if it is sure; return the likely fits."""
+    first = fit_coarsest(fitters[:1], targets[:1], options)
+    if first[0].fit.quality >= SURE:
+        return first
+    others = [each._replace(part=each.part + 1) for each in fit_coarsest(fitters[1:], targets[1:], options)]
+    return _likely([*first, *others], LIKELY)
 
 
 def fit_coarsest(fitters: Sequence[OneShapeFitter], targets: Sequence[Target], options: SolverOptions) -> list[PartFit]:

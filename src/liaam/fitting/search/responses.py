@@ -61,13 +61,12 @@ class Bank:
         ``which`` is the index of the field. Maxima below the fraction ``worth`` of the strongest may be left out.
         """
         size = np.maximum(np.array(field.values.shape) + 2 * self.pad, self.shapes.max(axis=0))  # of the padded field
-        n_positions = (size + 1 - self.shapes).tolist()  # of each template in it: (rows, columns)
         floor = LEAST_RESPONSE
         places = []
         responses = []
         # Of an odd number of templates, there is one correlation more: that with the empty field of the last pair.
-        for (height, width), cosine in zip(n_positions, self._correlated(field, size), strict=False):
-            places_of_template, values = _core.best_peaks(cosine[:height, :width], count, floor, SURROUNDINGS)
+        for _, cosine in zip(self.templates, self._correlated(field, size), strict=False):
+            places_of_template, values = _core.best_peaks(cosine, count, floor, SURROUNDINGS)
             if len(values):
                 floor = max(floor, worth * float(values[0]))
             places.append(places_of_template)
@@ -83,7 +82,7 @@ class Bank:
         )
 
     def _correlated(self, field: Field, size: np.ndarray) -> Iterator[np.ndarray]:
-        """Yield the correlation with each template in turn, (rows, columns) float32.
+        """Yield the correlation with each template in turn, (rows, columns) float32, where the largest fits in.
 
         At each position it is the sum of the cosines between orientations, times the lengths of both. One inverse
         transform makes those of two templates, as its real and its imaginary part (see ``pairs``).
@@ -96,13 +95,16 @@ class Bank:
         channels = channels_of(field.values, self.n_channels)
         spectra_of_tiles = [spectra(*self._cut(channels, place, sides), sides) for place in places]
         product = np.empty((*sides, 2), np.float32)
-        whole = np.empty((*size, 2), np.float32)
+        n_rows, n_columns = size + 1 - self.shapes.max(axis=0)
+        is_one_tile = len(places) == 1
+        whole = product[:n_rows, :n_columns] if is_one_tile else np.empty((n_rows, n_columns, 2), np.float32)
         for spectra_of_pair in self._spectra_of(sides):
             for (top, left), spectra_of_tile in zip(places, spectra_of_tiles, strict=True):
                 _core.correlate(spectra_of_tile, spectra_of_pair, product)
                 cv2.idft(product, product)
-                part = whole[top : top + rows.step, left : left + columns.step]
-                part[:] = product[: part.shape[0], : part.shape[1]]
+                if not is_one_tile:
+                    part = whole[top : top + rows.step, left : left + columns.step]
+                    part[:] = product[: part.shape[0], : part.shape[1]]
             yield whole[..., 0]
             yield whole[..., 1]
 
@@ -111,12 +113,11 @@ class Bank:
         import cv2  # heavy: imported when first needed
 
         longest = int(self.shapes[:, axis].max())
-        shortest = int(self.shapes[:, axis].min())
         choices = []
         for times in TILES:
             side = cv2.getOptimalDFTSize(int(times * longest))
             step = side + 1 - longest
-            choices.append(_Tiles(side, step, range(0, length - shortest + 1, step)))
+            choices.append(_Tiles(side, step, range(0, length - longest + 1, step)))
         return min(choices, key=lambda tiles: tiles.side * len(tiles.starts))
 
     def _cut(
