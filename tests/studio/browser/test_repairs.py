@@ -151,6 +151,7 @@ def test_a_picture_that_is_deleted_says_so(small, marked):
 def test_after_the_last_picture_the_page_leads_on(small, artefacts):
     for name in ("review", "measure", "export", "fit", "live"):
         assert small.locator(f"[data-testid=then-{name}]").is_visible()
+    assert small.locator("[data-testid=accept-next]").is_disabled()
     shoot(small, artefacts, "51-all-done")
     small.locator("[data-testid=then-measure]").click()
     measures = small.locator("[data-testid=measure-list] li")

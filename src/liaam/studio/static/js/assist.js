@@ -268,6 +268,7 @@ export function createAssist(app, commands, onexport) {
       : stale || "Train the model on all done pictures";
     train.classList.toggle("primary", !model && done >= LEAST && !runs && !auto.checked);
     end.hidden = !pictures.length || done < LEAST || nextToTeach(pictures, null) !== null || slipped(pictures).length > 0;
+    next.disabled = !end.hidden; // there is nothing to accept and no picture to continue with
     explain(project, done);
     if (isOffered) why.textContent = `${OFFERED} ${why.textContent}`;
     why.hidden = !end.hidden && why.textContent === allDone(state.folder);
