@@ -101,6 +101,7 @@ def test_nothing_moves_under_the_pointer_when_a_training_begins(small):
     wait_for(small, "() => document.getAnimations().length === 0")
     small.evaluate(tell, True)
     small.locator("[data-testid=training-cancel]").wait_for()
+    assert small.locator("[data-testid=training-progress] p").inner_text() == "Training, 11 %"
     assert places() == before
     small.evaluate(tell, False)
     small.locator("[data-testid=training-cancel]").wait_for(state="hidden")

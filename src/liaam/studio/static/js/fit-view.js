@@ -13,7 +13,7 @@ import { button, FrameMeter, h, press, segmented, slider } from "./ui.js";
 import { Viewer } from "./viewer.js";
 
 const VIEWS = [
-  { name: "picture", label: "Picture", hint: `For another picture, ${IS_TOUCH ? "" : "drop or paste it here, or "}press Open….` },
+  { name: "picture", label: "Picture", hint: `For another picture, ${IS_TOUCH ? "" : "drop or paste it here, or "}press “Open…”.` },
   { name: "flat", label: "Flat", after: "Flat",
     hint: "The picture without its shading: in the light of the pictures that the model was trained on." },
   { name: "shading", label: "Shading", after: "Shading",
