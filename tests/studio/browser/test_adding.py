@@ -231,6 +231,14 @@ def test_points_that_were_placed_anew_since_a_look_are_not_accepted(serve, page,
     assert [each["state"] for each in pictures_of(page) if each["name"] == sure[1]] == ["proposed"]
     page.locator("[data-testid=wall-accept]").click()  # after another look
     wait_for_state(page, sure[1], "done")
+    order = page.locator("[data-testid=strip-order]")
+    assert order.input_value() == "quality"
+    page.keyboard.press("g")
+    assert order.input_value() == "name"  # as before the wall
+    items = page.locator("[data-testid=strip] [data-name]")
+    items.first.wait_for()
+    shown = items.evaluate_all("items => items.map((item) => item.dataset.name)")
+    assert shown == sorted(shown)
 
 
 RED = """([x, y]) => {

@@ -285,6 +285,18 @@ def test_a_light_is_exported_as_it_is_shown(relight):
     assert "%22softness%22%3A0.3" in relight.locator("[data-testid=export-relit]").get_attribute("href")
 
 
+HIDDEN_IN_BOX = """() => {
+  const box = document.querySelector('[data-testid=fit-viewer] .look-box');
+  const { left, top, width, height } = box.getBoundingClientRect();
+  const step = (i) => (i + 0.5) / 20;
+  const places = [...Array(400).keys()].map((i) =>
+    [left + step(i % 20) * width, top + step(Math.floor(i / 20)) * height]);
+  const found = places.map(([x, y]) => document.elementFromPoint(x, y));
+  return found.filter((element) => !box.contains(element)).map(({ className }) => className);
+}"""
+"""What lies over the box with brightness and contrast."""
+
+
 @pytest.mark.parametrize(("size", "theme"), list(zip(SIZES, ("light", "dark", "light"), strict=True)))
 def test_the_first_screen_and_the_lamps_fit_every_screen(browser, serve, empty, size, theme, artefacts):
     from axe_playwright_python.sync_playwright import Axe
@@ -316,4 +328,8 @@ def test_the_first_screen_and_the_lamps_fit_every_screen(browser, serve, empty, 
     page.locator("[data-testid=light-presets]").select_option("Two colours")
     wait_for(page, RELIT)
     check("lamps")
+    page.locator("[data-testid=fit-viewer] [data-testid=look]").click()
+    assert page.locator("[data-testid=fit-viewer] .look-box .number:visible").count() == 3
+    assert page.evaluate(HIDDEN_IN_BOX) == [], "something is drawn over the box"
+    check("brightness")
     context.close()

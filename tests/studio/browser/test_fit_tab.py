@@ -154,6 +154,14 @@ def test_the_divider_has_the_picture_at_its_left(fit_tab, lit_file, artefacts):
     wait_for_layer(fit_tab, "flat")
     flat = fit_tab.evaluate(PIXEL, place)
     assert flat != plain
+    hint = fit_tab.locator(".fit-hint")
+    fit_tab.locator("[data-testid=layer-relit]").click()
+    assert fit_tab.locator("[data-testid=fit-split]").get_attribute("aria-pressed") == "false"  # as in Flat
+    assert "Drag the lamp" in hint.inner_text() and "line" not in hint.inner_text()
+    fit_tab.locator("[data-testid=fit-split]").click()
+    assert "and the line between before and after" in hint.inner_text()
+    fit_tab.locator("[data-testid=fit-split]").click()
+    fit_tab.locator("[data-testid=layer-flat]").click()
     fit_tab.locator("[data-testid=fit-split]").click()
     divider = fit_tab.locator("[data-testid=divider]")
     viewer = fit_tab.locator("[data-testid=fit-viewer]").bounding_box()

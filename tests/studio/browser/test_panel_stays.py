@@ -39,6 +39,11 @@ def test_the_points_stay_where_they_are_as_messages_come_and_go(open_page, serve
     page.goto(serve(marked).address)
     open_picture(page, NAMES[0])
     first = rects(page, PANEL)
+    words = page.locator(".assist-words")
+    assert not words.evaluate("box => box.scrollHeight > box.clientHeight")
+    page.evaluate("() => { document.querySelector('.assist-end').hidden = false; }")  # once all pictures are done
+    assert not words.evaluate("box => { box.firstChild.hidden = true; return box.scrollHeight > box.clientHeight; }")
+    page.evaluate("() => window.liaamStudio.state.dispatchEvent(new Event('project'))")
     for name in ("portrait-04.png", NAMES[1]):
         open_picture(page, name)
         assert rects(page, PANEL) == first, name

@@ -128,7 +128,9 @@ def test_brightness_changes_what_is_seen_and_never_the_file(page, serve, tiles, 
     keys = page.evaluate("() => Object.keys(localStorage).filter((key) => key.startsWith('liaam-look:'))")
     assert keys == [f"liaam-look:{page.evaluate('() => window.liaamStudio.state.project.id')}"]
     page.locator("[data-testid=annotate-viewer] [data-testid=look]").click()
-    page.locator("[data-testid=annotate-viewer] [data-testid=look-reset]").click()
+    reset = page.locator("[data-testid=annotate-viewer] [data-testid=look-reset]")
+    assert reset.evaluate("(button) => getComputedStyle(button).writingMode") == "horizontal-tb"
+    reset.click()
     wait_for_pixel(page, at, plain)
     page.keyboard.press("Escape")
     wait_for(page, "() => !document.querySelector('[data-testid=annotate-viewer] details').open")

@@ -140,6 +140,13 @@ def test_clicks_of_a_template_are_landmarks_by_themselves_until_a_curve_is_drawn
     wait_for(page, "() => window.liaamStudio.annotate?.source() === 'template'")
     for x in (40.0, 80.0, 120.0):
         page.mouse.click(*client(page, [x, 60.0]))
+    names = page.locator("[data-testid=point-list] input")
+    names.nth(0).click()
+    page.keyboard.type("tip")  # it replaces the whole default name
+    page.keyboard.press("Tab")
+    page.keyboard.type("base")
+    assert [names.nth(i).input_value() for i in range(2)] == ["tip", "base"]
+    page.locator("canvas").first.focus()
     for y in (160.0, 200.0):
         page.keyboard.press("n")
         for x in (40.0, 80.0, 120.0, 160.0):

@@ -917,6 +917,9 @@ test("what failed is not tried again by itself until something changes", () => {
   const four = project(["done", "done", "done", "done"]);
   const failedAt = assist.situation(four);
   assert.ok(!assist.shouldTrain(four, { auto: true, failedAt }));
+  assert.match(assist.whenItHelps(four, { auto: true, failedAt }), /^Train the model/);
+  assert.match(assist.whenItHelps({ ...four, checked: false }, { auto: true }), /^After training/);
+  assert.match(assist.whenItHelps(project(["done", "done"]), { auto: true }), /^After 2 more pictures/);
   assert.ok(assist.shouldTrain(project(["done", "done", "done", "done", "done"]), { auto: true, failedAt }));
 });
 

@@ -31,6 +31,15 @@ export function shouldTrain(project, { auto, failedAt = null }) {
   return !model || model.sides_changed || model.stale >= AUTO_AGAIN;
 }
 
+/** When the first model places points, as a sentence. @param {Project} project; @param {{auto: boolean, failedAt?: string | null}} when */
+export function whenItHelps(project, when) {
+  const more = AUTO_FIRST - forTraining(project.pictures).length;
+  if (more > 0) return `After ${several(more, "more picture")} the model can place points for you.`;
+  const begins = shouldTrain({ ...project, checked: true }, when); // once the landmarks have been checked
+  return begins || project.training?.state === "running" ? "After training, the model places points for you."
+    : "Train the model to let it place points for you.";
+}
+
 /** Key of the training data: training on the same data would fail again. */
 export const situation = (/** @type {Project} */ { model, pictures }) =>
   JSON.stringify([forTraining(pictures).map(({ name }) => name), model?.stale ?? null]);
@@ -147,7 +156,10 @@ export function createAssist(app, commands, onexport) {
   });
   const auto = h("input", {
     type: "checkbox", "aria-label": "Train automatically", checked: localStorage.getItem(AUTO_KEY) !== "off", testid: "auto-train",
-    onchange: () => localStorage.setItem(AUTO_KEY, auto.checked ? "on" : "off"),
+    onchange: () => {
+      localStorage.setItem(AUTO_KEY, auto.checked ? "on" : "off");
+      refresh();
+    },
   });
   const often = `when ${AUTO_FIRST} pictures are done, and again after every ${AUTO_AGAIN} more`;
   const next = button(state.readOnly ? "Next picture" : "Accept and continue", {
@@ -261,13 +273,16 @@ export function createAssist(app, commands, onexport) {
     const { total = 0, done: ready = 0, what: doing = "" } = training ?? {};
     if (total) progress.value = Math.round((100 * ready) / total);
     else progress.removeAttribute("value");
-    what.textContent = `${doing || "Training"}${total ? ` (${ready} of ${total})` : "…"}`;
+    // Most steps are not about one picture, and their names have no room here.
+    what.textContent = total ? `Training, ${progress.value} %` : "Training…";
+    what.title = doing;
     train.disabled = runs || asking || done < LEAST;
     const stale = model?.stale && `${several(model.stale, "picture")} completed or changed since the last training`;
     train.title = done < LEAST ? `Needs ${LEAST} done pictures; there ${done === 1 ? "is" : "are"} ${done}`
       : stale || "Train the model on all done pictures";
     train.classList.toggle("primary", !model && done >= LEAST && !runs && !auto.checked);
     end.hidden = !pictures.length || done < LEAST || nextToTeach(pictures, null) !== null || slipped(pictures).length > 0;
+    next.disabled = !end.hidden; // there is nothing to accept and no picture to continue with
     explain(project, done);
     if (isOffered) why.textContent = `${OFFERED} ${why.textContent}`;
     why.hidden = !end.hidden && why.textContent === allDone(state.folder);
@@ -275,7 +290,7 @@ export function createAssist(app, commands, onexport) {
   }
 
   /** @param {Project} project; @param {number} done */
-  function explain({ pictures, model, training }, done) {
+  function explain({ pictures, model }, done) {
     const here = state.picture();
     const then = nextOf(state, state.pictures);
     const left = unfinished({ pictures: state.pictures, model });
@@ -285,12 +300,10 @@ export function createAssist(app, commands, onexport) {
     const fault = slip || (without ? `The model leaves this picture out, because ${without}.` : here?.error);
     pass.disabled = !then;
     why.classList.toggle("warn-text", Boolean(fault));
-    const more = several(AUTO_FIRST - done, "more picture");
-    const wait = done < AUTO_FIRST ? `After ${more} the model can place points for you.` : training?.state === "running"
-      ? "After training, the model places points for you." : "Train the model to let it place points for you.";
     const isOpen = here && here.state !== "done" && (here.uncertainty != null || here.nothing_found) && model;
     const ended = left || (done ? allDone(state.folder) : "");
-    const next = !then ? ended : model ? `Next: ${then.name}. ${reason(then, pictures, model)}` : wait;
+    const next = !then ? ended : model ? `Next: ${then.name}. ${reason(then, pictures, model)}`
+      : whenItHelps(state.project, { auto: auto.checked || asking, failedAt });
     why.textContent = fault || (isOpen ? reason(here, pictures, model) : next);
     why.title = why.textContent;
   }

@@ -13,7 +13,7 @@ import { button, FrameMeter, h, press, segmented, slider } from "./ui.js";
 import { Viewer } from "./viewer.js";
 
 const VIEWS = [
-  { name: "picture", label: "Picture", hint: `For another picture, ${IS_TOUCH ? "" : "drop or paste it here, or "}press Open….` },
+  { name: "picture", label: "Picture", hint: `For another picture, ${IS_TOUCH ? "" : "drop or paste it here, or "}press “Open…”.` },
   { name: "flat", label: "Flat", after: "Flat",
     hint: "The picture without its shading: in the light of the pictures that the model was trained on." },
   { name: "shading", label: "Shading", after: "Shading",
@@ -21,7 +21,8 @@ const VIEWS = [
   { name: "residual", label: "Residual", after: "Residual", hint: "The difference between the picture and the model.",
     expert: true },
   { name: "invariant", label: "Invariant", after: "Invariant", expert: true },
-  { name: "relit", label: "Relight", after: "Relit", hint: "Drag the lamp over the picture, and the line between before and after." },
+  { name: "relit", label: "Relight", after: "Relit", hint: "Drag the lamp over the picture.",
+    splitHint: "Drag the lamp over the picture, and the line between before and after." },
 ];
 
 /** What is said where the light is that of training, by view: then neither has anything to show. */
@@ -54,7 +55,7 @@ export class FitView {
   #faults = new Map(); // view -> error message of the server
   /** @type {Map<string, Partial<ColourScale & LayerChange & LayerPlace>>} */
   #scales = new Map(); // by view
-  #split = new Set(["flat", "relit"]); // views that are shown beside the picture
+  #split = new Set(LIKE_PICTURES); // views that are shown beside the picture
   /** @type {import("./fit.js").Tab} */
   #tab;
   #rough = null; // computes the relit picture in the browser
@@ -171,8 +172,9 @@ export class FitView {
     const isSplit = this.#split.has(this.#name);
     if (this.#name === "picture") this.show(this.#offered.find((name) => ["flat", "invariant"].includes(name) && !this.#why(name)) ?? "picture");
     if (this.#why(this.#name)) return;
-    if (isSplit) this.#split.delete(this.#name);
-    else if (this.#name !== "picture") this.#split.add(this.#name);
+    const alike = LIKE_PICTURES.includes(this.#name) ? LIKE_PICTURES : [this.#name];
+    if (isSplit) for (const name of alike) this.#split.delete(name);
+    else if (this.#name !== "picture") for (const name of alike) this.#split.add(name);
     this.#changed();
   }
 
@@ -322,6 +324,8 @@ export class FitView {
     const view = VIEWS.find(({ name }) => name === this.#name);
     const why = this.#why(this.#name);
     const scale = why ? null : this.#scales.get(this.#name);
+    const isSplit = this.#split.has(this.#name) && !why;
+    const hint = (isSplit && view.splitHint) || view.hint || "";
     for (const each of this.#choice.element.children)
       each.classList.toggle("unavailable", Boolean(this.#why(each.value)));
     this.#layerName.textContent = view.label;
@@ -329,7 +333,7 @@ export class FitView {
     this.#slider.value = String(this.#opacity[this.#name]);
     this.#layerText.textContent = `${Math.round(100 * this.#opacity[this.#name])} %`;
     this.invariant.show(this.#name === "invariant" && !why);
-    this.#hint.textContent = this.#source ? why || (scale?.even && EVEN[this.#name]) || view.hint || "" : "";
+    this.#hint.textContent = this.#source ? why || (scale?.even && EVEN[this.#name]) || hint : "";
     this.#hint.classList.toggle("error-text", this.#faults.has(this.#name));
     this.#hint.hidden = this.invariant.isShown;
     this.splitter.disabled = !this.#source || Boolean(why);
@@ -337,7 +341,6 @@ export class FitView {
     this.light.show(this.#name === "relit", Boolean(why));
     this.light.note(this.#note());
     this.balance.show(this.#scales.get("flat")?.colour);
-    const isSplit = this.#split.has(this.#name) && !why;
     press(this.splitter, isSplit);
     if (isSplit) this.#divider.label("Picture", view.after);
     this.viewer.redraw();

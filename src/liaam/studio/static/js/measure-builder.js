@@ -13,6 +13,7 @@ export class MeasureBuilder {
   #rows = new Map(); // of the list, by measure: what is being typed stays when the list is drawn
   /** @type {number[]} */
   #picked = []; // indices of the points of the measure that is being made, in order
+  #faults = new Map(); // what removes the message about the last change, by what was to be changed
   element = h("section.panel.measure-card", { "aria-label": "New measure" });
   /** @type {import("./measure.js").Tab} */
   #tab;
@@ -53,7 +54,15 @@ export class MeasureBuilder {
   }
 
   /** What is wrong with a measure or a scale is said; what was typed stays. @param {SaveMeasuring} change */
-  #change(change) { this.#tab.state.changeMeasuring(change).catch((error) => this.#tab.app.toast(error, "bad")); }
+  async #change(change) {
+    const about = Object.keys(change).join();
+    const fault = await this.#tab.state.changeMeasuring(change).then(() => null, (error) => error);
+    this.#faults.get(about)?.();
+    if (fault) this.#faults.set(about, this.#tab.app.toast(fault, "bad"));
+  }
+
+  /** Take back what was said of the values. */
+  hideFaults() { for (const remove of this.#faults.values()) remove(); }
 
   #pick(indices) {
     this.#picked = indices;

@@ -73,7 +73,10 @@ export class Tab {
     if (this.#isStale) this.#fetch();
   }
 
-  hide() { this.#visible = false; }
+  hide() {
+    this.#visible = false;
+    this.#builder.hideFaults(); // they would cover other tabs
+  }
 
   key(event) {
     return isPlain(event) && runKey(event, {

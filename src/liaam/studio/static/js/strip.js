@@ -25,11 +25,17 @@ export function mountStrip(root, app) {
   const chosen = new Set(); // their names
   let anchor = null; // where a range of them begins
   let wallTop = 0; // how far the wall was scrolled
+  let ownOrder = null; // that of the list before the wall sorted it by quality
 
   const choose = (label, name, labels = {}, title = null) =>
     h("select.text", {
       "aria-label": label, title, testid: `strip-${name}`,
-      onchange: () => { state.showFolder(folders.value); wall.forget(); show(); },
+      onchange: ({ target }) => {
+        if (target === order) ownOrder = null;
+        state.showFolder(folders.value);
+        wall.forget();
+        show();
+      },
     }, optionsOf(labels));
   const filter = choose("Show", "filter", labelsOf(filters.FILTERS));
   const order = choose("Sort", "order", filters.ORDERS);
@@ -89,11 +95,18 @@ export function mountStrip(root, app) {
     show();
   }
 
-  function rebuild() {
+  /** The wall was opened, or closed. Its order stays on the way through its pictures. */
+  function rebuild(goesOn) {
     if (wall.on && !wall.onWay) {
       wallTop = 0;
+      ownOrder ??= order.value;
       order.value = "quality";
       pictures = []; // sorted anew, and then it stays
+    } else if (!wall.on && !goesOn) {
+      wall.forget();
+      order.value = ownOrder ?? order.value;
+      ownOrder = null;
+      pictures = [];
     }
     items.clear();
     space.replaceChildren();
@@ -295,6 +308,7 @@ export function mountStrip(root, app) {
     /** Mark the picture that the page shows now. */
     mark: render,
     sortByQuality() {
+      ownOrder = null;
       order.value = "quality";
       show();
     },

@@ -204,12 +204,15 @@ function pointRows(drafting) {
 
   function add() {
     const at = () => rows.indexOf(row);
+    let isEntered = false; // whether this press is the one that goes to the name
     const name = h("input.text", {
       type: "text", spellcheck: "false", autocomplete: "off", onkeydown: (event) => key(event, at()),
       onfocus: () => {
         if (!drafting.selection.has(at()) || drafting.selection.size > 1) drafting.select([at()], at());
       },
       oninput: () => drafting.apply(drafts.rename(drafting.draft, at(), name.value), "rename", `rename ${at()}`),
+      onpointerdown: () => { isEntered = document.activeElement !== name; },
+      onclick: () => { if (isEntered && name.selectionStart === name.selectionEnd) name.select(); }, // typing replaces it
     });
     const grip = h("span.grip", {
       title: "Drag to reorder (Alt + ↑ ↓ in the name)", "aria-hidden": "true",
@@ -222,9 +225,10 @@ function pointRows(drafting) {
       },
     }, "⠿");
     const [number, twin] = [h("span.number.muted"), h("span.twin.muted.small")];
-    const gone = iconButton("Delete", "trash", () => drafting.deleteChosen([at()]), { small: true });
+    // Tab goes from name to name; the keys Delete and S do the same in the picture.
+    const gone = iconButton("Delete", "trash", () => drafting.deleteChosen([at()]), { small: true, tabindex: "-1" });
     const kind = button("S", {
-      kind: "ghost", small: true, pressed: false, onclick: () => drafting.changeKind(at()),
+      kind: "ghost", small: true, pressed: false, tabindex: "-1", onclick: () => drafting.changeKind(at()),
       title: "Semilandmark: tracing its curve, or spacing its points evenly, moves it",
     });
     const row = { element: h("li.template-point", grip, number, name, twin, kind, gone), number, name, twin, kind, gone };

@@ -12,8 +12,8 @@ export const acceptable = (/** @type {Picture[]} */ pictures, least) =>
 
 const keyOf = (/** @type {Picture} */ { revision, quality, tag, state }) => [revision, quality, tag, state].join();
 
-/** shown() -> pictures; onworst(): the worst will be opened; turn(): go to the next page -> pictures of this one.
- *  @param {{app: App, shown: () => Picture[], accept: (names: string[]) => any, onchange: () => any, onworst: () => any, turn: () => Picture[]}} options */
+/** shown() -> pictures; onchange(goesOn): it was opened, or closed, to go on with one of its pictures or not; onworst(): the worst will be opened; turn(): go to the next page -> pictures of this one.
+ *  @param {{app: App, shown: () => Picture[], accept: (names: string[]) => any, onchange: (goesOn: boolean) => any, onworst: () => any, turn: () => Picture[]}} options */
 export function createWall({ app, shown, accept, onchange, onworst, turn }) {
   const { api, state } = app;
   const outlines = new Map(); // by name: {key, promise of the drawing} of the points that were in view last
@@ -74,13 +74,14 @@ export function createWall({ app, shown, accept, onchange, onworst, turn }) {
     if (found.length) accept(found);
   }
 
-  function open(on) {
+  /** goesOn: whether it closes for one of its pictures. */
+  function open(on, goesOn = false) {
     if (isOn === on || !state.project.pictures.length) return;
     isOn = on;
     document.documentElement.dataset.wall = on ? "on" : "off";
     press(toggler, on);
     element.hidden = !on;
-    onchange();
+    onchange(goesOn);
   }
 
   const toggle = () => open(!isOn);
@@ -88,7 +89,7 @@ export function createWall({ app, shown, accept, onchange, onworst, turn }) {
   /** Close the wall for one of its pictures. */
   function leave() {
     isOnWay = isOn;
-    open(false);
+    open(false, true);
   }
 
   /** Do not return to the wall: what it shows is chosen anew. */
@@ -99,7 +100,7 @@ export function createWall({ app, shown, accept, onchange, onworst, turn }) {
     onworst();
     const [picture] = openIn(shown());
     if (!picture) return;
-    open(false);
+    open(false, true);
     app.openTab("annotate");
     state.select(picture.name);
   }
