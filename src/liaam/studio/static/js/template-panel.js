@@ -225,10 +225,10 @@ function pointRows(drafting) {
       },
     }, "⠿");
     const [number, twin] = [h("span.number.muted"), h("span.twin.muted.small")];
-    // Tab goes from name to name; the keys Delete and S do the same in the picture.
+    // Tab goes from name to name, by S where a point may slide; the key Delete does the same in the picture.
     const gone = iconButton("Delete", "trash", () => drafting.deleteChosen([at()]), { small: true, tabindex: "-1" });
     const kind = button("S", {
-      kind: "ghost", small: true, pressed: false, tabindex: "-1", onclick: () => drafting.changeKind(at()),
+      kind: "ghost", small: true, pressed: false, onclick: () => drafting.changeKind(at()),
       title: "Semilandmark: tracing its curve, or spacing its points evenly, moves it",
     });
     const row = { element: h("li.template-point", grip, number, name, twin, kind, gone), number, name, twin, kind, gone };
