@@ -180,10 +180,9 @@ def count_orientations(
     images, some rows and columns are decoded. If the image is known to be ``grey``, that takes less time.
     """
     size = block_size("soft", pose.scale, blur)
-    stride = max(1, min(int(size / SAMPLES_ACROSS), min(image.shape[:2]) // 8))
-    offset = stride // 2
-    sparse = image[offset::stride, offset::stride]
-    shape = (shape - offset) / stride
+    stride = stride_for(image, size)
+    sparse = every(image, stride)
+    shape = (shape - stride // 2) / stride
     size /= stride
     low, high = corners_around(sparse, shape, margin, size)
     size = _limited(size, low, high)
@@ -192,14 +191,28 @@ def count_orientations(
     turn = tuple((pose.matrix.T / pose.scale).ravel().tolist())
     pixel = size * stride / pose.scale
     counts = _core.count_orientations(brightness, finite, _further_blur(blur, pixel) / pixel, turn, pixel)
-    from_sparse = _from_image(first, size)
-    from_image = Similarity(from_sparse.matrix / stride, from_sparse(np.full(2, -offset / stride)))
-    return Patch(counts, from_image, counts.shape[2])
+    return Patch(counts, after_every(_from_image(first, size), stride), counts.shape[2])
 
 
 # Samples of a block along each axis that suffice, as for the search: in a photograph of 24 megapixels, decoding all of
 # them takes two thirds of a fit.
 SAMPLES_ACROSS = 4
+
+
+def stride_for(image: np.ndarray, size: float) -> int:
+    """Return of how many rows and columns of an image one is enough, to average blocks of a size."""
+    return max(1, min(int(size / SAMPLES_ACROSS), min(image.shape[:2]) // 8))
+
+
+def every(image: np.ndarray, stride: int) -> np.ndarray:
+    """Return every so many rows and columns of an image, from pixel ``stride // 2`` on."""
+    offset = stride // 2
+    return image[offset::stride, offset::stride]
+
+
+def after_every(from_sparse: Similarity, stride: int) -> Similarity:
+    """Return a map from the pixels of :func:`every` as a map from those of the image."""
+    return Similarity(from_sparse.matrix / stride, from_sparse(np.full(2, -(stride // 2) / stride)))
 
 
 def _further_blur(blur: float, pixel: float) -> float:

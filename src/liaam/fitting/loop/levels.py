@@ -26,7 +26,7 @@ from liaam.fitting.loop.objective import Objective, State
 from liaam.fitting.loop.options import SolverOptions, coarse_options
 from liaam.fitting.methods import Method
 from liaam.fitting.thresholds import THRESHOLDS
-from liaam.model.sampling import SAMPLES_ACROSS, AveragedImage, block_size
+from liaam.model.sampling import AveragedImage, after_every, block_size, every, stride_for
 from liaam.model.shape import Similarity, align, diagonal_of, own_parameters
 from liaam.photometry import NoiseModel, Response, is_grey
 from liaam.photometry.encoding import (
@@ -75,11 +75,10 @@ class FittedLevel:
     def seen_every(self, stride: int) -> "FittedLevel":
         """Return the level in the pixels of an image, of which it was fitted to every so many (`LinearImage.every`)."""
         offset = stride // 2
-        to_patch = Similarity(self.to_patch.matrix / stride, self.to_patch(np.full(2, -offset / stride)))
         return replace(
             self,
             pose=Similarity(stride * self.pose.matrix, stride * self.pose.offset + offset),
-            to_patch=to_patch,
+            to_patch=after_every(self.to_patch, stride),
             begun_at=None if self.begun_at is None else stride * self.begun_at + offset,
         )
 
@@ -109,8 +108,7 @@ class LinearImage:
     def every(self, stride: int) -> "LinearImage":
         """Return every so many rows and columns, from pixel ``stride // 2`` on."""
         if stride not in self.sparse:
-            offset = stride // 2
-            self.sparse[stride] = LinearImage(self.image[offset::stride, offset::stride], self.response)
+            self.sparse[stride] = LinearImage(every(self.image, stride), self.response)
         return self.sparse[stride]
 
     def crop(self, low: np.ndarray, high: np.ndarray) -> "LinearImage":
@@ -284,7 +282,7 @@ def _enough_of(target: Target, objectives: Sequence[Objective]) -> int:
     if not np.isfinite(scale):
         return 1
     size = min(block_size(each.method.encoding, scale, each.blur) for each in objectives)
-    return max(1, min(int(size / SAMPLES_ACROSS), min(target.image.shape[:2]) // 8))
+    return stride_for(target.image, size)
 
 
 def _similarity(rows: np.ndarray) -> Similarity:

@@ -123,7 +123,8 @@ def landmark_covariances(
     scales = None if reliability is None else reliability.scales
     if contours:
         turns = contour_turns(shapes.mean, shapes.shape(p), contours)
-        unexplained, scales = _turned(unexplained, turns), _turned(scales, turns)
+        unexplained = _turned(unexplained, turns)
+        scales = _turned(scales, turns)
     in_model_pixels = fitted if unexplained is None else fitted + unexplained
     if scales is not None:
         in_model_pixels = scales @ in_model_pixels @ scales
