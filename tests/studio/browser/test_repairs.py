@@ -161,18 +161,21 @@ def test_after_the_last_picture_the_page_leads_on(small, artefacts):
         for point in points:
             small.locator(f".plot-pick[data-index='{point}']").click()
     wait_until(small, lambda: measures.count() == 2)
-    fault = small.locator(".toast.bad")
+    fault = small.locator("[data-testid=measure-scale-fault]")
+    scale = small.locator("[data-testid=measure-scale]")
     for leave in ("value", "tab"):  # what was wrong with the value goes with either
-        small.locator("[data-testid=measure-scale]").fill("one pixel")
-        small.locator("[data-testid=measure-scale]").press("Enter")
+        scale.fill("one pixel")
+        small.evaluate("() => window.liaamStudio.state.select('portrait-02.png')")
+        scale.press("Enter")  # what is typed has stayed although the tab was drawn again
         fault.wait_for()
+        assert scale.input_value() == "one pixel"
         if leave == "tab":
             small.locator("[data-testid=tab-fit]").click()
-            fault.wait_for(state="detached")
             small.locator("[data-testid=tab-measure]").click()
-        small.locator("[data-testid=measure-scale]").fill("1-3=5" if leave == "tab" else "1-3=4")
-        small.locator("[data-testid=measure-scale]").press("Enter")
-        fault.wait_for(state="detached")
+            assert not fault.is_visible() and scale.input_value() == "1-3=4"
+        scale.fill("1-3=5" if leave == "tab" else "1-3=4")
+        scale.press("Enter")
+        fault.wait_for(state="hidden")
     with small.expect_download() as download:
         small.locator("[data-testid=measure-save]").select_option("csv")
     table = Path(download.value.path()).read_text().splitlines()

@@ -4,7 +4,7 @@ import { CLICK } from "./annotate-words.js";
 import { KINDS, measureOf, measureText } from "./measures.js";
 import { picker } from "./shape-plots.js";
 import { curveText } from "./template.js";
-import { button, h, iconButton, segmented } from "./ui.js";
+import { button, complaints, h, iconButton, segmented } from "./ui.js";
 
 const SCALE = "Scale of pictures that have none: the length of a pixel (0.005 mm, or 200 px/mm); or of all, two points and their distance (11-12=5 mm)";
 
@@ -13,13 +13,13 @@ export class MeasureBuilder {
   #rows = new Map(); // of the list, by measure: what is being typed stays when the list is drawn
   /** @type {number[]} */
   #picked = []; // indices of the points of the measure that is being made, in order
-  #faults = new Map(); // what removes the message about the last change, by what was to be changed
+  #complain = complaints(); // about measures
   element = h("section.panel.measure-card", { "aria-label": "New measure" });
   /** @type {import("./measure.js").Tab} */
   #tab;
   #shownScale; // the kept one that the field was last given
   // Elements.
-  #add; #curves; #fault; #gone; #hint; #kind; #list; #picker; #scale;
+  #add; #curves; #fault; #gone; #hint; #kind; #list; #picker; #scale; #scaleFault;
 
   /** @param {import("./measure.js").Tab} tab */
   constructor(tab) {
@@ -38,8 +38,9 @@ export class MeasureBuilder {
       placeholder: "of each picture, or in pixels",
       testid: "measure-scale",
       value: tab.measuring.scale,
-      onchange: () => this.#change({ scale: this.#scale.value.trim() }),
+      onchange: () => this.#changeScale(),
     });
+    this.#scaleFault = h("p.small.error-text", { role: "alert", hidden: true, testid: "measure-scale-fault" });
     this.#gone = h("div.row.small", { role: "status", hidden: true, testid: "measures-gone" });
     this.element.append(
       h("h2.panel-title", "Measures"),
@@ -50,19 +51,42 @@ export class MeasureBuilder {
       this.#list,
       this.#fault,
       this.#gone,
-      h("label.field", SCALE, this.#scale));
+      h("label.field", SCALE, this.#scale),
+      this.#scaleFault);
   }
 
-  /** What is wrong with a measure or a scale is said; what was typed stays. @param {SaveMeasuring} change */
+  /** Add, remove or dismiss measures. @param {SaveMeasuring} change */
   async #change(change) {
-    const about = Object.keys(change).join();
     const fault = await this.#tab.state.changeMeasuring(change).then(() => null, (error) => error);
-    this.#faults.get(about)?.();
-    if (fault) this.#faults.set(about, this.#tab.app.toast(fault, "bad"));
+    this.#complain(fault && !fault.unreachable ? fault.message : "");
   }
 
-  /** Take back what was said of the values. */
-  hideFaults() { for (const remove of this.#faults.values()) remove(); }
+  /** A scale that is refused stays in the field, with what is wrong below it, to be corrected. */
+  async #changeScale() {
+    const typed = this.#scale.value.trim();
+    const fault = await this.#tab.state.changeMeasuring({ scale: typed }).then(() => "", ({ message }) => message);
+    if (this.#scale.value.trim() !== typed) return; // more has been typed since
+    this.#showScaleFault(fault);
+    if (!fault) this.#showScale();
+  }
+
+  #showScale() {
+    this.#shownScale = this.#tab.measuring.scale;
+    this.#scale.value = this.#shownScale;
+  }
+
+  #showScaleFault(text) {
+    this.#scale.setAttribute("aria-invalid", String(Boolean(text)));
+    this.#scaleFault.textContent = text;
+    this.#scaleFault.hidden = !text;
+  }
+
+  /** Before the tab is left: take back what was said of the values, and a scale that was refused. */
+  leave() {
+    this.#complain(""); // it would cover other tabs
+    this.#showScaleFault("");
+    this.#showScale();
+  }
 
   #pick(indices) {
     this.#picked = indices;
@@ -102,11 +126,8 @@ export class MeasureBuilder {
     this.#drawCurves();
     this.#drawList();
     this.#drawGone();
-    const { scale } = this.#tab.measuring;
-    if (scale !== this.#shownScale) { // it follows its points; what is being typed stays
-      this.#shownScale = scale;
-      this.#scale.value = scale;
-    }
+    const isTyped = this.#scale.value !== this.#shownScale; // and not sent yet, or refused
+    if (!isTyped) this.#showScale(); // it follows its points
   }
 
   #hintText() {

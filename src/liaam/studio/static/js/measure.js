@@ -75,7 +75,7 @@ export class Tab {
 
   hide() {
     this.#visible = false;
-    this.#builder.hideFaults(); // they would cover other tabs
+    this.#builder.leave();
   }
 
   key(event) {
