@@ -190,6 +190,17 @@ def test_a_refiner_helps_if_fits_are_nearer(scale, helps):
     assert refinement.helps(fits_that_refining_moves(scale)) == helps
 
 
+@pytest.mark.parametrize(("scale", "share"), [(0.5, 1.0), (1.25, 0.4), (-0.5, 0.0)])
+def test_fits_are_nearest_at_the_share_that_is_learnt(scale, share):
+    fits = fits_that_refining_moves(scale)  # with half of the way to where refiners lead
+    owners = np.arange(5)
+    refinement = Refinement(RefinerLearner(60.0 * OUTLINE), seen_of(owners), owners, list(owners[:, None]))
+    learnt = refinement.best_share({name: [of_method] for name, of_method in fits.items()})
+    assert learnt == pytest.approx(share, abs=0.01)
+    near = fits[DEFAULT_METHOD].refined_by(learnt).near_error
+    assert near <= min(fits[DEFAULT_METHOD].refined_by(other).near_error for other in (0.2, 0.5, 0.8))
+
+
 def test_images_and_copies_to_learn_from():
     np.testing.assert_array_equal(seen_of(np.repeat(np.arange(3), 4)), np.arange(12))
     many = np.repeat(np.arange(300), 3)  # two copies of each
@@ -255,17 +266,18 @@ def test_the_mirror_image_of_a_model_refines_mirror_images_alike(shields, refine
 
 
 def test_a_model_file_holds_the_refiner(shields, refined, tmp_path, run):
-    refined.save(tmp_path / "shield.liaam")
+    model = replace(refined, refiner=replace(refiner_of(refined), share=0.7))
+    model.save(tmp_path / "shield.liaam")
     loaded = load_model(tmp_path / "shield.liaam")
     image, truth = shields[43]
-    expected = refiner_of(refined).refined(image, "srgb", truth)
+    expected = refiner_of(model).refined(image, "srgb", truth)
     np.testing.assert_allclose(refiner_of(loaded).refined(image, "srgb", truth), expected, atol=1e-6)
     code, out, _ = run("show", tmp_path / "shield.liaam")
     assert code == 0
-    assert "fits are averaged with landmarks by regression" in out
+    assert "fits are moved 70% of the way to landmarks by regression" in out
 
 
-@pytest.mark.parametrize("name", ["weights", "offsets", "variances", "shape.modes", "errors"])
+@pytest.mark.parametrize("name", ["weights", "offsets", "variances", "shape.modes", "errors", "share"])
 def test_a_forged_refiner_is_refused(refined, tmp_path, name):
     path = tmp_path / "forged.liaam"
     refined.save(path)

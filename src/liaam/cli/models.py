@@ -234,9 +234,10 @@ def describe_regressor(model: "AAM") -> str:
 def describe_refiner(model: "AAM") -> str:
     """Return what becomes of fits, and how well the refiner finds the landmarks by itself."""
     assert model.refiner is not None
-    share = model.refiner.left_out.deviation / model.diagonal
+    error = model.refiner.left_out.deviation / model.diagonal
     return (
-        f"fits are averaged with landmarks by regression from there, which are off by {share:.1%} of the object's size"
+        f"fits are moved {model.refiner.share:.0%} of the way to landmarks by regression from there, "
+        f"which are off by {error:.1%} of the object's size"
     )
 
 

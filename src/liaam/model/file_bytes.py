@@ -142,6 +142,7 @@ def _tensors(model: "AAM") -> dict[str, np.ndarray]:
     if model.refiner is not None:
         tensors |= _named("refiner.", _regressor_tensors(model.refiner))
         tensors |= _named("refiner.shape.", _stored_fields(model.refiner.shape_model, "shape"))
+        tensors["refiner.share"] = np.array(model.refiner.share)
     if model.relief is not None:
         tensors["relief"] = np.rint(file_format.RELIEF_STEPS * model.relief).astype(np.int8)
     if model.features is not None:

@@ -158,7 +158,13 @@ def read_refiner(tensors: dict[str, np.ndarray], mean: np.ndarray) -> LandmarkRe
     """Return the refiner of a model with a mean shape (n, 2), with shapes of its own; None if the model has none."""
     if "refiner.weights" not in tensors:
         return None
-    return read_regressor(tensors, "refiner", _shape_model({}, tensors_below(tensors, "refiner."), mean))
+    refiner = read_regressor(tensors, "refiner", _shape_model({}, tensors_below(tensors, "refiner."), mean))
+    if refiner is None or "refiner.share" not in tensors:  # older files have none
+        return refiner
+    share = float(checked_tensor(tensors, "refiner.share", np.float64, (1,))[0])
+    if not 0.0 <= share <= 1.0:
+        raise ValueError("refiner.share is not from 0 to 1")
+    return replace(refiner, share=share)
 
 
 def read_poses(tensors: dict[str, np.ndarray], n: int) -> np.ndarray | None:

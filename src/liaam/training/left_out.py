@@ -10,6 +10,7 @@ from liaam.model import AAM, VIEWS, Level
 from liaam.model.appearance import COPIED_APPEARANCES, AppearanceModel, Textures, train_appearance_model
 from liaam.model.missing import Missing
 from liaam.model.pca import Variance
+from liaam.model.regressor import LandmarkRegressor
 from liaam.model.shape import Recipe, shape_model_on
 from liaam.model.views import shape_model_of
 from liaam.photometry.encoding import as_colour
@@ -127,7 +128,7 @@ def calibrated(
                 for relit in copied.relit(j, image, shapes[j], model.response, lamps):
                     yield LeftOutImage(part, relit, shapes[j], entries[j].known, relit=True)
 
-    near, is_refined = _best_near(fits_near(model, images(parts), methods), refinement)
+    near, share = _best_near(fits_near(model, images(parts), methods), refinement)
     if regression is not None and regression.is_needed(near):
         steps.total += len(folds) * learning_cost(model.n_textures) + cost_of_fits(folds, NEAR_PICTURES)
         data = regression.data()
@@ -138,13 +139,12 @@ def calibrated(
             with_regressors.append(replace(part, regressor=regressor))
         regressed = _best_near(fits_near(model, images(with_regressors), methods), refinement)
         if regression.helps(near, regressed[0]):
-            near, is_refined = regressed
+            near, share = regressed
             parts = with_regressors
             model = replace(model, regressor=data.learn(shape_model_of(model.views)))
-    if is_refined and refinement is not None:
-        model = replace(model, refiner=refinement.learn())
-    else:
-        parts = [part if part.refiner is None else replace(part, refiner=None) for part in parts]
+    parts = [_refining_by(share, part, part.refiner) for part in parts]
+    if share is not None and refinement is not None:
+        model = _refining_by(share, model, refinement.learn())
     tried = with_distant_and_wrong_fits(model, images(parts, OTHER_PICTURES), methods, near)
     reliabilities = calibrate(model, tried, methods)
     for view in VIEWS:
@@ -160,13 +160,22 @@ def calibrated(
 
 def _best_near(
     fits: Mapping[str, Sequence[LeftOutFits]], refinement: Refinement | None
-) -> tuple[dict[str, LeftOutFits], bool]:
-    """Return the best fits from near the objects of each method, and whether they are refined, since that helps."""
+) -> tuple[dict[str, LeftOutFits], float | None]:
+    """Return the best fits from near the objects of each method, and the share of their refiners; None if no help."""
     if refinement is not None:
-        refined = least_shrunk_of_each(fits, refined=True)
+        share = refinement.best_share(fits)
+        shared = {name: [each.refined_by(share) for each in candidates] for name, candidates in fits.items()}
+        refined = least_shrunk_of_each(shared, refined=True)
         if refinement.helps(refined):
-            return refined, True
-    return least_shrunk_of_each(fits, refined=False), False
+            return refined, share
+    return least_shrunk_of_each(fits, refined=False), None
+
+
+def _refining_by(share: float | None, model: AAM, refiner: LandmarkRegressor | None) -> AAM:
+    """Return a model that refines fits with a refiner and its share; or not, without either."""
+    if share is None or refiner is None:
+        return model if model.refiner is None else replace(model, refiner=None)
+    return replace(model, refiner=replace(refiner, share=share))
 
 
 def can_be_calibrated(method: Method) -> bool:

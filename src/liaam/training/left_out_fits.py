@@ -8,6 +8,7 @@ import numpy as np
 from liaam.fitting.quality import expanded_covariance, fitted_covariances
 from liaam.io.files import count_of
 from liaam.model.contours import Contours, contour_turns, outline_errors
+from liaam.model.regressor import USUAL_SHARE
 from liaam.model.shape import ShapeModel, diagonal_of, expanded_about
 from liaam.training.covariances import surprise
 from liaam.training.presence import AgreementOfFit
@@ -92,6 +93,12 @@ class LeftOutFit:
         """Return the fit with its shape at as many times its distance from the mean."""
         return replace(self, expansion=expansion)._with_error()
 
+    def refined_by(self, share: float) -> "LeftOutFit":
+        """Return the fit with a share of the way to where its refiner leads, of which it has :data:`USUAL_SHARE`."""
+        if self.refinement is None:
+            return self
+        return replace(self, refinement=share / USUAL_SHARE * self.refinement)._with_error()
+
     def unrefined(self) -> "LeftOutFit":
         """Return the fit without what a refiner has added."""
         return self if self.refinement is None else replace(self, refinement=None)._with_error()
@@ -174,6 +181,10 @@ class LeftOutFits:
         """Return the fits with shapes at as many times their distance from the mean."""
         fits = self.fits if expansion == 1.0 else [fit.expanded(expansion) for fit in self.fits]
         return replace(self, fits=fits, expansion=expansion)
+
+    def refined_by(self, share: float) -> "LeftOutFits":
+        """Return the fits with a share of the way to where their refiners lead, of which they have the usual one."""
+        return replace(self, fits=[fit.refined_by(share) for fit in self.fits])
 
     def unrefined(self) -> "LeftOutFits":
         """Return the fits without what refiners have added."""

@@ -13,7 +13,7 @@ import numpy as np
 from liaam.datasets import Sample
 from liaam.fitting.methods import DEFAULT_METHOD
 from liaam.model.pca import components_by, gram_about
-from liaam.model.regressor import OF_FITS, SIZE, LandmarkRegressor, OrientationHistograms
+from liaam.model.regressor import OF_FITS, SIZE, USUAL_SHARE, LandmarkRegressor, OrientationHistograms
 from liaam.model.shape import ShapeModel, align, diagonal_of, rotation, similarity_modes
 from liaam.photometry import Response
 from liaam.photometry.encoding import as_colour
@@ -132,6 +132,23 @@ class Refinement:
             used &= ~np.isin(self.owners[self.seen], without)
         of_objects = [np.flatnonzero(used & np.isin(self.owners[self.seen], group)) for group in self.groups]
         return self.learner.learn([group for group in of_objects if len(group)])
+
+    def best_share(self, fits: Mapping[str, Sequence[LeftOutFits]]) -> float:
+        """Return the share of the way to where refiners lead at which right fits to left-out images are nearest.
+
+        That is the share with the least squared errors, of all landmarks and weights of the prior.
+        """
+        wanted = 0.0
+        squares = 0.0
+        for candidate in fits.get(DEFAULT_METHOD, ()):
+            for fit in candidate.near_right:
+                if fit.refinement is None:
+                    continue
+                way = fit.refinement[fit.known] / (USUAL_SHARE * diagonal_of(fit.truth))
+                to_truth = (fit.truth - fit.unrefined().landmarks)[fit.known] / diagonal_of(fit.truth)
+                wanted += float((way * to_truth).sum())
+                squares += float(np.square(way).sum())
+        return float(np.clip(wanted / squares, 0.0, 1.0)) if squares > 0.0 else USUAL_SHARE
 
     def helps(self, fits: Mapping[str, LeftOutFits]) -> bool:
         """Return whether right fits to left-out images are nearer refined than not, by more than chance if few."""
