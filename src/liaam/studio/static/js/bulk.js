@@ -36,7 +36,7 @@ export async function askName({ api, state }) {
 /** By name in the server's log: the label, what was done to so many pictures (in words, and the number), and the action that undoes it. */
 const ACTIONS = {
   checked: { label: "Mark as checked", done: (of) => `${of} marked as checked`, undo: "unchecked" },
-  accepted: { label: "Accept proposed points", done: (of) => `Points of ${of} accepted`, undo: "deleted" },
+  accepted: { label: "Accept proposed points", done: (of, count) => `Points of ${of} accepted: ${count === 1 ? "it is" : "they are"} done`, undo: "deleted" },
   unchecked: { label: "Mark as not checked", done: (of) => `${of} marked as not checked`, undo: "checked" },
   discarded: { label: "Discard proposed points", done: (of) => `Proposed points of ${of} discarded`, undo: "restored" },
   "left out": { label: "Leave out of training", done: (of) => `${of} left out of training`, undo: "taken in" },
@@ -49,7 +49,8 @@ const ACTIONS = {
 };
 
 const pictures = ({ length }) => several(length, "picture");
-const some = (names) => `${names.slice(0, 3).join(", ")}${names.length > 3 ? ` and ${names.length - 3} more` : ""}`;
+/** Some pictures, of many the first three. @param {string[]} names */
+export const some = (names) => `${names.slice(0, 3).join(", ")}${names.length > 3 ? ` and ${names.length - 3} more` : ""}`;
 
 const doneText = (/** @type {string} */ did, /** @type {string[]} */ names) => ACTIONS[did].done(pictures(names), names.length);
 

@@ -231,7 +231,7 @@ export const specimenText = (/** @type {Fit} */ fit, isExpert = true) => `${fit.
 const EXPORTS = {
   Landmarks: { pts: "Landmarks .pts", ljson: "Landmarks .ljson", csv: "Table .csv", json: "Fit .json" },
   Pictures: {
-    overlay: "Picture with its points", flat: "Flat picture", shading: "Shading", relit: "Relit picture",
+    overlay: "Picture with its points", flat: "Picture without shading", shading: "Shading", relit: "Relit picture",
     crop: "Part around the object",
   },
 };

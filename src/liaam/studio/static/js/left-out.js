@@ -12,7 +12,7 @@ const UNMEASURED = [
   ["are still being read", ({ state }) => state === "reading"],
   ["have a file with points that do not fit the template", ({ state, error, placed }) => placed > 0 && state === "partial" && error],
   ["have only a guess of the model, which found nothing: place their points", ({ nothing_found: nothing }) => nothing],
-  ["have doubtful points of the model: check them, then accept them", ({ doubtful }) => doubtful],
+  ["have doubtful points of the model: look at them, then accept them", ({ doubtful }) => doubtful],
   ["have proposed points only: accept them", ({ state, proposed = 0 }) => state === "proposed" || proposed > 0],
   ["have no points yet", () => true],
 ];

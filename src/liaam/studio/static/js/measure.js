@@ -8,7 +8,7 @@ import { bins, measureText, numberText, summary } from "./measures.js";
 import { plotFiles } from "./plot-files.js";
 import { createShapeSpace } from "./shape-space.js";
 import { groupMark, histogram } from "./shape-plots.js";
-import { button, complaints, fileField, h, icon, menu, runKey, isPlain, saveFile, segmented } from "./ui.js";
+import { button, complaints, fileField, h, icon, menu, runKey, isPlain, saveFile, saveFiles, segmented } from "./ui.js";
 
 const MOST_ROWS = 400; // of the table that is shown
 const MOST_GROUPS = 8; // in the legend
@@ -209,7 +209,7 @@ export class Tab {
     if (kind === "csv") return this.#saveTable();
     const shown = this.#views.value === "shapes" ? this.#space.element : this.#measures;
     const name = `${this.state.project.folder}-${this.#views.value}`;
-    plotFiles(shown).forEach((file, i) => saveFile(file, `${name}-${i + 1}.svg`));
+    saveFiles(plotFiles(shown).map((file, i) => [file, `${name}-${i + 1}.svg`]));
     return undefined;
   }
 

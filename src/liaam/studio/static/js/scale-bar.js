@@ -96,13 +96,14 @@ export class ScaleBar extends Editable {
     let isDrag = false;
     const endsWith = (end) => (before[0] ? [before[0], end] : isDrag ? [first, end] : [end, null]);
     const show = (place) => this.preview(endsWith(rounded(place)));
-    const gesture = placing(xy, show, () => (this.ends[1] ? this.finish() : this.onchange()), () => this.preview(before));
-    const move = gesture.move;
-    gesture.move = (at, event) => {
-      isDrag ||= distance(event.at, start) > DRAG;
-      move.call(gesture, at);
+    return {
+      ...placing(xy, show, () => (this.ends[1] ? this.finish() : this.onchange()), () => this.preview(before)),
+      move(at, event) {
+        isDrag ||= distance(event.at, start) > DRAG;
+        this.loupe = at;
+        show(at);
+      },
     };
-    return gesture;
   }
 
   async finish() {
