@@ -270,7 +270,7 @@ export class ExportMenu {
       ontoggle: ({ newState }) => newState === "open" && this.#panel.querySelector("a").focus(),
     }, groups, h("div.fit-menu-group", this.#table, this.#annotate));
     this.#button = button("Export", {
-      icon: "download", kind: "roomy", small: true, testid: "export-menu", popoverTargetElement: this.#panel,
+      small: true, testid: "export-menu", popoverTargetElement: this.#panel,
     });
     const onfocusout = ({ relatedTarget: to }) => to && !this.element.contains(to) && this.close();
     this.element = h("div.fit-export", { onfocusout }, this.#button, this.#panel);

@@ -19,7 +19,7 @@ const VIEWS = [
   { name: "flat", label: "Remove shading", after: "Without shading", saves: `The whole picture without its shading, ${AS_SHOWN}`,
     hint: "The picture without its shading: in the even light of the pictures that the model was trained on." },
   { name: "shading", label: "Shading", after: "Shading", saves: "Only the shading: the surroundings are transparent",
-    hint: "The effect of the light: the picture divided by the one without shading." },
+    hint: "The effect of the light alone." },
   { name: "residual", label: "Residual", after: "Residual", hint: "The difference between the picture and the model.",
     expert: true },
   { name: "invariant", label: "Invariant", after: "Invariant", expert: true },

@@ -145,7 +145,7 @@ export class MeasureBuilder {
     const points = this.#layout();
     const closed = this.#kind.value === "area";
     this.#picker.replaceChildren(points.some(Boolean)
-      ? picker({ points, names, contours, lit: this.#picked, closed, onpick: (i) => this.#toggle(i) })
+      ? picker({ points, names, contours, lit: this.#picked, closed, onpick: (i) => this.#toggle(i), width: this.#picker.clientWidth || undefined })
       : h("p.muted.small", "The points are drawn here once three pictures are done."));
   }
 
