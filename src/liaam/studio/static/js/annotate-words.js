@@ -51,7 +51,7 @@ export function tallyOf({ points, missing, invisible, state, absent = [] }) {
 }
 
 const SOURCES = {
-  proposal: "proposed by the model", layout: "from the mean shape", none: "none placed yet", file: "placed by you",
+  proposal: "proposed by the model", layout: "from the mean shape", none: "none placed yet", file: "placed or accepted",
 };
 
 export function descriptionOf(name, { points, state }) {

@@ -274,7 +274,7 @@ export function createAssist(app, commands, onexport) {
     if (total) progress.value = Math.round((100 * ready) / total);
     else progress.removeAttribute("value");
     // Most steps are not about one picture, and their names have no room here.
-    what.textContent = total ? `Training, ${progress.value} %` : "Training…";
+    what.textContent = !runs ? "" : total ? `Training, ${progress.value} %` : "Training…";
     what.title = doing;
     train.disabled = runs || asking || done < LEAST;
     const stale = model?.stale && `${several(model.stale, "picture")} completed or changed since the last training`;

@@ -154,9 +154,11 @@ export function guestPanel({ state, openTab }) {
     h("div.panel-title", h("h2.grow", "Fit only"), leave), words);
   const show = () => {
     element.hidden = !state.guest;
+    if (!state.guest) return words.replaceChildren();
     const { name, n_points: count } = state.project.model ?? {};
     words.textContent = `Pictures are fitted with ${name}.liaam (${count} points). Nothing is trained, and no ` +
       "landmarks are saved.";
+    return undefined;
   };
   return { element, show };
 }

@@ -188,7 +188,8 @@ async function showKeys() {
   const note = own.length > 0 && h("p.small", `Your own keys in Annotate: ${own.join(", ")}.`);
   const change = { label: "Change keys…", value: "change", testid: "change-keys" };
   const actions = [change, { label: "Close", kind: "primary", value: null }];
-  const asked = await ui.dialog("Keys and words", h("div.column", note, h("div.keys", table("Everywhere", [byNumber, ...COMMON_KEYS]), sections, onlyFits() ? null : statesOfPictures())), actions, { wide: true });
+  const asked = await ui.dialog("Keys, and states of pictures", h("div.column", note, h("div.keys", table("Everywhere", [byNumber, ...COMMON_KEYS]),
+    !onlyFits() && statesOfPictures(), sections)), actions, { wide: true });
   if (asked === "change") await chooseKeys(toast);
 }
 
@@ -250,7 +251,7 @@ function status() {
     const now = adding ?? fitting ?? learning;
     const percent = now.total ? ` ${Math.round((100 * now.done) / now.total)} %` : "…";
     training.hidden = now === learning && learning.state !== "running";
-    training.textContent = `${adding ? "Adding" : fitting ? "Placing points" : "Training"}${percent}`;
+    training.textContent = training.hidden ? "" : `${adding ? "Adding" : fitting ? "Placing points" : "Training"}${percent}`;
     const guest = state.guest;
     model.textContent = guest ? `Fit only: ${has.name}` : has?.source === "face" ? "Face model" : has ? `Model: ${has.n_images} pictures` : "No model yet";
     model.className = has ? "badge good" : "badge";

@@ -207,7 +207,8 @@ export class MeasureBuilder {
   #drawGone() {
     const { gone } = this.#tab.measuring;
     this.#gone.hidden = !gone.length;
+    if (!gone.length) return this.#gone.replaceChildren();
     const seen = iconButton("Dismiss", "close", () => this.#change({ seen: true }), { small: true });
-    this.#gone.replaceChildren(h("span.grow.warn-text", `Removed with points of the template: ${gone.join("; ")}.`), seen);
+    return this.#gone.replaceChildren(h("span.grow.warn-text", `Removed with points of the template: ${gone.join("; ")}.`), seen);
   }
 }

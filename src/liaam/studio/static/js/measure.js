@@ -128,8 +128,8 @@ export class Tab {
 
   /** Say what is wrong, and that the table is the earlier one; without data, the tab says what to do instead. */
   #showFault(text) {
-    this.#fault.textContent = text && `${text.replace(/\.$/, "")}. Below is what was measured before.`;
-    this.#fault.hidden = !text || !this.#data;
+    this.#fault.textContent = text && this.#data ? `${text.replace(/\.$/, "")}. Below is what was measured before.` : "";
+    this.#fault.hidden = !this.#fault.textContent;
   }
 
   #showView(name) {

@@ -2,7 +2,7 @@
 
 import { percent, several } from "./annotate-words.js";
 import { act, askName, some, whoAmI } from "./bulk.js";
-import { createLeftOut } from "./left-out.js";
+import { pictureLinks } from "./left-out.js";
 import { createAgreement } from "./sets.js";
 import { showModelAgreement } from "./shape-agreement.js";
 import { STATES } from "./strip-filters.js";
@@ -15,7 +15,6 @@ const DID = {
   scaled: "set the scale, with those of other pictures", unscaled: "took that scale back",
 };
 const EXPORTS = { pts: ".pts files (zip)", coco: "COCO keypoints", tps: "tpsDig (.tps)", csv: "Table (.csv)", sliders: "Sliders (.csv)", measure: "Measurements…" };
-const NOT_COUNTED = "are held out, but not in the error, since the fit failed and said so";
 const UNMEASURED = "It is measured on pictures that are held out from a training on four or more. In these, a person must " +
   "have placed, moved or confirmed (Y) at least half of the points: accepted ones would confirm the model that made them.";
 export const sentence = (/** @type {HistoryEntry} */ { who, did }) => `${who || "Someone"} ${DID[did]}`;
@@ -52,7 +51,6 @@ export function createReview(tab) {
   const entries = h("div");
   const history = part("history", "History", entries, () => fetchHistory());
   const chart = h("div");
-  const lost = createLeftOut((picture) => state.select(picture), "fit-failed");
   const accuracy = part("versions", "", chart);
   const name = button("", {
     small: true, kind: "ghost", title: "Your name in the history", onclick: () => askName(app).then(show),
@@ -85,19 +83,20 @@ export function createReview(tab) {
     const most = Math.max(...versions.map(({ error }) => error));
     const said = (version) => `${errorText(version)}, trained on ${version.pictures} pictures`;
     const { error, held_out: held, failed } = versions.at(-1);
-    lost.show(failed.length ? `${several(failed.length, "more fit")} failed` : "", failed.length ? [{ why: NOT_COUNTED, names: failed }] : []);
     accuracy.firstChild.textContent = `Error of the models: ${percent(error)} (${failed.length ? `${held - failed.length} of ` : ""}${several(held, "picture")})`;
     accuracy.firstChild.title = errorText(versions.at(-1));
     const bars = versions.map((version) => h("span", {
       class: version.same && "same", title: said(version), style: { height: `${(100 * version.error) / most}%` },
     }));
+    const lost = failed.length > 0 && h("p.muted", { testid: "not-counted" }, "Not counted, since the fit failed and said so: ",
+      pictureLinks(failed, (picture) => state.select(picture), "fit-failed"));
     const label = `Errors of the models: ${versions.map(said).join("; ")}`;
     const shapes = button("Shapes for statistics…", {
       small: true, kind: "ghost", testid: "model-agreement", onclick: () => showModelAgreement(app),
       title: "Slope, variance ratio and intraclass correlation of the model's shapes in held-out pictures",
     });
-    return chart.replaceChildren(
-      h("div.version-chart", { role: "img", "aria-label": label }, bars), h("p.muted", accuracyText(versions)), lost.element, shapes);
+    return chart.replaceChildren(h("div",
+      h("div.version-chart", { role: "img", "aria-label": label }, bars), h("p.muted", accuracyText(versions)), lost, shapes));
   }
 
   function show() {
