@@ -127,7 +127,8 @@ def test_wrong_names_and_numbers_of_landmarks(text: str, words: str) -> None:
 
 
 @pytest.mark.parametrize(
-    "text", ["", "-1", "0", "nan", "5 apples", "1-2", "11,12", "1-2=", "1-2=mm", "1-2=0", "1-1=5", "1=5", "1-2-3=5", "=5"]
+    "text",
+    ["", "-1", "0", "nan", "5 apples", "1-2", "11,12", "1-2=", "1-2=mm", "1-2=0", "1-1=5", "1=5", "1-2-3=5", "=5"],
 )
 def test_wrong_scales(text: str) -> None:
     with pytest.raises(LiaamError, match=f"scale '{text}': give the length of a pixel"):

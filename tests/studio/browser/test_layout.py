@@ -28,7 +28,7 @@ NARROW = 900
 """Width in pixels below which the panel is under the picture."""
 
 CLIPPED = """() => {
-  const least = matchMedia("(pointer: coarse)").matches ? 40 : 16; // css pixels of what a finger touches; a lamp has them around it
+  const least = matchMedia("(pointer: coarse)").matches ? 40 : 16; // css pixels of what a finger touches
   const controls = "button, input:not([type=checkbox]):not([type=file]), select, a[href], [role=slider], [role=tab]";
   const scrolls = (element) => {
     for (let at = element.parentElement; at; at = at.parentElement)
@@ -45,7 +45,8 @@ CLIPPED = """() => {
     return !inside || (element.matches("button, [role=tab]") && element.scrollWidth > element.clientWidth + 1);
   };
   return [...document.querySelectorAll(controls)]
-    .filter((element) => element.offsetParent && !element.closest(".visually-hidden, .skip, .strip-space, .link, .lamp"))
+    .filter((element) => element.offsetParent)
+    .filter((element) => !element.closest(".visually-hidden, .skip, .strip-space, .link, .lamp"))
     .filter(isClipped)
     .map((element) => element.outerHTML.slice(0, 120));
 }"""

@@ -1,6 +1,7 @@
 // The frame of the page: tabs, theme, keys, and the status of training and of the connection.
 
 import { api, ApiError, busy } from "./api.js";
+import { IS_TOUCH } from "./annotate-words.js";
 import { acceptFiles, createAdding } from "./adding.js";
 import { expert } from "./expert.js";
 import { chosenKeys, chooseKeys, translate } from "./hotkeys.js";
@@ -188,8 +189,10 @@ async function showKeys() {
   const note = own.length > 0 && h("p.small", `Your own keys in Annotate: ${own.join(", ")}.`);
   const change = { label: "Change keys…", value: "change", testid: "change-keys" };
   const actions = [change, { label: "Close", kind: "primary", value: null }];
-  const asked = await ui.dialog("Keys, and states of pictures", h("div.column", note, h("div.keys", table("Everywhere", [byNumber, ...COMMON_KEYS]),
-    !onlyFits() && statesOfPictures(), sections)), actions, { wide: true });
+  const states = !onlyFits() && statesOfPictures();
+  const everywhere = table("Everywhere", [byNumber, ...COMMON_KEYS]);
+  const first = IS_TOUCH ? [states, everywhere] : [everywhere, states];
+  const asked = await ui.dialog("Keys, and states of pictures", h("div.column", note, h("div.keys", first, sections)), actions, { wide: true });
   if (asked === "change") await chooseKeys(toast);
 }
 

@@ -83,7 +83,7 @@ export function createReview(tab) {
     const most = Math.max(...versions.map(({ error }) => error));
     const said = (version) => `${errorText(version)}, trained on ${version.pictures} pictures`;
     const { error, held_out: held, failed } = versions.at(-1);
-    accuracy.firstChild.textContent = `Error of the models: ${percent(error)} (${failed.length ? `${held - failed.length} of ` : ""}${several(held, "picture")})`;
+    accuracy.firstChild.textContent = `Error of the models: ${percent(error)} (${failed.length ? `${held - failed.length} of ${held}` : several(held, "picture")})`;
     accuracy.firstChild.title = errorText(versions.at(-1));
     const bars = versions.map((version) => h("span", {
       class: version.same && "same", title: said(version), style: { height: `${(100 * version.error) / most}%` },

@@ -2,20 +2,20 @@
 
 /** The states of pictures: what the list calls them, and what they mean. */
 export const STATES = {
-  reading: { label: "reading…", about: "The file is still being read." },
-  broken: { label: "cannot be read", about: "The file is not a picture that can be read." },
   new: { label: "no points", about: "Nothing is placed yet." },
   unchecked: { label: "mean shape", about: "It was left at the mean shape: no points are saved." },
-  misfit: { label: "points do not fit", about: "The landmark file does not fit the template, or the picture." },
   partial: { label: "placed", about: "Some points are placed, and others are missing." },
-  mixed: { label: "only proposed", about: "Some points were moved. Nobody has accepted the others, which are as the model proposed them." },
+  misfit: { label: "points do not fit", about: "The landmark file does not fit the template, or the picture." },
   proposed: { label: "proposed", about: "The model has placed the points. Nobody has accepted them." },
   doubtful: { label: "doubtful", about: "Proposed, but the model is not sure: look at every point." },
   nothing: { label: "nothing found", about: "The model found nothing here: its points are a guess." },
+  mixed: { label: "only proposed", about: "Some points were moved. Nobody has accepted the others, which are as the model proposed them." },
   done: { label: "done", about: "A person has placed or accepted all points. They are measured, and trained on." },
   slip: { label: "possible slip", about: "Done, but points may be misplaced or exchanged." },
   checked: { label: "checked", about: "Done, and then marked as checked by a person." },
   left: { label: "left out", about: "Not trained on." },
+  reading: { label: "reading…", about: "The file is still being read." },
+  broken: { label: "cannot be read", about: "The file is not a picture that can be read." },
 };
 
 /** @type {Record<string, {label: string, about: string, has: (picture: Picture, left: Record<string, string>) => boolean}>} */
