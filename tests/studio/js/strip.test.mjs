@@ -81,7 +81,7 @@ test("each state and each filter says what it means, in words of its own", () =>
     assert.ok([...labels, ...abouts].every(Boolean));
   }
   assert.match(meaning({ name: "a", state: "done", checked: "Ann" }, {}), /marked as checked/);
-  assert.match(meaning({ name: "a", state: "partial", proposed: 2 }, {}), /Nobody has accepted/);
+  assert.match(meaning({ name: "a", state: "partial", proposed: 2 }, {}), /not accepted yet/);
 });
 
 test("a decimal comma is taken, and one that may separate thousands is not", () => {
