@@ -123,7 +123,7 @@ def share_scale(person: Person) -> None:
     person.click_at([420, 20])
     person.type("scale-length", str(400 * SCALE))
     person.click("scale-share")
-    person.page.locator(".toast", has_text="Scale of").wait_for(timeout=WAIT)
+    person.page.locator(".toast", has_text="Scale set in").wait_for(timeout=WAIT)
 
 
 def look_at_wall(person: Person) -> None:

@@ -96,6 +96,8 @@ def test_short_names() -> None:
     assert parse_scale("0.0031mm") == Length(0.0031, "mm")
     assert parse_scale("11-12=5") == ScaleBar(("11", "12"), 5)
     assert parse_scale("left-eye, right-eye = 5 ± 0.1 mm") == ScaleBar(("left-eye", "right-eye"), 5, "mm", 0.1)
+    assert parse_scale("0,005 mm") == Length(0.005, "mm")
+    assert parse_scale("11,12=2,5 mm") == ScaleBar(("11", "12"), 2.5, "mm")
     assert parse_scale("mm") == "mm"
 
 
@@ -125,8 +127,14 @@ def test_wrong_names_and_numbers_of_landmarks(text: str, words: str) -> None:
 
 
 @pytest.mark.parametrize(
-    "text", ["", "-1", "0", "nan", "5 apples", "1-2", "1-2=", "1-2=mm", "1-2=0", "1-1=5", "1=5", "1-2-3=5", "=5"]
+    "text",
+    ["", "-1", "0", "nan", "5 apples", "1-2", "11,12", "1-2=", "1-2=mm", "1-2=0", "1-1=5", "1=5", "1-2-3=5", "=5"],
 )
 def test_wrong_scales(text: str) -> None:
     with pytest.raises(LiaamError, match=f"scale '{text}': give the length of a pixel"):
         parse_scale(text)
+
+
+def test_a_comma_of_thousands_is_told_from_a_decimal_one() -> None:
+    with pytest.raises(LiaamError, match=r"'1,250' may be 1\.250 or 1250"):
+        parse_scale("1-2=1,250 mm")

@@ -25,7 +25,11 @@ from liaam.scale import UNITS, Length, lengths, parse_length, unlike
         ("0.0031 ± 0.0001 mm", 0.0031, "mm", 0.0001),
         ("0.0031+-0.0001mm", 0.0031, "mm", 0.0001),
         ("3.1 +/- 0.1 um", 3.1, "um", 0.1),
+        ("0,0031 ± 0,0001 mm", 0.0031, "mm", 0.0001),
+        ("0,005 mm", 0.005, "mm", 0),
+        ("12,345678 mm", 12.345678, "mm", 0),
         ("250 px/mm", 0.004, "mm", 0),
+        ("250,5 px/mm", 1 / 250.5, "mm", 0),
         ("250 pixels per mm", 0.004, "mm", 0),
         ("254 dpi", 0.1, "mm", 0),
         ("0.012", 0.012, "", 0),
@@ -37,13 +41,19 @@ def test_lengths_as_people_write_them(text: str, value: float, unit: str, se: fl
     assert (length.value, length.unit, length.se) == (pytest.approx(value), unit, se)
 
 
-WRONG = ["", "mm", "0 mm", "-1 mm", "nan", "inf mm", "1e999", "5 apples", "5 mm 3", "0 dpi", "5 px/apple", "0,5 mm"]
+WRONG = ["", "mm", "0 mm", "-1 mm", "nan", "inf mm", "1e999", "5 apples", "5 mm 3", "0 dpi", "5 px/apple"]
+COMMAS = ["0,5,1 mm", "1.000,5 mm"]  # of what is no decimal comma
 
 
-@pytest.mark.parametrize("text", [*WRONG, "1" * 5000, "1 ± mm", "1 ± -1 mm"])
+@pytest.mark.parametrize("text", [*WRONG, *COMMAS, "1" * 5000, "1 ± mm", "1 ± -1 mm"])
 def test_what_is_no_length_is_named_with_the_remedy(text: str) -> None:
     with pytest.raises(LiaamError, match=r"length '.*': give a positive number and its unit, such as 0\.0031 mm"):
         parse_length(text)
+
+
+def test_a_comma_that_may_separate_thousands_is_refused_with_both_meanings() -> None:
+    with pytest.raises(LiaamError, match=r"'1,250' may be 1\.250 or 1250: write one of these"):
+        parse_length("1,250 mm")
 
 
 @given(st.sampled_from(sorted(UNITS)), st.sampled_from(sorted(UNITS)), st.floats(1e-6, 1e6))

@@ -218,14 +218,14 @@ def test_versions_are_kept_and_compared(small):
     shown = again.as_json("x")
     assert [version["error"] for version in shown] == pytest.approx([0.03, 0.03, 0.02])
     assert [version["same"] for version in shown] == [False, True, True]
-    assert shown[0] == {"time": "2026-01-01", "pictures": 2, "error": 0.03, "held_out": 1, "failed": 0, "same": False}
+    assert shown[0] == {"time": "2026-01-01", "pictures": 2, "error": 0.03, "held_out": 1, "failed": [], "same": False}
 
 
-def test_fits_that_failed_are_counted_and_not_mixed_into_the_error(small):
+def test_fits_that_failed_are_named_and_not_mixed_into_the_error(small):
     versions = Versions(small.store)
     facts = {"trained": "2026-01-01", "pictures": {}, "left_out": {}, "order": "x"}
     versions.add(facts, {"a": 0.004, "b": 0.106, "c": 0.065, "d": 0.003}, ["b", "c"])
     versions.add(facts, {"a": 0.1}, ["a"])
     first, second = Versions(Project(small.root).store).as_json("x")
-    assert (first["error"], first["held_out"], first["failed"]) == (pytest.approx(0.0035), 4, 2)
-    assert (second["error"], second["failed"]) == (0.1, 1)
+    assert (first["error"], first["held_out"], first["failed"]) == (pytest.approx(0.0035), 4, ["b", "c"])
+    assert (second["error"], second["failed"]) == (0.1, ["a"])

@@ -15,7 +15,9 @@ import numpy as np
 
 from liaam.errors import LiaamError
 from liaam.model.shape import align
-from liaam.scale.lengths import Length, parse_length, unit_of
+from liaam.scale.lengths import Length, parse_length, unit_of, with_points
+
+_TWO_NUMBERS = re.compile(r"[1-9]\d*,\d+")  # of landmarks, perhaps, whose distance was forgotten
 
 Measured = tuple[float, np.ndarray]
 """A value, and its gradient (k, 2) by the points."""
@@ -240,8 +242,10 @@ def parse_scale(text: str) -> Length | ScaleBar | str:
     if not equals and unit_of(text):
         return unit_of(text)
     ends = _split(bar)
+    lacks_length = not equals and _TWO_NUMBERS.fullmatch(written.strip())
+    number = "" if lacks_length else with_points(written)
     try:
-        length = parse_length(written)
+        length = parse_length(number)
     except LiaamError:
         length = None
     are_ends = len(set(ends)) == 2 and all(ends)

@@ -31,6 +31,9 @@ _PER_PIXEL = re.compile(r"\s*(?:/|\bper\b)\s*(?:px|pixels?)\Z", re.IGNORECASE)
 _PIXELS_PER = re.compile(rf"({_NUMBER})\s*(?:px|pixels?)\s*(?:/|per\b)\s*(\S+)", re.IGNORECASE)
 _DPI = re.compile(rf"({_NUMBER})\s*dpi", re.IGNORECASE)
 
+_COMMA = re.compile(r"(?<![\d.,])(\d+),(\d+)(?![\d.,])")
+_THOUSANDS = re.compile(r"[1-9]\d{0,2},\d{3}")
+
 FEWEST = 5
 """Least number of scales in a batch to judge them by each other."""
 
@@ -95,14 +98,15 @@ def unit_of(text: str) -> str:
 def parse_length(text: str) -> Length:
     """Parse ``5 mm``, ``0.0031mm``, ``3.1 ± 0.02 um`` or ``0.012``, perhaps per pixel, or ``322 px/mm`` or ``600 dpi``.
 
-    The latter two are lengths of a pixel.
+    The latter two are lengths of a pixel. A decimal comma is taken as a point, as in ``0,5 mm``; but ``1,250 mm`` may
+    be 1.25 or 1250, and is refused.
 
     Raises
     ------
     LiaamError
         If it is something else, or not positive.
     """
-    written = text.strip()
+    written = with_points(text.strip())
     dots = _DPI.fullmatch(written)
     pixels = _PIXELS_PER.fullmatch(written)
     match = _LENGTH.fullmatch(_PER_PIXEL.sub("", written))
@@ -117,6 +121,18 @@ def parse_length(text: str) -> Length:
         pass  # as if it were no number
     units = ", ".join(UNITS)
     raise LiaamError(f"length '{text[:60]}': give a positive number and its unit, such as 0.0031 mm (units: {units})")
+
+
+def with_points(text: str) -> str:
+    """Return a text whose numbers have points in place of decimal commas. Raise if a comma may separate thousands."""
+    return _COMMA.sub(_with_point, text)
+
+
+def _with_point(number: re.Match[str]) -> str:
+    if _THOUSANDS.fullmatch(number[0]):
+        digits = number[1], number[2]
+        raise LiaamError(f"'{number[0]}' may be {'.'.join(digits)} or {''.join(digits)}: write one of these")
+    return ".".join(number.groups())
 
 
 def widened(free: float) -> float:

@@ -350,7 +350,7 @@ class Version(TypedDict):
     pictures: int
     error: Annotated[float, "Median of the fits that have not failed; if all have, of these."]
     held_out: int
-    failed: Annotated[int, "Number of held-out pictures whose fits failed, and said so."]
+    failed: Annotated[list[str], "Held-out pictures whose fits failed, and said so."]
     same: Annotated[bool, "Whether it was measured on the pictures of the newest."]
 
 

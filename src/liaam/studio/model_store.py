@@ -115,7 +115,7 @@ class Versions:
                 "pictures": version["pictures"],
                 "error": _usual_error(version),
                 "held_out": len(version["errors"]),
-                "failed": len(version.get("failed", ())),
+                "failed": [*version.get("failed", ())],
                 "same": set(version["errors"]) == set(versions[-1]["errors"]),
             }
             for version in versions[-SHOWN_VERSIONS:]

@@ -99,7 +99,7 @@ def test_a_dropped_portrait_is_shown_under_a_lamp_and_its_landmarks_are_a_click_
     shoot(page, artefacts, "29-portrait")
     assert not (empty / "me.jpg").exists()
     with page.expect_download() as download:
-        page.locator("[data-testid=light-save]").click()
+        page.locator("[data-testid=fit-save]").click()
     assert download.value.suggested_filename == "me_relit.png"
     page.locator("[data-testid=fit-place]").click()
     page.locator("[data-testid=tab-annotate][aria-selected=true]").wait_for()

@@ -53,7 +53,7 @@ def test_the_saved_picture_is_the_one_that_is_shown(relit, tmp_path):
     for strength in ("1", "0.35"):
         relit.locator("[data-testid=opacity-view]").fill(strength)
         with relit.expect_download() as download, relit.expect_request("**/export?*") as asked:
-            relit.locator("[data-testid=light-save]").click()
+            relit.locator("[data-testid=fit-save]").click()
         files.append(tmp_path / f"{strength}.png")
         download.value.save_as(files[-1])
     assert parse_qs(urlparse(asked.value.url).query)["opacity"] == ["0.35"]

@@ -49,11 +49,8 @@ def test_the_colour_of_the_light_is_named_and_corrected_or_kept(page, serve, tmp
         kept = shown(page)
         assert corrected[2] / corrected[0] < 0.85 * kept[2] / kept[0], view
         with page.expect_download() as saved:
-            if view == "relit":
-                page.locator("[data-testid=light-save]").click()
-            else:
-                page.locator("[data-testid=export-menu]").click()
-                page.locator("[data-testid=export-flat]").click()
+            page.locator("[data-testid=fit-save]").click()
+        page.locator(".toast.good", has_text=f"Saved {saved.value.suggested_filename}").wait_for()
         saved.value.save_as(tmp_path / f"{view}.png")
         assert np.abs(read_image(tmp_path / f"{view}.png")[20, 20] - kept).max() <= 6
         box.check()

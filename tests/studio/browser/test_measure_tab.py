@@ -125,6 +125,9 @@ def test_a_measure_is_named_where_it_is_listed(measuring, artefacts):
         page.locator("[data-testid=measure-save]").select_option("csv")
     head = Path(download.value.path()).read_text().splitlines()[0].split(",")
     assert {"Wing_length", "opening_deg"} <= {*head}
+    page.locator(".toast.good", has_text=f"Saved {download.value.suggested_filename}").wait_for()
+    about = page.locator("[data-testid=measure-save]").get_attribute("title")  # what X1, Y1 and so on are of
+    assert f"of the points 1 {NAMES[0]}, 2 {NAMES[1]}, " in about
 
 
 def test_pictures_without_a_measure_come_last_in_either_order_and_those_without_a_shape_are_told(serve, page, wings):

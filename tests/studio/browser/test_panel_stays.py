@@ -22,7 +22,7 @@ PANEL = [
 ]
 LAMP = [
     f"[data-testid={name}]"
-    for name in ("fit-run", "opacity-view", "balance", "light-presets", "light-strength", "light-save")
+    for name in ("fit-run", "opacity-view", "balance", "light-presets", "light-strength", "fit-save")
 ]
 
 
@@ -138,7 +138,7 @@ def test_a_phone_is_told_to_tap_and_saves_without_scrolling(open_page, serve, tm
     page.locator("[data-testid=tab-fit]").click()
     wait_for(page, "() => window.liaamStudio.fit.fit")
     page.locator("[data-testid=layer-relit]").click()
-    (save,) = rects(page, ["[data-testid=light-save]"])
+    (save,) = rects(page, ["[data-testid=fit-save]"])
     assert save[1] >= 0
     assert save[1] + save[3] <= 844
     assert "Enter" not in page.locator("body").inner_text()

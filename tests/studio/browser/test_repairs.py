@@ -173,7 +173,7 @@ def test_after_the_last_picture_the_page_leads_on(small, artefacts):
             small.locator("[data-testid=tab-fit]").click()
             small.locator("[data-testid=tab-measure]").click()
             assert not fault.is_visible() and scale.input_value() == "1-3=4"
-        scale.fill("1-3=5" if leave == "tab" else "1-3=4")
+        scale.fill("1-3=5,5 mm" if leave == "tab" else "1-3=4")
         scale.press("Enter")
         fault.wait_for(state="hidden")
     with small.expect_download() as download:

@@ -1,7 +1,8 @@
 """A scale bar drawn on the picture: two clicks along a ruler, and a length with its unit."""
 
+import numpy as np
 import pytest
-from people import NAMES, annotate, client, open_picture, opened, saved, shoot, violations, wait_for, wait_until
+from people import NAMES, annotate, client, drag, open_picture, opened, saved, shoot, violations, wait_for, wait_until
 
 from liaam.io import read_landmarks, write_image
 from scenes.ruler import draw as draw_ruler
@@ -91,7 +92,7 @@ def test_one_scale_for_all_pictures_and_its_undo(marked, serve, open_page, artef
     draw(page, "2", "cm", press)
     shoot(page, artefacts, f"scale-share-{size[0]}-dialog")
     page.locator("[data-testid=scale-share]").click()
-    page.get_by_text("Scale of 2 pictures set").wait_for()
+    page.get_by_text("Scale set in this picture and 2 others.").wait_for()
     shoot(page, artefacts, f"scale-share-{size[0]}")
     assert violations(page) == {}
     scales = [scale_of(marked, name) for name in NAMES]
@@ -106,7 +107,7 @@ def test_one_scale_for_all_pictures_and_its_undo(marked, serve, open_page, artef
 
     page.locator("[data-testid=scale-bar]").click()  # again, with the bar that is there
     page.locator("[data-testid=scale-share]").click()
-    page.get_by_text("Scale of 2 pictures set").wait_for()
+    page.get_by_text("Scale set in this picture and 2 others.").wait_for()
     open_picture(page, NAMES[1])
     wait_for(page, "() => window.liaamStudio.annotate.bar()?.length === 2")
     page.keyboard.press("Tab")
@@ -120,7 +121,7 @@ def test_a_length_that_makes_no_sense_is_not_taken(marked, serve, page, artefact
     opened(page, "portrait-01.png")
     draw(page, "10", "mm", page.mouse.click)
     length, dialog = page.locator("[data-testid=scale-length]"), page.locator("dialog[open]")
-    for typed in ("", "0", "-3", "1e9", "1e999", "abc", "1e-9"):
+    for typed in ("", "0", "-3", "1e9", "1e999", "abc", "1e-9", "1,250", "1.000,5"):
         length.fill("")
         length.press_sequentially(typed)
         for button in ("scale-save", "scale-share"):
@@ -129,7 +130,8 @@ def test_a_length_that_makes_no_sense_is_not_taken(marked, serve, page, artefact
             assert not length.evaluate("field => field.checkValidity()")
     shoot(page, artefacts, "scale-wrong-length")
     assert annotate(page, "bar()") is None
-    length.fill("2.5")
+    length.fill("")
+    length.press_sequentially("2,5")  # with a decimal comma
     page.locator("[data-testid=scale-save]").click()
     wait_for(page, "() => window.liaamStudio.annotate.bar()?.length === 2.5")
 
@@ -144,6 +146,14 @@ def test_a_bar_without_length_waits_for_its_other_end(marked, serve, page):
     assert "other end" in page.locator(".annotate-prompt").inner_text()
     page.mouse.click(*client(page, ENDS[1]))
     page.locator("[data-testid=scale-length]").wait_for()
+    page.keyboard.press("Escape")
+
+    page.locator("[data-testid=scale-bar]").click()  # or draw it in one drag
+    drag(page, client(page, ENDS[1]), client(page, ENDS[0]))
+    page.locator("[data-testid=scale-length]").fill("4")
+    page.keyboard.press("Enter")
+    wait_for(page, "() => window.liaamStudio.annotate.bar()?.length === 4")
+    assert np.abs(np.array(annotate(page, "bar()")["ends"]) - ENDS[::-1]).max() < 1.5
 
 
 def test_escape_ends_drawing_and_the_bar_of_a_picture_is_its_own(marked, serve, page):

@@ -330,8 +330,8 @@ interface Version {
   /** Median of the fits that have not failed; if all have, of these. */
   error: number;
   held_out: number;
-  /** Number of held-out pictures whose fits failed, and said so. */
-  failed: number;
+  /** Held-out pictures whose fits failed, and said so. */
+  failed: string[];
   /** Whether it was measured on the pictures of the newest. */
   same: boolean;
 }

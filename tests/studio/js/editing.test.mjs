@@ -555,5 +555,5 @@ test("where a point is, what comes next, and what is missing", () => {
   assert.equal(words.promptOf(made), "Click right");
   assert.match(words.missingText(NAMES, [1]), /^'right' is still missing here\. Place it,/);
   assert.match(words.missingText(NAMES, [0, 1]), /^2 points are still missing here\. Place them,/);
-  assert.match(words.descriptionOf("a.png", made), /^a\.png: 2 of 3 points, placed by you\./);
+  assert.match(words.descriptionOf("a.png", made), /^a\.png: 2 of 3 points, placed or accepted\./);
 });

@@ -10,7 +10,8 @@ import { faultIn, meant } from "./modules/hotkeys.js";
 import { leftOut, reasonText } from "./modules/left-out.js";
 import { bins, kindFor, measureOf, measureText, numberText, parsed, summary as summaryOf, valueOf } from "./modules/measures.js";
 import { accuracyText, errorText, sentence } from "./modules/review.js";
-import { between, describe, FILTERS, foldersOf, matching, openIn } from "./modules/strip-filters.js";
+import { faultOfLength, typedNumber } from "./modules/scale-bar.js";
+import { between, describe, FILTERS, foldersOf, matching, meaning, openIn, STATES } from "./modules/strip-filters.js";
 import { isChoosing } from "./modules/ui.js";
 import { acceptable } from "./modules/wall.js";
 
@@ -73,6 +74,24 @@ test("states are described", () => {
   assert.equal(describe({ ...partial, error: "d.pts has 68 points" }, {}), "points do not fit");
 });
 
+test("each state and each filter says what it means, in words of its own", () => {
+  for (const table of [STATES, FILTERS]) {
+    const [labels, abouts] = ["label", "about"].map((key) => Object.values(table).map((each) => each[key]));
+    for (const said of [labels, abouts]) assert.equal(new Set(said).size, said.length);
+    assert.ok([...labels, ...abouts].every(Boolean));
+  }
+  assert.match(meaning({ name: "a", state: "done", checked: "Ann" }, {}), /marked as checked/);
+  assert.match(meaning({ name: "a", state: "partial", proposed: 2 }, {}), /not accepted yet/);
+});
+
+test("a decimal comma is taken, and one that may separate thousands is not", () => {
+  const typed = ["0,5", "0.5", " 12,5 ", "1250", "0,125", "1e3"].map(typedNumber);
+  assert.deepEqual(typed, [0.5, 0.5, 12.5, 1250, 0.125, 1000]);
+  assert.equal(faultOfLength("2,5"), "");
+  assert.equal(faultOfLength("1,250"), "1,250 may be 1.250 or 1250: write one of these.");
+  for (const wrong of ["", "0", "1.000,5", "1,2,3", "0x10", "five"]) assert.match(faultOfLength(wrong), /^Enter a length/, wrong);
+});
+
 test("a range goes both ways and needs its beginning", () => {
   assert.deepEqual(between(["a", "b", "c", "d"], "c", "a"), ["a", "b", "c"]);
   assert.deepEqual(between(["a", "b"], "gone", "b"), ["b"]);
@@ -92,12 +111,12 @@ test("history and accuracy are said", () => {
   assert.equal(sentence({ who: "", did: "placed" }), "Someone placed points");
   assert.equal(percent(0.0312), "3.1\u00a0%");
   assert.equal(percent(0.0012), "0.12\u00a0%");
-  const versions = [{ error: 0.04, held_out: 1, failed: 0, same: false }, { error: 0.02, held_out: 4, failed: 2, same: true }]
+  const versions = [{ error: 0.04, held_out: 1, failed: [], same: false }, { error: 0.02, held_out: 4, failed: ["a.png", "b.png"], same: true }]
     .map((version) => ({ ...version, time: null, pictures: 9 }));
-  assert.match(accuracyText(versions), /Measured on 4 pictures held out.*2 of 4.*4 pictures say little.*Pale/);
+  assert.match(accuracyText(versions), /Measured on 4 pictures held out.*4 pictures say little.*Pale/);
   assert.equal(errorText(versions[0]), "4.0\u00a0%, 1 picture");
-  assert.equal(errorText(versions[1]), "2.0\u00a0%, median of 2 pictures; 2 more fits failed");
-  assert.equal(errorText({ ...versions[0], failed: 1 }), "4.0\u00a0%, 1 picture, whose fit failed");
+  assert.equal(errorText(versions[1]), "2.0\u00a0%, median of 2 pictures; a.png, b.png not counted, since the fits failed");
+  assert.equal(errorText({ ...versions[0], failed: ["a.png"] }), "4.0\u00a0%, 1 picture, whose fit failed");
   assert.doesNotMatch(accuracyText(versions.slice(1)), /Pale/);
 });
 

@@ -28,7 +28,7 @@ export function createToolbar(tab) {
   const mirror = tool("Move mirrored points together", "mirror", "X", commands.toggleMirrored, { pressed: false });
   const flip = tool("Flip left and right", "swap", "M", commands.flip);
   const ruler = tool("Scale bar", "ruler", "S", commands.ruler, {
-    pressed: false, testid: "scale-bar", title: "Scale bar: click both ends of a ruler, and enter its length",
+    pressed: false, testid: "scale-bar", title: "Scale bar: click both ends of a ruler, or drag along it, and enter its length",
   });
   const trace = tool("Trace a curve", "curve", "C", commands.trace, {
     pressed: false, testid: "trace", title: "Trace a curve: click a few places along it, and its points are placed evenly",

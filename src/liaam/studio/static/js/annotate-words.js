@@ -19,7 +19,7 @@ export function promptOf({ state, book, placing, names, active, missing, absent 
     const lacks = absent.length ? ` (${listed(names, absent)} absent: U if not)` : "";
     if (book.nothing) return "The model found nothing here, so these points are a guess: drag them into place, or skip the picture";
     return book.doubtful
-      ? `Placed by the model with low confidence${lacks}: check every point, drag wrong ones, then ${DONE_KEY}`
+      ? `Placed by the model with low confidence${lacks}: look at every point, drag wrong ones, then ${DONE_KEY}`
       : `Placed by the model${lacks}: drag wrong points, then ${DONE_KEY}`;
   }
   if (state.source === "layout") return "Mean shape: move it into place by its frame, then drag single points";
@@ -51,7 +51,7 @@ export function tallyOf({ points, missing, invisible, state, absent = [] }) {
 }
 
 const SOURCES = {
-  proposal: "proposed by the model", layout: "from the mean shape", none: "none placed yet", file: "placed by you",
+  proposal: "proposed by the model", layout: "from the mean shape", none: "none placed yet", file: "placed or accepted",
 };
 
 export function descriptionOf(name, { points, state }) {

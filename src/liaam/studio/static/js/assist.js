@@ -180,7 +180,7 @@ export function createAssist(app, commands, onexport) {
   const go = (label, testid, work) => button(label, { small: true, testid: `then-${testid}`, onclick: work });
   const end = h("div.column.assist-end", { hidden: true },
     h("p", icon("check"), " All pictures are done. What next?"),
-    h("div.row", go("Review", "review", () => app.list.review()),
+    h("div.row", go("Check", "review", () => app.list.review()),
       go("Measure", "measure", () => app.openTab("measure")), go("Export", "export", onexport),
       go("Fit", "fit", () => app.openTab("fit")), go("Try live", "live", () => app.openTab("live"))));
   const decline = () => api.delete(api.url("model/face")).then(() => state.refresh());
@@ -199,7 +199,7 @@ export function createAssist(app, commands, onexport) {
     const wrong = slipped(state.project.pictures);
     if (!wrong.length) return true;
     const lines = wrong.slice(0, SHOWN).map(({ name, slip }) => `${name}: ${slip}`);
-    const advice = h("p.small.muted", "Show “Slips” in the list for all. Pictures marked as checked are left out.");
+    const advice = h("p.small.muted", "Show “Slips” in the list for all. Pictures that are marked as checked are not among them.");
     const title = `Points of ${several(wrong.length, "picture")} may be wrong`;
     const answer = await dialog(title, h("div", listOf(lines), advice), [
       { label: "Train anyway", value: "train" },
@@ -274,7 +274,7 @@ export function createAssist(app, commands, onexport) {
     if (total) progress.value = Math.round((100 * ready) / total);
     else progress.removeAttribute("value");
     // Most steps are not about one picture, and their names have no room here.
-    what.textContent = total ? `Training, ${progress.value} %` : "Training…";
+    what.textContent = !runs ? "" : total ? `Training, ${progress.value} %` : "Training…";
     what.title = doing;
     train.disabled = runs || asking || done < LEAST;
     const stale = model?.stale && `${several(model.stale, "picture")} completed or changed since the last training`;

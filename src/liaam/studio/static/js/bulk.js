@@ -33,30 +33,33 @@ export async function askName({ api, state }) {
   return who;
 }
 
-/** By name in the server's log: the label, what was done to so many pictures, and the action that undoes it. */
+/** By name in the server's log: the label, what was done to so many pictures (in words, and the number), and the action that undoes it. */
 const ACTIONS = {
   checked: { label: "Mark as checked", done: (of) => `${of} marked as checked`, undo: "unchecked" },
-  accepted: { label: "Accept proposed points", done: (of) => `Points of ${of} accepted`, undo: "deleted" },
+  accepted: { label: "Accept proposed points", done: (of, count) => `Points of ${of} accepted: ${count === 1 ? "it is" : "they are"} done`, undo: "deleted" },
   unchecked: { label: "Mark as not checked", done: (of) => `${of} marked as not checked`, undo: "checked" },
   discarded: { label: "Discard proposed points", done: (of) => `Proposed points of ${of} discarded`, undo: "restored" },
   "left out": { label: "Leave out of training", done: (of) => `${of} left out of training`, undo: "taken in" },
   "taken in": { label: "Use for training", done: (of) => `${of} used for training`, undo: "left out" },
   deleted: { label: "Delete landmarks", done: (of) => `Landmarks of ${of} deleted`, undo: "undeleted" },
-  scaled: { done: (of) => `Scale of ${of} set`, undo: "unscaled" },
-  unscaled: { done: (of) => `Scale of ${of} as before`, undo: "" },
+  scaled: { done: (_, count) => `Scale set in this picture and ${several(count, "other")}`, undo: "unscaled" },
+  unscaled: { done: (of) => `Scale of ${of} as before, except where it was drawn`, undo: "" },
   restored: { done: (of) => `Proposed points of ${of} restored`, undo: "discarded" },
   undeleted: { done: (of) => `Landmarks of ${of} restored`, undo: "deleted" },
 };
 
 const pictures = ({ length }) => several(length, "picture");
-const some = (names) => `${names.slice(0, 3).join(", ")}${names.length > 3 ? ` and ${names.length - 3} more` : ""}`;
+/** Some pictures, of many the first three. @param {string[]} names */
+export const some = (names) => `${names.slice(0, 3).join(", ")}${names.length > 3 ? ` and ${names.length - 3} more` : ""}`;
+
+const doneText = (/** @type {string} */ did, /** @type {string[]} */ names) => ACTIONS[did].done(pictures(names), names.length);
 
 /** What an action has done, as a sentence. @param {string} did; @param {Reviewed} answer */
 export function outcome(did, { changed, refused }) {
   const names = Object.keys(refused);
   const reasons = [...new Set(Object.values(refused))].slice(0, 3);
   const because = reasons.map((why) => `${why}${names.length > 1 ? ` (${some(names.filter((name) => refused[name] === why))})` : ""}`);
-  const done = changed.length && `${ACTIONS[did].done(pictures(changed))}.`;
+  const done = changed.length && `${doneText(did, changed)}.`;
   const not = names.length && `${names.length === 1 ? names[0] : pictures(names)} not changed: ${because.join("; ")}.`;
   return [done, not].filter(Boolean).join(" ");
 }
@@ -114,7 +117,7 @@ export function createBulk({ app, chosen, onall, onend, ondone }) {
     if (!changed.length) return;
     last = { undo: () => takeBack(did)(changed) };
     undo.disabled = !ACTIONS[did].undo;
-    undo.title = `Undo: ${ACTIONS[did].done(pictures(changed))}`;
+    undo.title = `Undo: ${doneText(did, changed)}`;
   }
 
   /** Remove or rename pictures by work(), which resolves to whether that was done. */

@@ -154,9 +154,11 @@ export function guestPanel({ state, openTab }) {
     h("div.panel-title", h("h2.grow", "Fit only"), leave), words);
   const show = () => {
     element.hidden = !state.guest;
+    if (!state.guest) return words.replaceChildren();
     const { name, n_points: count } = state.project.model ?? {};
     words.textContent = `Pictures are fitted with ${name}.liaam (${count} points). Nothing is trained, and no ` +
       "landmarks are saved.";
+    return undefined;
   };
   return { element, show };
 }
@@ -231,7 +233,7 @@ export const specimenText = (/** @type {Fit} */ fit, isExpert = true) => `${fit.
 const EXPORTS = {
   Landmarks: { pts: "Landmarks .pts", ljson: "Landmarks .ljson", csv: "Table .csv", json: "Fit .json" },
   Pictures: {
-    overlay: "Picture with its points", flat: "Flat picture", shading: "Shading", relit: "Relit picture",
+    overlay: "Picture with its points", flat: "Picture without shading", shading: "Shading", relit: "Relit picture",
     crop: "Part around the object",
   },
 };
@@ -270,7 +272,7 @@ export class ExportMenu {
       ontoggle: ({ newState }) => newState === "open" && this.#panel.querySelector("a").focus(),
     }, groups, h("div.fit-menu-group", this.#table, this.#annotate));
     this.#button = button("Export", {
-      icon: "download", kind: "roomy", small: true, testid: "export-menu", popoverTargetElement: this.#panel,
+      small: true, testid: "export-menu", popoverTargetElement: this.#panel,
     });
     const onfocusout = ({ relatedTarget: to }) => to && !this.element.contains(to) && this.close();
     this.element = h("div.fit-export", { onfocusout }, this.#button, this.#panel);

@@ -12,16 +12,19 @@ import { Balance, balanceQuery, Light, lightQuery, numbersOf, RoughLight } from 
 import { button, FrameMeter, h, press, segmented, slider } from "./ui.js";
 import { Viewer } from "./viewer.js";
 
+const AS_SHOWN = "in the strength that the panel shows, without points and contours";
+/** saves: what of the view is saved as a picture, if it can be. */
 const VIEWS = [
   { name: "picture", label: "Picture", hint: `For another picture, ${IS_TOUCH ? "" : "drop or paste it here, or "}press “Open…”.` },
-  { name: "flat", label: "Flat", after: "Flat",
-    hint: "The picture without its shading: in the light of the pictures that the model was trained on." },
-  { name: "shading", label: "Shading", after: "Shading",
-    hint: "The effect of the light: the picture divided by the flat one." },
+  { name: "flat", label: "Remove shading", after: "Without shading", saves: `The whole picture without its shading, ${AS_SHOWN}`,
+    hint: "The picture without its shading: in the even light of the pictures that the model was trained on." },
+  { name: "shading", label: "Shading", after: "Shading", saves: "Only the shading: the surroundings are transparent",
+    hint: "The effect of the light alone." },
   { name: "residual", label: "Residual", after: "Residual", hint: "The difference between the picture and the model.",
     expert: true },
   { name: "invariant", label: "Invariant", after: "Invariant", expert: true },
-  { name: "relit", label: "Relight", after: "Relit", hint: "Drag the lamp over the picture.",
+  { name: "relit", label: "Relight", after: "Relit", saves: `The whole picture in this light, ${AS_SHOWN}`,
+    hint: "Drag the lamp over the picture.",
     splitHint: "Drag the lamp over the picture, and the line between before and after." },
 ];
 
@@ -30,6 +33,9 @@ const EVEN = {
   flat: "The light here is as even as in the pictures that the model was trained on: nothing is taken off.",
   shading: "The light here is as even as in the pictures that the model was trained on: there is no shading to show.",
 };
+
+const RELIGHT = "Remove the shading, or relight the picture, by the buttons above it. ";
+const NOTHING_TO_SAVE = "To save a picture here, remove its shading or relight it first. Export has other files";
 
 const LIKE_PICTURES = ["flat", "relit"]; // brightness and contrast change them, too; in the others, colours are values
 
@@ -63,7 +69,7 @@ export class FitView {
   #isRough = false; // whether it is shown
   #awaited = null; // timer of the exact relit picture; null once it is shown
   // Elements.
-  #choice; #hint; #layerName; #layerText; #legend; #slider;
+  #choice; #hint; #layerName; #layerText; #legend; #saveButton; #slider;
 
   /** @param {import("./fit.js").Tab} tab */
   constructor(tab) {
@@ -72,7 +78,7 @@ export class FitView {
     this.viewer = new Viewer(this.container, { label: "Picture to fit" });
     this.#divider = new Divider(this.viewer, () => this.viewer.redraw());
     this.invariant = new InvariantView(this.viewer);
-    this.light = new Light(tab.state.project.default_ambient, () => tab.saveRelit());
+    this.light = new Light(tab.state.project.default_ambient);
     this.container.append(this.light.stage);
     this.light.addEventListener("change", () => this.#relight());
     this.balance = new Balance();
@@ -83,6 +89,9 @@ export class FitView {
     this.splitter = button("Before | after", {
       icon: "compare", kind: "roomy", small: true, pressed: false, shortcut: "S", testid: "fit-split",
       title: "Show the picture on the left of a line and the view on its right", onclick: () => this.toggleSplit(),
+    });
+    this.#saveButton = button("Save", {
+      icon: "download", kind: "primary", small: true, testid: "fit-save", onclick: () => tab.save(this.#name),
     });
     this.overlays = new Overlays([], () => this.viewer.redraw(), "layer");
     this.layers = this.#layers();
@@ -97,6 +106,8 @@ export class FitView {
 
   /** Name of the view. */
   get name() { return this.#name; }
+  /** The button that saves the picture that is shown. */
+  get saveButton() { return this.#saveButton; }
   /** Frames of a dragged lamp. */
   get meter() { return this.#meter; }
   /** Whether the view's own image has come, and whether the exact relit picture is awaited. */
@@ -325,7 +336,8 @@ export class FitView {
     const why = this.#why(this.#name);
     const scale = why ? null : this.#scales.get(this.#name);
     const isSplit = this.#split.has(this.#name) && !why;
-    const hint = (isSplit && view.splitHint) || view.hint || "";
+    const lead = this.#name === "picture" && this.#fit && !this.#why("flat") ? RELIGHT : "";
+    const hint = lead + ((isSplit && view.splitHint) || view.hint || "");
     for (const each of this.#choice.element.children)
       each.classList.toggle("unavailable", Boolean(this.#why(each.value)));
     this.#layerName.textContent = view.label;
@@ -337,6 +349,8 @@ export class FitView {
     this.#hint.classList.toggle("error-text", this.#faults.has(this.#name));
     this.#hint.hidden = this.invariant.isShown;
     this.splitter.disabled = !this.#source || Boolean(why);
+    this.#saveButton.disabled = !view.saves || Boolean(why);
+    this.#saveButton.title = view.saves ?? NOTHING_TO_SAVE;
     this.#explain(scale?.limit ? scale : null);
     this.light.show(this.#name === "relit", Boolean(why));
     this.light.note(this.#note());

@@ -217,7 +217,7 @@ export class Tab extends SourceTab {
       accept: "image/*,.tif,.tiff,.ppm,.pgm,.bmp,.liaam", testid: "fit-file", "aria-label": "Open a picture to fit",
     });
     const toolbar = h("div.toolbar", { role: "toolbar", "aria-label": "View" },
-      this.#view.chooser, this.#view.splitter, h("span.grow"), this.#exports.element);
+      this.#view.chooser, this.#view.splitter, h("span.grow"), this.#view.saveButton, this.#exports.element);
     this.#words = h("p");
     this.#empty = h("div.empty.big.fit-empty", icon("image", 56), h("h2", "A picture to fit"), this.#words,
       button("Open a picture…", { icon: "upload", kind: "primary", onclick: () => this.chooseFile() }));
@@ -263,8 +263,8 @@ export class Tab extends SourceTab {
   /** Opacity of a view. */
   opacityOf(view) { return this.#view.opacityOf(view); }
 
-  /** Save the picture under these lights. */
-  saveRelit() { return this.#exports.save("relit"); }
+  /** Save the picture of a view: "flat", "shading" or "relit". */
+  save(view) { return this.#exports.save(view); }
 
   /** Let a person choose a picture to fit. */
   chooseFile() { this.#file.click(); }

@@ -22,7 +22,7 @@ export const NOTHING = { loupe: null, move() {}, up() {}, cancel() {} };
 const NONE = new Set();
 
 /** What gestures edit: the marks of a picture, what is being drawn over it, or a template. It has `points` and a
- *  `history`, and adding(xy) -> gesture | null, for a press on an empty place. */
+ *  `history`, and adding(xy, at) -> gesture | null, for a press on an empty place, which is `at` on the screen. */
 export class Editable {
   #selection = new Set();
   #active = -1;
@@ -290,7 +290,7 @@ export class PointTool {
     if (handle?.kind === "move") return dragging(doc, -1, doc.framed(), xy);
     if (handle) return turning(this.#viewer, doc, handle, doc.framed());
     if (adds || this.#boxes) return boxing(doc, xy, adds);
-    return doc.adding(xy);
+    return doc.adding(xy, this.#viewer.place(event));
   }
 
   /** A press on a point selects it, or adds it to the selection or takes it out; then the selected points are dragged. */

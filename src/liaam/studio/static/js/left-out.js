@@ -12,7 +12,7 @@ const UNMEASURED = [
   ["are still being read", ({ state }) => state === "reading"],
   ["have a file with points that do not fit the template", ({ state, error, placed }) => placed > 0 && state === "partial" && error],
   ["have only a guess of the model, which found nothing: place their points", ({ nothing_found: nothing }) => nothing],
-  ["have doubtful points of the model: check them, then accept them", ({ doubtful }) => doubtful],
+  ["have doubtful points of the model: look at them, then accept them", ({ doubtful }) => doubtful],
   ["have proposed points only: accept them", ({ state, proposed = 0 }) => state === "proposed" || proposed > 0],
   ["have no points yet", () => true],
 ];
@@ -47,6 +47,14 @@ const singular = (why) => why.replace(/^(have|are|lack)\b|\btheir\b/g, (word) =>
 /** A reason with the number of its pictures. */
 export const reasonText = ({ why, names }) => `${several(names.length, "picture")} ${names.length === 1 ? singular(why) : why}`;
 
+/** Pictures as links that choose them. @param {string[]} names; @param {(name: string) => void} choose; @param {string} testid */
+export function pictureLinks(names, choose, testid) {
+  const links = names.slice(0, NAMED).flatMap((name, i) => [
+    i > 0 && ", ", h("button.link", { type: "button", onclick: () => choose(name), testid: `${testid}-picture` }, name)]);
+  const more = names.length - NAMED;
+  return [...links, more > 0 && `, and ${more} more`];
+}
+
 /** {element, show(sentence, groups)}: a sentence, and on a click the pictures that are left out by their reasons.
  *  @param {(name: string) => void} choose; @param {string} testid */
 export function createLeftOut(choose, testid) {
@@ -68,12 +76,7 @@ export function createLeftOut(choose, testid) {
     list.replaceChildren(...groups.map(line));
   }
 
-  function line(group) {
-    const links = group.names.slice(0, NAMED).flatMap((name, i) => [
-      i > 0 && ", ", h("button.link", { type: "button", onclick: () => choose(name), testid: `${testid}-picture` }, name)]);
-    const more = group.names.length - NAMED;
-    return h("li", `${reasonText(group)} – `, ...links, more > 0 && `, and ${more} more`);
-  }
+  const line = (group) => h("li", `${reasonText(group)} – `, pictureLinks(group.names, choose, testid));
 
   return { element, show };
 }

@@ -1,6 +1,7 @@
 // The frame of the page: tabs, theme, keys, and the status of training and of the connection.
 
 import { api, ApiError, busy } from "./api.js";
+import { IS_TOUCH } from "./annotate-words.js";
 import { acceptFiles, createAdding } from "./adding.js";
 import { expert } from "./expert.js";
 import { chosenKeys, chooseKeys, translate } from "./hotkeys.js";
@@ -12,6 +13,7 @@ import { nameIn, opened, remember, State, tabIn } from "./state.js";
 import { createSetList } from "./sets.js";
 import { sidesInWords } from "./sides.js";
 import { mountStrip } from "./strip.js";
+import { STATES } from "./strip-filters.js";
 import * as ui from "./ui.js";
 import { button, consume, h, iconButton, isPlain, isTyping, press, runKey, toast } from "./ui.js";
 
@@ -32,7 +34,7 @@ const COMMON_KEYS = [
   { keys: "A", what: "Change brightness, contrast and gamma for looking" },
   { keys: "G W", what: "Wall of all pictures (PageUp, PageDown: scroll it; Shift+Enter: accept what is in view); open the worst of them" },
   { keys: "F2 Delete", what: "In the list: rename the picture; remove it from the folder, with undo" },
-  { keys: "?", what: "Show these keys" },
+  { keys: "?", what: "Show these keys, and what the states of pictures mean" },
 ];
 
 const READ_ONLY = "Nothing can be written in this folder: pictures are shown, fitted, relit and measured. Copy the folder to place landmarks.";
@@ -173,6 +175,9 @@ function commonKey(event) {
   });
 }
 
+const statesOfPictures = () => h("section", { testid: "states" }, h("h2", "States of pictures"),
+  h("dl", Object.values(STATES).map(({ label, about }) => [h("dt", label), h("dd", about)])));
+
 async function showKeys() {
   const table = (title, rows) => h("section", h("h2", title), h("dl", rows.map(({ keys: names, what }) => [
     h("dt", names.split(" ").map((key) => [h("kbd", key), " "])), h("dd", what)])));
@@ -184,7 +189,10 @@ async function showKeys() {
   const note = own.length > 0 && h("p.small", `Your own keys in Annotate: ${own.join(", ")}.`);
   const change = { label: "Change keys…", value: "change", testid: "change-keys" };
   const actions = [change, { label: "Close", kind: "primary", value: null }];
-  const asked = await ui.dialog("Keys", h("div.column", note, h("div.keys", table("Everywhere", [byNumber, ...COMMON_KEYS]), sections)), actions, { wide: true });
+  const states = !onlyFits() && statesOfPictures();
+  const everywhere = table("Everywhere", [byNumber, ...COMMON_KEYS]);
+  const first = IS_TOUCH ? [states, everywhere] : [everywhere, states];
+  const asked = await ui.dialog("Keys, and states of pictures", h("div.column", note, h("div.keys", first, sections)), actions, { wide: true });
   if (asked === "change") await chooseKeys(toast);
 }
 
@@ -202,7 +210,7 @@ function actions() {
   };
   document.getElementById("top-actions").append(
     panel("strip", "List of pictures", "I"), panel("side", "Panel", "D"),
-    iconButton("Keys", "keyboard", showKeys, { shortcut: "?" }), toggle);
+    iconButton("Keys, and states of pictures", "keyboard", showKeys, { shortcut: "?" }), toggle);
 }
 
 /** Say above the page that the server is gone, and how to go on. */
@@ -246,7 +254,7 @@ function status() {
     const now = adding ?? fitting ?? learning;
     const percent = now.total ? ` ${Math.round((100 * now.done) / now.total)} %` : "…";
     training.hidden = now === learning && learning.state !== "running";
-    training.textContent = `${adding ? "Adding" : fitting ? "Placing points" : "Training"}${percent}`;
+    training.textContent = training.hidden ? "" : `${adding ? "Adding" : fitting ? "Placing points" : "Training"}${percent}`;
     const guest = state.guest;
     model.textContent = guest ? `Fit only: ${has.name}` : has?.source === "face" ? "Face model" : has ? `Model: ${has.n_images} pictures` : "No model yet";
     model.className = has ? "badge good" : "badge";

@@ -25,7 +25,7 @@ export class MeasureBuilder {
   constructor(tab) {
     this.#tab = tab;
     this.#shownScale = tab.measuring.scale;
-    const kinds = Object.entries(KINDS).map(([value, { label }]) => ({ value, label }));
+    const kinds = Object.entries(KINDS).map(([value, { label, about }]) => ({ value, label, title: about }));
     this.#kind = segmented("Kind of measure", kinds, "distance", () => this.#pick([]), "measure-kind");
     this.#add = button("Add", { kind: "primary", small: true, testid: "measure-add", onclick: () => this.#addPicked() });
     this.#picker = h("div.measure-plot");
@@ -132,9 +132,9 @@ export class MeasureBuilder {
 
   #hintText() {
     const [picked, tab] = [this.#picked, this.#tab];
-    const { fewest, most } = KINDS[this.#kind.value];
-    const count = fewest === most ? String(fewest) : `${fewest} or more`;
-    if (!picked.length) return `${CLICK} ${count} points${this.#kind.value === "angle" ? "; the angle is at the second" : ""}.`;
+    const { about, fewest, most } = KINDS[this.#kind.value];
+    const count = fewest === most ? `${fewest} points` : `${fewest} or more points in order`;
+    if (!picked.length) return `${about}. ${CLICK} ${count}.`;
     const names = picked.map((i) => tab.names[i]).join(" – ");
     const lacking = fewest - picked.length;
     return lacking > 0 ? `${names}: ${lacking} more` : names;
@@ -145,7 +145,7 @@ export class MeasureBuilder {
     const points = this.#layout();
     const closed = this.#kind.value === "area";
     this.#picker.replaceChildren(points.some(Boolean)
-      ? picker({ points, names, contours, lit: this.#picked, closed, onpick: (i) => this.#toggle(i) })
+      ? picker({ points, names, contours, lit: this.#picked, closed, onpick: (i) => this.#toggle(i), width: this.#picker.clientWidth || undefined })
       : h("p.muted.small", "The points are drawn here once three pictures are done."));
   }
 
@@ -207,7 +207,8 @@ export class MeasureBuilder {
   #drawGone() {
     const { gone } = this.#tab.measuring;
     this.#gone.hidden = !gone.length;
+    if (!gone.length) return this.#gone.replaceChildren();
     const seen = iconButton("Dismiss", "close", () => this.#change({ seen: true }), { small: true });
-    this.#gone.replaceChildren(h("span.grow.warn-text", `Removed with points of the template: ${gone.join("; ")}.`), seen);
+    return this.#gone.replaceChildren(h("span.grow.warn-text", `Removed with points of the template: ${gone.join("; ")}.`), seen);
   }
 }

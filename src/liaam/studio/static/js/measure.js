@@ -8,7 +8,7 @@ import { bins, measureText, numberText, summary } from "./measures.js";
 import { plotFiles } from "./plot-files.js";
 import { createShapeSpace } from "./shape-space.js";
 import { groupMark, histogram } from "./shape-plots.js";
-import { button, complaints, fileField, h, icon, menu, runKey, isPlain, saveFile, segmented } from "./ui.js";
+import { button, complaints, fileField, h, icon, menu, runKey, isPlain, saveFile, saveFiles, segmented } from "./ui.js";
 
 const MOST_ROWS = 400; // of the table that is shown
 const MOST_GROUPS = 8; // in the legend
@@ -18,9 +18,7 @@ const GROUPED_BY = { "": "No groups", folder: "By subfolder", name: "By name", t
 const EXPORTS = { csv: "Table (.csv)", svg: "Plots (.svg)" };
 const ABOUT_GROUPS =
   "By the letters in which names differ, such as male of male_07.jpg, or B of wing16_B.jpg; or by a table with the columns specimen and group";
-const ABOUT_SAVED =
-  "The table has the columns of “liaam measure”: names without a unit are in pixels, and X1, Y1 and so on are coordinates after " +
-  "Procrustes superimposition, not positions in pictures";
+const MOST_NUMBERED = 12; // landmarks that are named with their numbers
 const ABOUT_ESTIMATES =
   "By a thin-plate spline from the complete pictures; without, pictures that lack points have no shape";
 
@@ -40,7 +38,7 @@ export class Tab {
   #timer = null;
   #complain = complaints(); // about tables of groups
   // Elements.
-  #builder; #chart; #chosen; #content; #empty; #estimate; #fault; #groupList; #leftOut; #legend; #measures; #table; #tableFile; #views;
+  #builder; #chart; #chosen; #content; #empty; #estimate; #fault; #groupList; #leftOut; #legend; #measures; #saveMenu; #table; #tableFile; #views;
 
   /** @param {HTMLElement} root; @param {App} app */
   constructor(root, app) {
@@ -130,8 +128,8 @@ export class Tab {
 
   /** Say what is wrong, and that the table is the earlier one; without data, the tab says what to do instead. */
   #showFault(text) {
-    this.#fault.textContent = text && `${text.replace(/\.$/, "")}. Below is what was measured before.`;
-    this.#fault.hidden = !text || !this.#data;
+    this.#fault.textContent = text && this.#data ? `${text.replace(/\.$/, "")}. Below is what was measured before.` : "";
+    this.#fault.hidden = !this.#fault.textContent;
   }
 
   #showView(name) {
@@ -169,9 +167,9 @@ export class Tab {
     this.#legend = h("span.row.tight.small", { testid: "measure-legend" });
     this.#estimate = h("input", { type: "checkbox", testid: "measure-estimate", onchange: () => this.#fetch() });
     const estimate = h("label.check.small", { title: ABOUT_ESTIMATES }, this.#estimate, "Estimate missing points");
-    const save = menu("Save…", EXPORTS, (kind) => this.#save(kind), { "aria-label": "Save", testid: "measure-save", title: ABOUT_SAVED });
+    this.#saveMenu = menu("Save…", EXPORTS, (kind) => this.#save(kind), { "aria-label": "Save", testid: "measure-save" });
     return h("div.toolbar", { role: "toolbar", "aria-label": "Measure" },
-      this.#views.element, this.#groupList, this.#tableFile, this.#legend, h("span.grow"), estimate, save);
+      this.#views.element, this.#groupList, this.#tableFile, this.#legend, h("span.grow"), estimate, this.#saveMenu);
   }
 
   /** Group the pictures in another way. "By a table" asks for a file if there is none, or if it is chosen once more. */
@@ -209,7 +207,7 @@ export class Tab {
     if (kind === "csv") return this.#saveTable();
     const shown = this.#views.value === "shapes" ? this.#space.element : this.#measures;
     const name = `${this.state.project.folder}-${this.#views.value}`;
-    plotFiles(shown).forEach((file, i) => saveFile(file, `${name}-${i + 1}.svg`));
+    saveFiles(plotFiles(shown).map((file, i) => [file, `${name}-${i + 1}.svg`]));
     return undefined;
   }
 
@@ -222,6 +220,7 @@ export class Tab {
   #draw() {
     if (!this.#visible) return;
     const data = this.#data;
+    this.#saveMenu.title = aboutSaved(this.names);
     this.#groupList.value = this.measuring.by; // another page may have changed it
     this.#content.hidden = !data;
     this.#empty.hidden = Boolean(data);
@@ -295,13 +294,14 @@ export class Tab {
 
   #drawChart() {
     const column = this.#column;
-    const plot = histogram(bins(column.values), {
-      title: this.#title(column), lit: this.chosen, onbin: (indices) => this.#chooseNextOf(indices),
-    });
+    const place = h("div.measure-plot");
     this.#chart.replaceChildren(
       h("h2.panel-title", this.#title(column)),
       h("p.small.muted", { testid: "measure-facts" }, summaryText(column)),
-      h("div.measure-plot", plot));
+      place);
+    place.append(histogram(bins(column.values), {
+      title: this.#title(column), lit: this.chosen, onbin: (indices) => this.#chooseNextOf(indices), width: place.clientWidth || undefined,
+    }));
   }
 
   /** Select the picture of a bin that follows the selected one, or else its first. */
@@ -371,6 +371,13 @@ export class Tab {
       data.columns.map(({ values, unit }) => (values[i] === null
         ? h("td.number.muted.small", data.unscaled.includes(i) && unit !== "°" ? "no scale" : "no point") : h("td.number", numberText(values[i])))));
   }
+}
+
+/** What the saved table has, with the landmarks of its numbered columns. @param {string[]} names */
+function aboutSaved(names) {
+  const numbered = names.slice(0, MOST_NUMBERED).map((name, i) => (name === String(i + 1) ? name : `${i + 1} ${name}`)).join(", ");
+  return "The table has the columns of “liaam measure”. Names without a unit are in pixels. X1, Y1 and so on are coordinates after " +
+    `Procrustes superimposition, not positions in pictures, of the points ${numbered}${names.length > MOST_NUMBERED ? " and so on" : ""}.`;
 }
 
 /** Order of two values, rising or falling (down); those that are missing come last either way. */

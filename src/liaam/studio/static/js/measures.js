@@ -4,12 +4,12 @@
 
 import { distance, mean } from "./points.js";
 
-/** Kinds of measures: label, points at least and at most, power of the length in the unit, value of the points. */
+/** Kinds of measures: label, what it is, points at least and at most, power of the length in the unit, value of the points. */
 export const KINDS = {
-  distance: { label: "Distance", fewest: 2, most: 2, power: 1, of: (points) => lengthOf(points) },
-  angle: { label: "Angle", fewest: 3, most: 3, power: 0, of: (points) => angleOf(points) },
-  length: { label: "Length", fewest: 2, most: 1000, power: 1, of: (points) => lengthOf(points) },
-  area: { label: "Area", fewest: 3, most: 1000, power: 2, of: (points) => areaOf(points) },
+  distance: { label: "Distance", about: "The straight line between two points", fewest: 2, most: 2, power: 1, of: (points) => lengthOf(points) },
+  angle: { label: "Angle", about: "The angle at the second of three points", fewest: 3, most: 3, power: 0, of: (points) => angleOf(points) },
+  length: { label: "Length", about: "The way along points, as of a curve", fewest: 2, most: 1000, power: 1, of: (points) => lengthOf(points) },
+  area: { label: "Area", about: "What the outline through points encloses", fewest: 3, most: 1000, power: 2, of: (points) => areaOf(points) },
 };
 
 /** The measure of points with indices from 0, as liaam measure takes it. */

@@ -165,11 +165,11 @@ export class Light extends EventTarget {
   // Elements.
   #add; #colour; #note; #presets; #remove; #sliders; #words;
 
-  /** ambient: initial fraction of ambient light; onsave(): save the picture under the lights. */
-  constructor(ambient, onsave) {
+  /** ambient: initial fraction of ambient light. */
+  constructor(ambient) {
     super();
     const first = { lamps: [lampAt([-0.55, -0.5])], ambient };
-    this.element = this.#build(first, onsave);
+    this.element = this.#build(first);
     this.set(first);
   }
 
@@ -216,7 +216,7 @@ export class Light extends EventTarget {
     for (const [side, value] of Object.entries(css)) this.stage.style[side] = `${value}px`;
   }
 
-  #build(first, onsave) {
+  #build(first) {
     this.stage = h("div.light-stage", { role: "group", "aria-label": "Lamps", hidden: true, testid: "light-stage" });
     this.#words = h("p.small.light-words", { "aria-live": "polite", testid: "light-words" });
     this.#add = button("Add", {
@@ -240,10 +240,7 @@ export class Light extends EventTarget {
     const values = h("div.column.tight", this.#words, h("div.row.tight", this.#colour, this.#add, this.#remove));
     this.#note = h("p.small.muted", { hidden: true, testid: "light-note" });
     return h("section.panel.light", { "aria-label": "Light", hidden: true, testid: "light" },
-      this.#presets, values, this.#sliders.map(({ element }) => element), button("Save the relit picture", {
-        icon: "download", kind: "primary", small: true, testid: "light-save", onclick: onsave,
-        title: "The whole picture in this light, in the strength that the panel shows, without points and contours",
-      }), this.#note);
+      this.#presets, values, this.#sliders.map(({ element }) => element), this.#note);
   }
 
   #freePlace() { return freePlace(this.#lamps, [-this.#lamp.direction[0] || 0.5, -0.2]); }

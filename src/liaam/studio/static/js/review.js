@@ -1,9 +1,11 @@
 // Review of the open picture and of the folder: checks, history, accuracy of the models, and tables of all pictures.
 
 import { percent, several } from "./annotate-words.js";
-import { act, askName, whoAmI } from "./bulk.js";
+import { act, askName, some, whoAmI } from "./bulk.js";
+import { pictureLinks } from "./left-out.js";
 import { createAgreement } from "./sets.js";
 import { showModelAgreement } from "./shape-agreement.js";
+import { STATES } from "./strip-filters.js";
 import { button, h, listOf, menu, saveFile } from "./ui.js";
 
 const DID = {
@@ -19,21 +21,21 @@ export const sentence = (/** @type {HistoryEntry} */ { who, did }) => `${who || 
 
 /** The error of a model, and of how many pictures it is the median. @param {Version} version */
 export function errorText({ error, held_out: count, failed }) {
-  const used = count - failed || count;
+  const used = count - failed.length || count;
   const median = used === 1 ? "1 picture" : `median of ${used} pictures`;
-  const all = failed === count ? `, whose ${failed === 1 ? "fit" : "fits"} failed` : failed ? `; ${several(failed, "more fit")} failed` : "";
+  const not = failed.length && `${some(failed)} not counted, since the ${failed.length === 1 ? "fit" : "fits"} failed`;
+  const all = failed.length === count ? `, whose ${count === 1 ? "fit" : "fits"} failed` : not ? `; ${not}` : "";
   return `${percent(error)}, ${median}${all}`;
 }
 
 /** What the errors of models are. @param {Version[]} versions */
 export function accuracyText(versions) {
-  const { held_out: count, failed } = versions.at(-1);
+  const { held_out: count } = versions.at(-1);
   const others = versions.some(({ same }) => !same) ? " Pale bars: measured on other pictures." : "";
   const what = "Distance of fitted points from those that a person placed, moved or confirmed, in percent of the object's size: " +
     `the smaller, the better. Measured on ${several(count, "picture")} held out from training.`;
   const few = count < 8 ? ` ${count === 1 ? "One picture says" : `${count} pictures say`} little; from 32 pictures on, it is measured on 8.` : "";
-  const lost = failed ? ` Fits that failed say so, and are counted apart: ${failed} of ${count}.` : "";
-  return `${what}${lost}${few}${others}`;
+  return `${what}${few}${others}`;
 }
 
 /** {element, exportAll(): open the list of formats}. @param {import("./annotate.js").Tab} tab */
@@ -81,26 +83,28 @@ export function createReview(tab) {
     const most = Math.max(...versions.map(({ error }) => error));
     const said = (version) => `${errorText(version)}, trained on ${version.pictures} pictures`;
     const { error, held_out: held, failed } = versions.at(-1);
-    accuracy.firstChild.textContent = `Error of the models: ${percent(error)} (${failed ? `${held - failed} of ` : ""}${several(held, "picture")})`;
+    accuracy.firstChild.textContent = `Error of the models: ${percent(error)} (${failed.length ? `${held - failed.length} of ${held}` : several(held, "picture")})`;
     accuracy.firstChild.title = errorText(versions.at(-1));
     const bars = versions.map((version) => h("span", {
       class: version.same && "same", title: said(version), style: { height: `${(100 * version.error) / most}%` },
     }));
+    const lost = failed.length > 0 && h("p.muted", { testid: "not-counted" }, "Not counted, since the fit failed and said so: ",
+      pictureLinks(failed, (picture) => state.select(picture), "fit-failed"));
     const label = `Errors of the models: ${versions.map(said).join("; ")}`;
     const shapes = button("Shapes for statistics…", {
       small: true, kind: "ghost", testid: "model-agreement", onclick: () => showModelAgreement(app),
       title: "Slope, variance ratio and intraclass correlation of the model's shapes in held-out pictures",
     });
-    return chart.replaceChildren(
-      h("div.version-chart", { role: "img", "aria-label": label }, bars), h("p.muted", accuracyText(versions)), shapes);
+    return chart.replaceChildren(h("div",
+      h("div.version-chart", { role: "img", "aria-label": label }, bars), h("p.muted", accuracyText(versions)), lost, shapes));
   }
 
   function show() {
     const { checked, state: progress, unconfirmed } = /** @type {Partial<Picture>} */ (state.picture() ?? {});
     element.hidden = !state.project.template;
-    const seen = unconfirmed ? `${several(unconfirmed, "point")} accepted together` : "Not checked yet";
+    const seen = unconfirmed ? `${several(unconfirmed, "point")} unconfirmed` : "Not checked yet";
     now.textContent = checked ? `Checked by ${checked}` : progress === "done" ? seen : "";
-    now.title = unconfirmed ? "Accepted as proposed, not one by one. Y confirms the selected point, for accuracy and agreement" : "";
+    now.title = unconfirmed ? "Accepted together with others. Y confirms the selected point, for accuracy and agreement" : STATES.checked.about;
     check.style.visibility = progress === "done" ? "" : "hidden"; // its place stays
     check.lastChild.textContent = checked ? "Withdraw" : "Mark as checked";
     name.textContent = whoAmI(state.project) || "Your name…";

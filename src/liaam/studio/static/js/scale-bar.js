@@ -1,6 +1,7 @@
-// The scale bar of the open picture: two clicks along a ruler, and the length between them, or what the server finds.
+// The scale bar of the open picture: two clicks, or a drag, along a ruler, and the length between them, or what the server finds.
 // Gestures edit it while it is drawn; after that it is part of the marks.
 
+import { CLICK } from "./annotate-words.js";
 import { COLOURS, drawText } from "./drawing.js";
 import { Editable, placing } from "./gestures.js";
 import { inked, lines } from "./overlays.js";
@@ -13,6 +14,7 @@ const FIND_KEY = "liaam-studio:find-scale"; // what was looked for last, and its
 const KINDS = { ruler: "Ruler: the length from one smallest tick to the next", bar: "Scale bar: its length" };
 const CORNER = 24; // css pixels from the corner of the picture
 const TICK = 6; // css pixels on each side of the line
+const DRAG = 16; // css pixels from which a press draws the whole bar; less moves the end that it has set
 const LEAST = 1; // pixels between the ends
 const LENGTHS = [1e-6, 1e9]; // those that can be entered are between
 const known = () => JSON.parse(localStorage.getItem(KEY) ?? '{"length": 10, "unit": "mm"}');
@@ -50,7 +52,7 @@ export class ScaleBar extends Editable {
   get placing() { return this.editable; }
   get prompt() {
     if (this.ends[1]) return ""; // it is being asked for its length
-    return `Click ${this.ends[0] ? "the other end" : "one end of a ruler, or of a known length"}`;
+    return `${CLICK} ${this.ends[0] ? "the other end" : "one end of a ruler or of a known length, or drag along it"}`;
   }
 
   /** Undo takes back the first end of a bar that is being drawn; without one, it and redo stop drawing, too. */
@@ -88,11 +90,20 @@ export class ScaleBar extends Editable {
     this.onpreview();
   }
 
-  adding(xy) {
-    const before = this.ends;
-    const at = before[0] ? 1 : 0;
-    const show = (place) => this.preview(before.map((end, i) => (i === at ? rounded(place) : end)));
-    return placing(xy, show, () => (at ? this.finish() : this.onchange()), () => this.preview(before));
+  /** A click sets an end; a drag sets both, where it begins and where it ends. start: the place of xy on the screen. */
+  adding(xy, start) {
+    const [before, first] = [this.ends, rounded(xy)];
+    let isDrag = false;
+    const endsWith = (end) => (before[0] ? [before[0], end] : isDrag ? [first, end] : [end, null]);
+    const show = (place) => this.preview(endsWith(rounded(place)));
+    return {
+      ...placing(xy, show, () => (this.ends[1] ? this.finish() : this.onchange()), () => this.preview(before)),
+      move(at, event) {
+        isDrag ||= distance(event.at, start) > DRAG;
+        this.loupe = at;
+        show(at);
+      },
+    };
   }
 
   async finish() {
@@ -134,7 +145,7 @@ export class ScaleBar extends Editable {
     const find = { label: "Find", kind: "primary", value: true, checks: true, testid: "find-go" };
     const answer = await dialog("Find the scale in the picture", body, [find]);
     /** @type {ScaleQuery} */
-    const asked = { kind: kind.value, length: Number(length.value), unit: unit.value };
+    const asked = { kind: kind.value, length: typedNumber(length.value), unit: unit.value };
     return [answer, asked];
   }
 
@@ -173,7 +184,7 @@ export class ScaleBar extends Editable {
     const share = { label: "Same scale for all", value: "share", checks: true, testid: "scale-share" };
     const save = { label: "Set the scale", kind: "primary", value: "save", checks: true, testid: "scale-save" };
     const answer = await dialog("Length of the scale bar", body, [...more, ...(this.alone() ? [] : [share]), save]);
-    return [answer, { length: Number(length.value), unit: unit.value, anyway: anyway.checked }];
+    return [answer, { length: typedNumber(length.value), unit: unit.value, anyway: anyway.checked }];
   }
 
   /** Whether the bar was drawn on another picture: it is the scale of this one, but lies on no ruler here. */
@@ -206,13 +217,28 @@ export class ScaleBar extends Editable {
   }
 }
 
+/** The number that was typed, perhaps with a decimal comma; NaN if it is none. A comma may separate thousands: "1,250". */
+export function typedNumber(text) {
+  const typed = text.trim();
+  if (isAmbiguous(typed) || !/^[\d.,eE+-]+$/.test(typed)) return NaN;
+  return Number(/^\d+,\d+$/.test(typed) ? typed.replace(",", ".") : typed);
+}
+
+const isAmbiguous = (typed) => /^[1-9]\d{0,2},\d{3}$/.test(typed);
+
+/** What is wrong with a length that was typed; "" if nothing. */
+export function faultOfLength(text) {
+  const typed = text.trim();
+  if (isAmbiguous(typed)) return `${typed} may be ${typed.replace(",", ".")} or ${typed.replace(",", "")}: write one of these.`;
+  const length = typedNumber(typed);
+  return length > LENGTHS[0] && length < LENGTHS[1] ? "" : "Enter a length above 0 and below a thousand million, such as 10 or 0.5.";
+}
+
+// A field for numbers would leave out a decimal comma without a word, so that 0,5 became 5.
 function lengthField(value, testid) {
   const length = h("input.text", {
-    type: "number", step: "any", value: String(value), testid, "aria-label": "Length",
-    oninput: () => {
-      const fits = Number(length.value) > LENGTHS[0] && Number(length.value) < LENGTHS[1];
-      length.setCustomValidity(fits ? "" : "Enter a length above 0 and below a thousand million, such as 10 or 2.5.");
-    },
+    type: "text", inputmode: "decimal", autocomplete: "off", value: String(value), testid, "aria-label": "Length",
+    oninput: () => length.setCustomValidity(faultOfLength(length.value)),
   });
   return length;
 }

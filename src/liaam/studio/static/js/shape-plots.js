@@ -1,6 +1,7 @@
-// Plots of shapes and measures, as SVG elements that can be saved: functions of data, which know nothing of the page.
+// Plots of shapes and measures, as SVG elements that can be saved: functions of data, which know nothing of the page. `width` is
+// that of the place for them, in css pixels, so that their text has its own size.
 
-import { bounds } from "./points.js";
+import { bounds, nearest } from "./points.js";
 import { svg } from "./ui.js";
 
 /** Colours of groups, which differ for people with any colour vision (Okabe & Ito 2008), in either theme. */
@@ -9,7 +10,8 @@ const SHAPES = ["circle", "square", "triangle", "diamond"]; // so that groups di
 const PAD = 14;
 const AXIS = 34; // room for numbers beside an axis
 const MOST_NAMED = 24; // points that are all named where they are picked
-const ROOM_FOR_NAME = 70;
+const ROOM_FOR_NAME = 90;
+const REACH = 24; // css pixels around a point in which a click or a tap picks it
 const LONGEST = 14; // characters of a name that are drawn
 
 export const colourOf = (index) => GROUP_COLOURS[index % GROUP_COLOURS.length];
@@ -55,7 +57,7 @@ const text = (x, y, content, attributes = {}) => {
 
 /** A scatter of points [x, y]: groups -> index of the group of each; chosen: index; unusual: set of indices;
  *  titles: of both axes; names; onpick(index). */
-export function scatter({ points, groups, chosen, unusual, titles, names, onpick, width = 520, height = 380 }) {
+export function scatter({ points, groups, chosen, unusual, titles, names, onpick, width = 520, height = 0.73 * width }) {
   const [left, right, top, bottom] = [AXIS + PAD, width - PAD, PAD, height - AXIS];
   const [x0, y0, x1, y1] = bounds(points) ?? [0, 0, 1, 1];
   // One scale for both axes, since distances in the plot are distances of shapes.
@@ -89,9 +91,9 @@ export function scatter({ points, groups, chosen, unusual, titles, names, onpick
 }
 
 /** How shapes of about size 1 are drawn: a function from [x, y] to the place in a plot. */
-function fitted(points, width, height) {
+function fitted(points, width, height, pad = PAD) {
   const [x0, y0, x1, y1] = bounds(points) ?? [0, 0, 1, 1];
-  const scale = Math.min((width - 2 * PAD) / (x1 - x0 || 1e-9), (height - 2 * PAD) / (y1 - y0 || 1e-9));
+  const scale = Math.min((width - 2 * pad) / (x1 - x0 || 1e-9), (height - 2 * pad) / (y1 - y0 || 1e-9));
   return (/** @type {number[]} */ [x, y]) => [width / 2 + scale * (x - (x0 + x1) / 2), height / 2 + scale * (y - (y0 + y1) / 2)];
 }
 
@@ -99,7 +101,7 @@ const pathOf = (points, closed = false) => points.length ? `M${points.map(([x, y
 const outlines = (shape, contours, at) => contours.map(({ indices, closed }) => pathOf(indices.filter((i) => shape[i]).map((i) => at(shape[i])), closed)).join("");
 
 /** All shapes over each other, with their mean, and the chosen one. */
-export function superimposed({ shapes, mean, contours, chosen, groups, width = 460, height = 230 }) {
+export function superimposed({ shapes, mean, contours, chosen, groups, width = 460, height = 0.5 * width }) {
   const at = fitted([...shapes.flat(), ...mean], width, height);
   const byGroup = new Map();
   shapes.forEach((shape, i) => byGroup.set(groups[i], [...(byGroup.get(groups[i]) ?? []), ...shape]));
@@ -121,7 +123,7 @@ const combined = (base, parts, scores) =>
 export const shapeAt = ({ mean, axes }, scores) => combined(mean, axes, scores);
 
 /** The thin-plate grid that takes the mean shape to that at some scores. */
-export function bentGrid(/** @type {Space} */ space, scores, { contours, label, width = 460, height = 230 }) {
+export function bentGrid(/** @type {Space} */ space, scores, { contours, label, width = 460, height = 0.5 * width }) {
   const { rows, columns, points, bends } = space.grid;
   const bent = combined(points, bends, scores);
   const shape = shapeAt(space, scores);
@@ -137,7 +139,7 @@ export function bentGrid(/** @type {Space} */ space, scores, { contours, label, 
 }
 
 /** A histogram: {edges, of}; lit: index of the value that is chosen; onbin(index). */
-export function histogram({ edges, of }, { title, lit, onbin, width = 560, height = 190 }) {
+export function histogram({ edges, of }, { title, lit, onbin, width = 560, height = 0.34 * width }) {
   if (!of.length) return plot(width, height, `${title}: no values`, text(width / 2, height / 2, "No values", { "text-anchor": "middle" }));
   const [left, right, top, bottom] = [AXIS, width - PAD, PAD, height - AXIS];
   const most = Math.max(...of.map((each) => each.length));
@@ -163,8 +165,8 @@ export function histogram({ edges, of }, { title, lit, onbin, width = 560, heigh
 }
 
 /** The template with points to be clicked: lit: indices of those that are chosen, in order. onpick(index). */
-export function picker({ points, names, contours, lit, closed, onpick, width = 420, height = 230 }) {
-  const at = fitted(points.filter(Boolean), width, height);
+export function picker({ points, names, contours, lit, closed, onpick, width = 420, height = 0.55 * width }) {
+  const at = fitted(points.filter(Boolean), width, height, REACH);
   const line = lit.map((i) => at(points[i]));
   const dots = points.map((point, i) => {
     if (!point) return null;
@@ -176,7 +178,6 @@ export function picker({ points, names, contours, lit, closed, onpick, width = 4
     const title = svg("title", {});
     title.textContent = `${i + 1}: ${names[i]}`; // a scale names points by their numbers
     dot.append(title);
-    dot.addEventListener("click", () => onpick(i));
     dot.addEventListener("keydown", (event) => {
       if (event.key !== " " && event.key !== "Enter") return;
       event.preventDefault();
@@ -191,8 +192,16 @@ export function picker({ points, names, contours, lit, closed, onpick, width = 4
     const [x, y] = at(point);
     const isRight = x > width - ROOM_FOR_NAME;
     const name = names[i].length > LONGEST ? `${names[i].slice(0, LONGEST - 1)}…` : names[i];
-    return text(x + (isRight ? -8 : 8), y - 7, name, { "text-anchor": isRight ? "end" : "start", "aria-hidden": "true", "pointer-events": "none" });
+    return text(x + (isRight ? -8 : 8), y - 8, name, { "text-anchor": isRight ? "end" : "start", "aria-hidden": "true", "pointer-events": "none" });
   };
-  return plot(width, height, "Points to measure between", svg("path", { d: outlines(points, contours, at), class: "plot-mean-line" }),
+  const drawn = plot(width, height, "Points to measure between", svg("path", { d: outlines(points, contours, at), class: "plot-mean-line" }),
     svg("path", { d: pathOf(line, closed), class: "plot-measure" }), dots, points.map(named));
+  drawn.addEventListener("click", ({ target, clientX, clientY }) => {
+    const hit = target.closest(".plot-pick");
+    if (hit) return onpick(Number(hit.dataset.index));
+    const { x, y } = new DOMPoint(clientX, clientY).matrixTransform(drawn.getScreenCTM().inverse());
+    const index = nearest(points.map((point) => point && at(point)), [x, y], REACH);
+    return index < 0 ? undefined : onpick(index);
+  });
+  return drawn;
 }

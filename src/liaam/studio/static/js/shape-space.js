@@ -171,6 +171,7 @@ export function createShapeSpace(tab) {
       titles: [x, y].map((c) => `PC${c + 1} (${percent(space.shares[c], 1)})`),
       names: space.of.map((picture) => tab.data.pictures[picture]),
       onpick: (i) => tab.choose(space.of[i]),
+      width: scatterPlot.clientWidth || undefined,
     }));
   }
 
@@ -188,7 +189,7 @@ export function createShapeSpace(tab) {
     const [drawn, all] = [space.shapes.length, space.of.length];
     cloudTitle.textContent = drawn < all ? `The first ${drawn} of ${all} shapes, superimposed` : "All shapes, superimposed";
     cloudPlot.replaceChildren(
-      superimposed({ shapes: space.shapes, mean: space.mean, contours, chosen, groups: groupsOf(space) }));
+      superimposed({ shapes: space.shapes, mean: space.mean, contours, chosen, groups: groupsOf(space), width: cloudPlot.clientWidth || undefined }));
   }
 
   function drawGrid(/** @type {Space} */ space, contours) {
@@ -196,7 +197,9 @@ export function createShapeSpace(tab) {
     const words = unit === "SD" ? `${amount.toFixed(1)} SD` : `× ${amount.toFixed(1)}`;
     slider.show(amount, words);
     gridPlot.replaceChildren(space.grid
-      ? bentGrid(space, scores.map((score) => amount * score), { contours, label: `Thin-plate grid ${name}, ${words}` })
+      ? bentGrid(space, scores.map((score) => amount * score), {
+        contours, label: `Thin-plate grid ${name}, ${words}`, width: gridPlot.clientWidth || undefined,
+      })
       : h("p.muted.small", "All points lie on one line, so that there is no grid."));
   }
 

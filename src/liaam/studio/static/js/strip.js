@@ -190,7 +190,7 @@ export function mountStrip(root, app) {
       : h("img", { alt: "", draggable: false, dataset: { src: api.url("pictures/{name}/image", { name, tag, size: THUMBNAIL }) } });
     return h("div.strip-item", {
       role: "option", id: `strip-${encodeURIComponent(name)}`,
-      title: error ?? slip ?? (why ? `${name}: left out, because ${why}` : checked ? `${name}: checked by ${checked}` : name),
+      title: error ?? slip ?? (why ? `${name}: left out, because ${why}` : checked ? `${name}: checked by ${checked}` : `${name}: ${filters.meaning(picture, leftOut())}`),
       "aria-label": `${name}, ${what}${rank === 1 ? ", helps the model most" : ""}`,
       dataset: { name, state: picture.state },
     }, h("span.strip-face", face,
@@ -276,6 +276,7 @@ export function mountStrip(root, app) {
     const all = state.project.pictures;
     document.documentElement.dataset.pictures = all.length ? "some" : "none";
     showFolders(all);
+    filter.title = filters.FILTERS[filter.value].about;
     const [text, { folder }] = [search.value.trim().toLowerCase(), state];
     const wanted = { text, filter: filter.value, folder, order: order.value };
     pictures = inPlace(filters.matching(all, wanted, leftOut()));

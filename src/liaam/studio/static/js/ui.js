@@ -204,7 +204,16 @@ export async function confirm(title, text, action, kind = "danger") {
   return (await dialog(title, text, actions)) === true;
 }
 
-export function saveFile(blob, name) {
+/** Save files, [blob, name] each, and say so. */
+export function saveFiles(files) {
+  for (const [blob, name] of files) download(blob, name);
+  if (files.length) toast(`Saved ${files.map(([, name]) => name).join(", ")}`, "good");
+}
+
+/** @param {Blob} blob; @param {string} name */
+export const saveFile = (blob, name) => saveFiles([[blob, name]]);
+
+function download(blob, name) {
   const address = URL.createObjectURL(blob);
   const link = h("a", { href: address, download: name });
   document.body.append(link);

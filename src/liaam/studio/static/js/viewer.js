@@ -26,6 +26,7 @@ const narrow = globalThis.matchMedia?.("(max-width: 899px)");
 
 export class Viewer extends EventTarget {
   #tool = null;
+  #pinched = null; // place in the picture that two fingers hold between them
   #source = null;
   #tiles = null;
   #width = 0;
@@ -445,6 +446,7 @@ export class Viewer extends EventTarget {
   #down(event) {
     this.canvas.focus({ preventScroll: true });
     this.#pointers.set(event.pointerId, [event.clientX, event.clientY]);
+    this.#pinched = null;
     attempt(() => this.canvas.setPointerCapture(event.pointerId)); // it may have been released already
     if (this.#pointers.size === 2) { // a second finger ends the tool's gesture
       if (this.#toolPointer !== null) this.#tool?.cancel?.(event);
@@ -491,10 +493,11 @@ export class Viewer extends EventTarget {
     const box = this.container.getBoundingClientRect();
     const distanceFrom = (a) => Math.hypot(a[0] - other[0], a[1] - other[1]) || 1;
     const middleOf = (a) => [(a[0] + other[0]) / 2 - box.left, (a[1] + other[1]) / 2 - box.top];
-    const from = middleOf(before);
+    this.#pinched ??= this.toImage(middleOf(before));
     const to = middleOf(now);
-    this.panBy(to[0] - from[0], to[1] - from[1]);
     this.zoomBy(distanceFrom(now) / distanceFrom(before), to);
+    const [x, y] = this.toScreen(this.#pinched);
+    this.panBy(to[0] - x, to[1] - y); // what is between the fingers stays there, however often the view was rounded
   }
 
   /** A pointer is released ("up"), or the browser takes it for something else ("cancel"). */
