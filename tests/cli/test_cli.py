@@ -615,6 +615,10 @@ def test_an_image_without_texture_gets_no_advice_on_the_search(run, model_file, 
     code, out, err = run("fit", model_file, tmp_path / "black.png", "-o", tmp_path / "fits")
     assert code == 1 and "no texture" in out
     assert "black.png: no texture: " in err and "the search" not in err
+    assert "no model was given" not in out
+    code, out, _ = run("fit", tmp_path / "black.png", "-o", tmp_path / "of-faces")
+    assert code == 1
+    assert "no model was given, so faces were looked for; for other objects, give their model" in " ".join(out.split())
 
 
 def test_tables_that_go_to_a_file_are_not_cut(capsys):

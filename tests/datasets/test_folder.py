@@ -458,3 +458,29 @@ def test_a_folder_may_be_called_after_a_side(tmp_path, folder, names, sides):
         write_image(tmp_path / folder / f"{name}.png", np.zeros((20, 20, 3), np.uint8))
         write_landmarks(tmp_path / folder / f"{name}.pts", SQUARE)
     assert [sample.side for sample in load_folder(tmp_path / folder)] == sides
+
+
+def test_a_table_without_landmarks_states_sides(tmp_path):
+    for name in "abc":
+        add_image(tmp_path / f"{name}.png")
+    marks = "".join(f"LM=2\n1 2\n3 4\nIMAGE={name}.png\n" for name in "abc")
+    (tmp_path / "marks.tps").write_text(marks)
+    (tmp_path / "own.csv").write_text("Photo,fly,Side\na.png,1,Left\nb,1,R\n")
+    data = load_folder(tmp_path)
+    assert [sample.side for sample in data] == ["left", "right", ""]
+    assert "sides are those of the table own.csv" in data.report()
+    assert not data.left_out
+    # A landmark file that another takes precedence over says the sides all the same.
+    table = "".join(f"{name}.png,{x},{x + 1},left\n" for name in "abc" for x in (1, 3))
+    (tmp_path / "own.csv").write_text(f"image,x,y,side\n{table}")
+    assert [sample.side for sample in load_folder(tmp_path)] == ["left"] * 3
+
+
+def test_images_in_subfolders_of_landmarks_are_named(tmp_path):
+    (tmp_path / "wings" / "left").mkdir(parents=True)
+    add_image(tmp_path / "other.png")  # beside the folder, and not of it
+    add_image(tmp_path / "wings" / "left" / "a.png")
+    (tmp_path / "wings" / "marks.tps").write_text("LM=2\n1 2\n3 4\nIMAGE=a.png\n")
+    with pytest.raises(ImageError, match=r"images in its subfolders only \(left/a\.png\): give '.*wings/\*\*'"):
+        load_folder(tmp_path / "wings")
+    assert [sample.side for sample in load_folder(tmp_path / "wings", recursive=True)] == ["left"]

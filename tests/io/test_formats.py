@@ -150,6 +150,7 @@ def test_a_file_is_read_rightly(name: str, text: str, points: list) -> None:
 
 FRACTIONS = "0.05,0.125,0.15,0.25,0.25,0.375"
 REFUSED = [
+    ("a.csv", "image,X1,Y1,XX,Y2,X3,Y3\na,1,2,3,4,5,6\nb,1,2,3,4,5,7\n", "'Y2' has no column 'X2' beside it"),
     ("a.csv", f"image,X1,Y1,X2,Y2,X3,Y3\na.png,{FRACTIONS}\n", "all positions lie between 0 and 1"),
     (
         "a.csv",

@@ -8,8 +8,9 @@ from liaam.training.left_out_fits import LeftOutFit, LeftOutFits
 TRIANGLE = np.array([[-10.0, -5.0], [10.0, -5.0], [0.0, 10.0]])
 
 
-def fit_off_by(error: float, near: bool = True) -> LeftOutFit:
+def fit_off_by(error: float, near: bool = True, name: str = "") -> LeftOutFit:
     return LeftOutFit(
+        name=name,
         near=near,
         error=error,
         evidence=np.ones(2),
@@ -35,3 +36,12 @@ def test_the_accuracy_is_not_stated_where_nothing_was_fitted_or_nothing_was_righ
     assert LeftOutFits().describe() == ""
     none_right = LeftOutFits(fits=[fit_off_by(0.2)], n_near=1).describe()
     assert "0 of 1 fit " in none_right and "mean error" not in none_right
+
+
+def test_images_whose_fits_are_not_right_are_named_if_they_are_more_than_a_few():
+    right = [fit_off_by(0.01)] * 18
+    wrong = [fit_off_by(0.04, name="b.png"), fit_off_by(0.2, name="c.png")]
+    assert LeftOutFits(fits=right + wrong, n_near=20).describe_faults() == ""
+    said = LeftOutFits(fits=[*right, *wrong, wrong[0]], n_near=22, lost=["a.png"]).describe_faults()
+    assert said.startswith("4 of 22 fits to left-out images are not right")
+    assert "(a.png, b.png, c.png)" in said

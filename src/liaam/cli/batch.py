@@ -21,6 +21,7 @@ from liaam.cli.inputs import (
     model_and_inputs,
     other_ways,
     say_again,
+    say_if_no_model,
 )
 from liaam.cli.terminal import complain, progress_bar, say
 from liaam.errors import LiaamError
@@ -131,6 +132,7 @@ def batch(
         advice = f"fits that may be wrong: {uncertain}; {which}"
         ways = "" if init else other_ways(load_model(model_file), side, rotations, f"{ALONE}{ANOTHER_TABLE}")
         complain("; ".join(filter(None, (advice, ways))))
+        say_if_no_model(sources or [], "batch")
     if errors == summary.total:
         raise typer.Exit(1)
 

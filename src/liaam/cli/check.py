@@ -20,6 +20,7 @@ if TYPE_CHECKING:
     from liaam.datasets.label_faults import LabelFault
     from liaam.datasets.sides import SidesOfShapes
 
+SOME = 4  # Images that are drawn with their landmarks, whether they have faults or not
 MAX_WARNINGS = 3  # Faults that liaam train prints before it refers to liaam check
 
 
@@ -28,7 +29,10 @@ def check(
     output: Annotated[
         Path | None,
         typer.Option(
-            "--output", "-o", help="Folder for an image of each fault, and for landmarks in the corrected order."
+            "--output",
+            "-o",
+            help="Folder for an image of each fault, for landmarks in the corrected order, and for a few images with "
+            "their landmarks.",
         ),
     ] = None,
     sides: inputs.SidesOption = inputs.AUTO,
@@ -54,6 +58,8 @@ def check(
     faults = faults_among(samples, found.is_other, inputs.parse_shapes(shapes))
     if found.against:
         complain("correct the sides that are stated: the column 'side', the folders or the names")
+    if output is not None:
+        write_some(output, samples)
     if not faults:
         say(f"no {'other ' if unusable or found.against else ''}faults found in the landmarks")
         n_landmarks = len(data.samples[0].landmarks.points)
@@ -222,6 +228,25 @@ def check_output_folder(output: Path, folder: Path) -> None:
         raise LiaamError(f"{output} is a file; give a folder with -o")
     if real_path(output).is_relative_to(real_path(inputs.folder_of(folder)[0])):
         raise LiaamError(f"{output} is inside the folder to check, which is never changed; give another folder with -o")
+
+
+def write_some(output: Path, samples: list[Sample]) -> None:
+    """Write some of the images, at even distances, with their numbered landmarks: all may have the same fault."""
+    from liaam.plotting import overlay_of_faults
+
+    shown = [samples[i] for i in np.unique(np.linspace(0, len(samples) - 1, SOME).astype(int))] if samples else []
+    n_written = 0
+    for sample in shown:
+        try:
+            picture = overlay_of_faults(sample.read_image(), sample.landmarks.points, [])
+        except LiaamError:  # said before
+            continue
+        place = output / f"{sample.name}_landmarks.png"
+        make_folder(place.parent)
+        write_image(place, picture)
+        n_written += 1
+    if n_written:
+        say(f"written to {output}: {count_of(n_written, 'image')} with the landmarks, which should be upright")
 
 
 def write_faults(output: Path, faults: "list[tuple[Sample, list[LabelFault]]]") -> None:

@@ -196,6 +196,7 @@ def fit(
     if model.scale is not None and report.rows:
         say(f"images that state no scale have that of the training images, {model.scale} per pixel")
     if report.failed:
+        inputs.say_if_no_model(files, "fit")
         raise typer.Exit(1)
 
 

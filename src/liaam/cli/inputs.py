@@ -377,6 +377,15 @@ def model_and_inputs(files: Sequence[Given], command: str, inputs: str = "IMAGE.
     return Path(files[0]), list(files[1:])
 
 
+def say_if_no_model(files: Sequence[Given], command: str) -> None:
+    """Say, after fits that failed, that faces were fitted since no model was given."""
+    if files and is_input(str(files[0])):
+        say(
+            f"no model was given, so faces were looked for; for other objects, give their model first, as in "
+            f"'liaam {command} MODEL {files[0]}'"
+        )
+
+
 def is_input(name: str) -> bool:
     """Return whether a name is that of a folder, image, video or camera, or a pattern, or - for standard input."""
     if name.lower().endswith((*PICTURE_SUFFIXES, *UNREAD_SUFFIXES, *VIDEO_SUFFIXES)):

@@ -256,6 +256,8 @@ def report(model: "AAM", output: Path, light: "LearntLamps | Literal['auto'] | N
         f"{bound / model.diagonal:.1%} of the diagonal of the landmarks' box. Fits have larger errors. With more "
         "training images, this limit and the errors become smaller"
     )
+    if model.card.accuracy:
+        say(model.card.accuracy)
     if model.points is not None:
         away = model.points.deviation
         say(

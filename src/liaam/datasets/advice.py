@@ -62,6 +62,11 @@ def _has_numbers(file: Path) -> bool:
     return sum(map(is_number, words)) > max(5, len(words) / 2)
 
 
+def has_images_below(root: Path) -> bool:
+    """Return whether a folder has images in its subfolders."""
+    return bool(_below(root, PICTURE_SUFFIXES))
+
+
 def no_images(root: Path, files: Sequence[Path], pattern: str | None, recursive: bool) -> str:
     """Describe a folder without (matching) images."""
     pictures = [file for file in files if file.suffix.lower() in PICTURE_SUFFIXES]

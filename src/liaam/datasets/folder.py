@@ -9,7 +9,7 @@ the images beside it, in the folder above: ``faces/anna/face.pts`` are those of 
 
 import os
 from collections import Counter
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from fnmatch import fnmatchcase
 from pathlib import Path, PurePosixPath
@@ -18,6 +18,7 @@ import numpy as np
 
 from liaam.datasets import advice
 from liaam.datasets.dataset import Dataset, Sample, UnusedFile
+from liaam.datasets.side_tables import sides_in_table
 from liaam.errors import ImageError, LandmarkError, MissingImageError
 from liaam.io.files import is_copy, natural_key, some_names
 from liaam.io.images import PICTURE_SUFFIXES, size_and_orientation
@@ -70,8 +71,9 @@ def load_folder(
     -------
     Dataset
         Samples in natural order of their names (2 before 10), all with the most common number of landmarks. Their sides
-        are those of a column ``side``; or of the folders ``left`` and ``right``, or of the names, if all have one; or
-        that of the folder itself, if it is called ``left`` or ``right``.
+        are those of a column ``side`` of the landmarks, or of a table of images and sides; or of the folders ``left``
+        and ``right``, or of the names, if all have one; or that of the folder itself, if it is called ``left`` or
+        ``right``.
         `left_out` lists the files that were not used, with reasons.
 
     Raises
@@ -104,6 +106,8 @@ def load_folder(
     left_out = pairing.left_out
     bare = [left.path for left in left_out if left.reason == _BARE]
     unread = advice.unread_landmarks(files, bare, pairing.unrecognised)
+    if not samples and images_root != root and not recursive and advice.has_images_below(root):
+        raise ImageError(advice.no_images(root, files, pattern, recursive))
     if not samples:
         reasons = [(left.path, left.reason) for left in left_out]
         raise LandmarkError(advice.no_pairs(root, images_root, wanted, reasons, unread, recursive))
@@ -197,6 +201,8 @@ class _Pairing:
         """Files of text that seem to hold no landmarks."""
         self.reported: set[Path] = set()
         """Images whose landmark file is left out, which explains why they have no landmarks."""
+        self.sides: dict[Path, str] = {}
+        """Sides by image, of tables without landmarks."""
         self.options: dict[Path, list[_Option]] = {image: [] for image in wanted}
         preferred = sorted(images, key=lambda path: (path not in self.options, _rank(path, PICTURE_SUFFIXES)))
         self.names = ImageNames(preferred)
@@ -218,7 +224,9 @@ class _Pairing:
             read = LandmarkFile.read(file, self.reading, notes=notes)
             entries = read.entries
         except LandmarkError as fault:
-            if isinstance(fault, UnrecognisedError) and file.suffix.lower() in ALSO_OTHER:
+            if isinstance(fault, UnrecognisedError) and (sides := sides_in_table(file)):
+                self._add_sides(file, sides)
+            elif isinstance(fault, UnrecognisedError) and file.suffix.lower() in ALSO_OTHER:
                 self.unrecognised.append(file)
             else:
                 self._leave_out(file, f"{_UNREAD}: {fault}", image)
@@ -230,6 +238,14 @@ class _Pairing:
             self._add_single(read, image, entry)
         else:
             self._add_collection(read)
+
+    def _add_sides(self, file: Path, sides: dict[str, str]) -> None:
+        """Add the sides that a table without landmarks states, by the names of images."""
+        for name, side in sides.items():
+            image = self._find(file, name)
+            if image is not None and side:
+                self.sides[image] = side
+                self.notes.say(f"sides are those of the table {file.name}", image.name)
 
     def finish(self) -> list[Sample]:
         """Choose the landmarks of each image, and record the files that are not used."""
@@ -250,12 +266,19 @@ class _Pairing:
                 self._leave_out(image, f"another image has the same name: {used_image.name} is used")
             elif options:
                 used, *others = options
-                samples += self._samples_of(image, used)
+                samples += self._samples_of(image, self._with_side(image, used, others))
                 for other in others:
                     self._leave_out_option(image, other, used)
             elif image not in self.reported:
                 self._leave_out(image, _BARE)
         return samples
+
+    def _with_side(self, image: Path, used: _Option, others: Sequence[_Option]) -> _Option:
+        """Return the landmarks of an image with a side of another file or table, if theirs has none."""
+        stated = next((each.landmarks.side for each in others if each.landmarks.side), self.sides.get(image, ""))
+        if used.landmarks.side or not stated:
+            return used
+        return replace(used, landmarks=replace(used.landmarks, side=stated))
 
     def _samples_of(self, image: Path, option: _Option) -> list[Sample]:
         """Return a sample for each object of an image.

@@ -340,7 +340,7 @@ def thumbnail(image: np.ndarray, result: "FitResult", size: int) -> np.ndarray:
 def overlay_of_faults(image: np.ndarray, points: np.ndarray, faults: Sequence[LabelFault]) -> np.ndarray:
     """Draw landmarks on their image, faulty ones in red and numbered, with yellow lines to their expected positions.
 
-    The faults are described in the corner.
+    The faults are described in the corner. Without any, all landmarks are numbered.
 
     Parameters
     ----------
@@ -348,7 +348,7 @@ def overlay_of_faults(image: np.ndarray, points: np.ndarray, faults: Sequence[La
     points : (n, 2) float
         Landmarks in image pixels; NaN where missing, which are not drawn.
     faults : sequence of LabelFault
-        Faults of this image.
+        Faults of this image; may be empty.
 
     Returns
     -------
@@ -378,7 +378,9 @@ def overlay_of_faults(image: np.ndarray, points: np.ndarray, faults: Sequence[La
     draw_dots(picture, np.array([end for _, end in moves]).reshape(-1, 2), EXPECTED, 0.7 * radius)
     draw_dots(picture, at(known), LANDMARK, radius)
     draw_dots(picture, at(points[faulty]), LOST, radius)
-    numbers = [str(i + 1) for i in faulty]
-    picture = with_texts(picture, at(points[faulty]) + 3.5 * radius * np.array([1.0, -1.0]), numbers, 20 * size)
-    write_caption(picture, "; ".join(fault.message for fault in faults), LOST)
+    numbered = faulty if faults else np.flatnonzero(is_known).tolist()
+    numbers = [str(i + 1) for i in numbered]
+    picture = with_texts(picture, at(points[numbered]) + 3.5 * radius * np.array([1.0, -1.0]), numbers, 20 * size)
+    if faults:
+        write_caption(picture, "; ".join(fault.message for fault in faults), LOST)
     return picture

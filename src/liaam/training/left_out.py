@@ -1,5 +1,6 @@
 """Fit left-out images to calibrate the quality of fits."""
 
+import warnings
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 
@@ -124,9 +125,10 @@ def calibrated(
             for j in fitted_of(fold, folds, most):
                 steps.next(f"fitting {entries[j].name}", FITTED)
                 image = as_colour(entries[j].read_image(), entries[j].name)
-                yield LeftOutImage(part, image, shapes[j], entries[j].known, has_sides=has_sides)
+                name = entries[j].name
+                yield LeftOutImage(part, image, shapes[j], entries[j].known, has_sides=has_sides, name=name)
                 for relit in copied.relit(j, image, shapes[j], model.response, lamps):
-                    yield LeftOutImage(part, relit, shapes[j], entries[j].known, relit=True)
+                    yield LeftOutImage(part, relit, shapes[j], entries[j].known, relit=True, name=name)
 
     near, share = _best_near(fits_near(model, images(parts), methods), refinement)
     if regression is not None and regression.is_needed(near):
@@ -154,6 +156,8 @@ def calibrated(
         )
     failing = tuple(method.name for method in methods if method.name not in reliabilities)
     of_first = tried.get(methods[0].name, LeftOutFits())
+    if faults := of_first.describe_faults():
+        warnings.warn(faults, stacklevel=5)  # the caller of train, which is decorated
     card = replace(model.card, accuracy=of_first.describe())
     return replace(model, failing_methods=failing, card=card)
 

@@ -6,7 +6,7 @@ from functools import cached_property
 import numpy as np
 
 from liaam.fitting.quality import expanded_covariance, fitted_covariances
-from liaam.io.files import count_of
+from liaam.io.files import count_of, some_names
 from liaam.model.contours import Contours, contour_turns, outline_errors
 from liaam.model.regressor import USUAL_SHARE
 from liaam.model.shape import ShapeModel, diagonal_of, expanded_about
@@ -17,6 +17,7 @@ from liaam.training.presence import AgreementOfFit
 # fit is right up to the first and wrong beyond the second. Fits in between are not used.
 RIGHT = 0.03
 WRONG = 0.06
+USUALLY_WRONG = 0.1  # Share of fits from near the object up to which nothing is wrong with the training images
 
 
 @dataclass(frozen=True, eq=False)
@@ -52,6 +53,8 @@ class LeftOutFit:
         Of right fits of methods that say which landmarks are present.
     refinement : (n, 2) float64, optional
         What a refiner has added to the landmarks, pixels of the frame; None without.
+    name : str
+        Of the image.
     """
 
     near: bool
@@ -67,6 +70,7 @@ class LeftOutFit:
     expansion: float = 1.0
     agreement: AgreementOfFit | None = None
     refinement: np.ndarray | None = None
+    name: str = ""
 
     @property
     def right(self) -> bool:
@@ -154,12 +158,15 @@ class LeftOutFits:
         Fits from starts near the object and from others, without those whose status says that they are lost.
     n_near : int
         Number of starts near the object, also of lost fits.
+    lost : list of str
+        Names of the images in which a fit from near the object is lost.
     """
 
     final_prior: float = 1.0
     expansion: float = 1.0
     fits: list[LeftOutFit] = field(default_factory=list)
     n_near: int = 0
+    lost: list[str] = field(default_factory=list)
 
     @property
     def near_right(self) -> list[LeftOutFit]:
@@ -204,3 +211,15 @@ class LeftOutFits:
         if not self.n_near_right:
             return right
         return f"{right}; the mean error of right fits is {self.near_error:.1%}"
+
+    def describe_faults(self) -> str:
+        """Say which fits from near the object are not right, if these are more than a few; empty otherwise."""
+        n_wrong = self.n_near - self.n_near_right
+        if n_wrong <= USUALLY_WRONG * self.n_near:
+            return ""
+        names = [*self.lost, *(fit.name for fit in self.fits if fit.near and not fit.right)]
+        return (
+            f"{n_wrong} of {count_of(self.n_near, 'fit')} to left-out images are not right, although they started near "
+            f"the object ({some_names(list(dict.fromkeys(names)))}): look whether the landmarks of these images follow "
+            "the convention of the others, or train on more images"
+        )

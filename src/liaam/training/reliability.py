@@ -49,7 +49,7 @@ class LeftOutImage:
 
     ``known`` (n,) says which landmarks are known, with which alone fits are compared; None if all are. ``relit`` marks
     images whose light was changed; their background is then not valid. ``has_sides`` says that fits of the model to be
-    will try both sides of objects.
+    will try both sides of objects. ``name`` is that of the image.
     """
 
     model: AAM
@@ -58,6 +58,7 @@ class LeftOutImage:
     known: np.ndarray | None = None
     relit: bool = False
     has_sides: bool = False
+    name: str = ""
 
     @property
     def reflection(self) -> "LeftOutImage":
@@ -94,7 +95,11 @@ def fits_near(
         for fitter, candidate in zip(fitters, candidates, strict=True):
             if _can_fit(fitter, picture):
                 candidate.n_near += 1
-                candidate.fits.extend(filter(None, [_fit(picture, fitter, start, near=True)]))
+                fit = _fit(picture, fitter, start, near=True)
+                if fit is None:
+                    candidate.lost.append(picture.name)
+                else:
+                    candidate.fits.append(fit)
     return dict(fits)
 
 
@@ -232,6 +237,7 @@ def _fit(picture: LeftOutImage, fitter: Fitter, start: np.ndarray | Detection, n
         agreement=agreement,
         # Models without an image are not calibrated, so that nothing else has moved the landmarks.
         refinement=None if result.shift is None else result.shift @ to_frame.matrix.T,
+        name=picture.name,
     )
 
 

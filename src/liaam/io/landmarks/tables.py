@@ -227,6 +227,8 @@ def parse_wide(source: Source) -> list[Landmarks]:
             source.notes.say("columns of x and y beside those of numbered landmarks are not read", key)
             del given[key]
     numbered = all(map(str.isdigit, given))
+    if numbered:
+        _check_pairs(header, given)
     pairs = {key: given[key] for key in sorted(given, key=natural_key)} if numbered else given
     if any("z" in axes for axes in pairs.values()):
         raise LandmarkError("it has columns of z: export x and y only.")
@@ -237,6 +239,17 @@ def parse_wide(source: Source) -> list[Landmarks]:
     named = not numbered or list(pairs) != list(given)
     factors = tuple((factor, i) for factor, i in factors_of(source.header) if i != name and i not in used)
     return _of_rows(source, rows, {"": pairs}, lambda row: None if name is None else row[name].strip(), named, factors)
+
+
+def _check_pairs(header: list[str], pairs: _Pairs) -> None:
+    """Raise if a numbered landmark has one column only: without it, those after it would have other numbers."""
+    for i, key, axis in _columns_of_axes(header):
+        if key.isdigit() and key not in pairs:
+            other = {"x": "y", "y": "x"}.get(axis.lower())
+            if other is not None:
+                title = header[i].strip()
+                missing = re.sub(axis, other.upper() if axis.isupper() else other, title, count=1)
+                raise LandmarkError(f"the column '{title}' has no column '{missing}' beside it: correct the headings.")
 
 
 def parse_dlc(source: Source) -> list[Landmarks]:
