@@ -10,7 +10,7 @@ SUFFIX = ".csv"
 
 
 def sides_in_table(file: Path) -> dict[str, str]:
-    """Return the sides that a table states, by the names of images or specimens; empty if it is no such table.
+    """Return the sides that a table states, by image or specimen; empty if it states none.
 
     If it has several rows of one name, the last counts.
     """
