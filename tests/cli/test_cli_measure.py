@@ -434,6 +434,12 @@ def test_units_are_said_and_written(run, tmp_path):
     file = tps(tmp_path / "some.tps", [0.01, 0, 0.01])
     code, out, err = run("measure", file, "distance:1-2", "-o", tmp_path / "t.csv", "--scale", "mm")
     assert code == 0 and "1 of 3 have no scale, so that they have no sizes: w1" in " ".join(err.split())
+    file = tps(tmp_path / "none.tps", [0, 0, 0])
+    code, _, err = run("measure", file, "-o", tmp_path / "none.csv", "--scale", "mm")
+    assert code == 1 and "no file states a scale that could be in mm: give the length of a pixel" in " ".join(
+        err.split()
+    )
+    assert "'liaam scale'" in err and not (tmp_path / "none.csv").exists()
 
 
 def test_the_calibration_of_tiffs_is_used_and_said(run, tmp_path):

@@ -86,7 +86,8 @@ def measure(
     ------
     LiaamError
         If there is no specimen with landmarks or curves to use, a measure names a landmark that does not exist, two
-        measures have one name, or some scales have a unit and others have none.
+        measures have one name, some scales have a unit and others have none, or the scale is a unit alone and no
+        specimen has one.
     """
     specimens, left_out = alike(specimens)
     for line in left_out:
@@ -178,6 +179,11 @@ def _in_one_unit(
     if isinstance(rule, Length | ScaleBar):
         return tuple(specimens), rule.unit
     scaled = [specimen for specimen in specimens if specimen.scale is not None]
+    if rule and not scaled:
+        raise LiaamError(
+            f"scale '{rule}': no file states a scale that could be in {rule}: give the length of a pixel, such as "
+            f"--scale '0.0031 {rule}', or a table of the scales that 'liaam scale' finds in the images"
+        )
     units = Counter(specimen.unit for specimen in scaled if specimen.unit)
     unit = rule or (units.most_common(1)[0][0] if units else "")
     bare = next((specimen.name for specimen in scaled if not specimen.unit), None)
