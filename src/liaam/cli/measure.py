@@ -22,6 +22,7 @@ from liaam.io.landmarks.formats import KNOWN_FILES
 from liaam.io.landmarks.reading import Reading
 from liaam.morphometry.asymmetry import MATCHING
 from liaam.morphometry.replicates import BY_COVARIANCES
+from liaam.morphometry.sides import IGNORED
 from liaam.morphometry.symmetry import ERROR, INTERACTION
 from liaam.morphometry.table import scales_in, sizes_in, unit_of_table
 from liaam.scale.choice import TRAINING
@@ -219,7 +220,7 @@ def measure(
     specimens = _comparable_specimens(results, reading, resample, has_replicates=replicates is not None)
     stated = None if table is None else morphometry.read_specimen_table(table)
     if stated is not None:
-        specimens, unlisted = stated.of(specimens)
+        specimens, unlisted = stated.of(specimens, sides=side != IGNORED)
         _complain_of_unlisted(unlisted, len(specimens), stated.path)
     specimens, reflected = morphometry.of_one_side(specimens, side, replicates, strict)
     if tables:

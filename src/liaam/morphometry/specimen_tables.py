@@ -9,9 +9,10 @@ from liaam.errors import LiaamError
 from liaam.formatting import short_repr
 from liaam.io.files import AnyPath
 from liaam.io.landmarks.tables import IMAGES, INDIVIDUALS, SIDE, SPECIMENS
-from liaam.io.sides import side_of_text
+from liaam.io.sides import OTHER_SIDE, side_of_text
 from liaam.io.table_reader import read_named_rows, refuse_again
 from liaam.morphometry.scale_tables import images_of
+from liaam.morphometry.sides import refuse_odd_sides, side_is_by_fit
 from liaam.morphometry.specimens import Specimen
 
 KIND = "table of specimens"
@@ -51,31 +52,40 @@ class SpecimenTable:
             raise LiaamError(f"{self.path} has no column '{column}': it has {', '.join(self.columns)}")
         return tuple("" if row is None else row[column].strip() for row in self._rows_of(specimens))
 
-    def of(self, specimens: Sequence[Specimen]) -> tuple[tuple[Specimen, ...], tuple[str, ...]]:
+    def of(self, specimens: Sequence[Specimen], sides: bool = True) -> tuple[tuple[Specimen, ...], tuple[str, ...]]:
         """Return specimens with the individual and the side that the table states, and the names of those without row.
 
-        What the table leaves empty stays as it is. The side replaces that of fits, and is compared with the shapes by
-        :func:`liaam.morphometry.of_one_side`.
+        What the table leaves empty stays as it is. Fits keep their own side: if the table states another, that is
+        `Specimen.stated_side`. :func:`liaam.morphometry.of_one_side` compares both, and the side with the shape.
+
+        Parameters
+        ----------
+        specimens : sequence of Specimen
+        sides : bool
+            Whether to read the column ``side``.
+
+        Returns
+        -------
+        specimens : tuple of Specimen
+        unlisted : tuple of str
+            Names of those that have no row.
 
         Raises
         ------
         LiaamError
-            If no specimen has a row, or one may be of several.
+            If no specimen has a row, one may be of several, or there are more than two sides.
         """
         found = self._rows_of(specimens)
         if all(row is None for row in found):
             raise LiaamError(f"no specimen has a row in {self.path}, which has names such as {next(iter(self.rows))}")
         individual = next((name for name in self.columns if name.lower() in INDIVIDUALS), "")
-        side = next((name for name in self.columns if name.lower() == SIDE), "")
+        side = next((name for name in self.columns if sides and name.lower() == SIDE), "")
+        cells = [row or {} for row in found]
+        own = [side_of_text(row.get(side, "")) for row in cells]
+        refuse_odd_sides([each.name for each in specimens], own, self.path)
         stated = [
-            specimen
-            if row is None
-            else replace(
-                specimen,
-                individual=row.get(individual, "").strip() or specimen.individual,
-                side=side_of_text(row.get(side, "")) or specimen.side,
-            )
-            for specimen, row in zip(specimens, found, strict=True)
+            _of_side(replace(each, individual=row.get(individual, "").strip() or each.individual), of_row)
+            for each, row, of_row in zip(specimens, cells, own, strict=True)
         ]
         return tuple(stated), tuple(each.name for each, row in zip(specimens, found, strict=True) if row is None)
 
@@ -83,6 +93,15 @@ class SpecimenTable:
         names = [specimen.name for specimen in specimens]
         own = [specimen.image for specimen in specimens]
         return [None if name is None else self.rows[name] for name in images_of(names, list(self.rows), own)]
+
+
+def _of_side(specimen: Specimen, side: str) -> Specimen:
+    """Return a specimen with the side that a table states, if it does; a fit keeps its own."""
+    if side in ("", specimen.side):
+        return specimen
+    if side in OTHER_SIDE and side_is_by_fit(specimen):
+        return replace(specimen, stated_side=side)
+    return replace(specimen, side=side)
 
 
 def read_specimen_table(path: AnyPath) -> SpecimenTable:

@@ -49,8 +49,8 @@ class Specimen:
     side : str
         Side of the individual, ``left`` or ``right`` or as a table has it, or empty if unknown.
     stated_side : str
-        Side that its name, a folder or a column states, if its fit or its shape contradicts it, or empty. `side` is
-        then by the fit or the shape.
+        Side that its name, a folder or a column states, if its fit or its shape has another, or empty. `side` is then
+        by the fit or the shape.
     reflected : bool
         Whether x was reversed, to compare it with specimens of the other side.
     estimated : tuple of int
