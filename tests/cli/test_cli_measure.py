@@ -187,6 +187,7 @@ def test_a_table_of_ones_own_tells_individuals_sides_and_groups_of_a_folder_of_f
     given = ("measure", folder, "--specimens", tmp_path / "own.csv", "-o", tmp_path / "t.csv")
     code, out, err = run(*given, "--groups", "sex", "--symmetry", "matching", "--permutations", 9)
     assert (code, err) == (0, "") and "variance of shape of 16 specimens of 8 individuals" in out
+    assert "own.csv: read photo, individual, side, sex\n" in out and "are compared by specimens" not in out
     assert pd.read_csv(tmp_path / "t_asymmetry.csv")["individual"].tolist() == [f"F{i}" for i in range(8)]
     code, _, err = run(*given, "--groups", "age")
     assert code == 1 and "has no column 'age': it has photo, individual, side, sex" in err
@@ -194,6 +195,14 @@ def test_a_table_of_ones_own_tells_individuals_sides_and_groups_of_a_folder_of_f
     assert code == 1 and "if sex is a column of your own table, give that, too (--specimens TABLE.csv)" in " ".join(
         err.split()
     )
+    (tmp_path / "own.csv").write_text("\n".join(["photo;fly;Seite;sex", *rows[1:]]))
+    code, out, err = run(*given, "--groups", "sex", "--permutations", 9)
+    assert (code, err) == (0, "") and "groups are compared by specimens, which are taken as independent" in out
+    assert "read photo, sex; not used: fly, Seite (there is no column individual and no column side" in out
+    (tmp_path / "own.csv").write_text("\n".join(["photo;fly;side;sex", *rows[1:]]))
+    code, _, err = run(*given, "--symmetry", "matching")
+    assert code == 1 and "own.csv does not state which left and right specimens are of one individual: " in err
+    assert "it has no column individual, but photo, fly, side, sex" in err
     (tmp_path / "own.csv").write_text("\n".join(rows[:5]))
     _, _, err = run(*given[:-1], tmp_path / "u.csv", "--side", "ignore")
     assert "12 of 16 specimens have no row in" in err

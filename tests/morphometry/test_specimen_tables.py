@@ -70,7 +70,7 @@ def test_a_side_of_the_table_that_the_fit_contradicts_is_reported(own) -> None:
 @pytest.mark.parametrize(
     ("text", "words"),
     [
-        ("wing,sex\na,m\n", "own.csv has no column image .or specimen.: give a .csv file with one row for each image"),
+        ("wing,sex\na,m\n", r"own.csv has no column image \(or photo, file, specimen\): it has wing, sex; give a .csv"),
         ("image,sex\n", "own.csv has no rows below its header"),
         ("image,sex\na,m\na,f\n", "own.csv: line 3 has 'a' again"),
         (OWN.replace("F2,L", "F2,lefft"), r"own.csv: .*The side of IMG_3 \('lefft'\) is neither left nor right"),

@@ -239,6 +239,8 @@ def measure(
     if replicates is not None:
         error = morphometry.measurement_error(specimens, columns, replicates, slid=slide is not None)
     asymmetry = None
+    if symmetry == MATCHING and stated is not None:
+        stated.refuse_without_individuals(specimens, replicates)
     if symmetry is not None:
         asymmetry = morphometry.asymmetry(
             specimens,
@@ -266,6 +268,8 @@ def measure(
     say(f"{output}: {count_of(len(specimens), what)}{_unit_said(columns)}")
     if scale is None or scale in UNITS:  # then nobody gave the length of a pixel
         _say_sources(specimens)
+    if stated is not None:
+        say(stated.reading_said(groups or ""))
     if reflected:
         say(reflected)
     if asymmetry is not None:

@@ -1,11 +1,12 @@
 """Read tables with named columns, as people and spreadsheets save them."""
 
-from collections.abc import Container, Sequence
+from collections.abc import Container, Iterable, Sequence
 from pathlib import Path
 
 from liaam.errors import LandmarkError, LiaamError
 from liaam.io.files import AnyPath, existing_file
 from liaam.io.landmarks.reading import TableLine, read_text, table_rows
+from liaam.io.landmarks.tables import IMAGES, INDIVIDUALS, SPECIMENS
 
 NamedRow = tuple[int, dict[str, str]]
 """The number of a line, and its cells by the names of their columns."""
@@ -32,6 +33,24 @@ def named_rows_in(text: str, path: str | Path) -> list[NamedRow]:
         return named_rows(table_rows(text))
     except LandmarkError as fault:
         raise LiaamError(f"{path}: {fault}") from fault
+
+
+def naming_column(columns: Iterable[str], specimens_first: bool = False) -> str | None:
+    """Return the column that names the image or the specimen of each row: all tables of specimens have it alike.
+
+    It may be written with capitals. Where there are both, that of images is returned, unless ``specimens_first``.
+    """
+    columns = tuple(columns)
+    kinds = (IMAGES, SPECIMENS - INDIVIDUALS)
+    for names in reversed(kinds) if specimens_first else kinds:
+        for column in columns:
+            if column.lower() in names:
+                return column
+    return None
+
+
+NAMING = "image (or photo, file, specimen)"
+"""What messages call the column that names the image or specimen."""
 
 
 def refuse_again(name: str, known: Container[str], path: AnyPath, number: int, kind: str = "image") -> None:

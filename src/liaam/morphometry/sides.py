@@ -412,6 +412,14 @@ def individuals_of(specimens: Iterable[Specimen], by: str | None = None) -> tupl
     return tuple(map(individual_of, specimens))
 
 
+def individuals_are_stated(specimens: Iterable[Specimen], by: str | None = None) -> bool:
+    """Return whether anything states the individual of any specimen: it is then not only that of its own name.
+
+    ``by`` tells replicates, as in :func:`individuals_of`.
+    """
+    return by is not None or any({each.individual, each.replicate_of} - {"", each.name} for each in specimens)
+
+
 def _sides_of(specimens: Sequence[Specimen], by: str | None) -> tuple[list[Named], dict[int, str]]:
     """Return the side of each specimen, and the name of the individual that it is of.
 

@@ -2,17 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections import defaultdict
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 
 from liaam.errors import LiaamError
 from liaam.formatting import short_repr
-from liaam.io.files import AnyPath
-from liaam.io.landmarks.tables import IMAGES, INDIVIDUALS, SIDE, SPECIMENS
+from liaam.io.files import AnyPath, some_names
+from liaam.io.landmarks.tables import INDIVIDUALS, SIDE
 from liaam.io.sides import OTHER_SIDE, side_of_text
-from liaam.io.table_reader import read_named_rows, refuse_again
+from liaam.io.table_reader import NAMING, naming_column, read_named_rows, refuse_again
 from liaam.morphometry.scale_tables import images_of
-from liaam.morphometry.sides import refuse_odd_sides, side_is_by_fit
+from liaam.morphometry.sides import individual_name, refuse_odd_sides, side_is_by_fit
 from liaam.morphometry.specimens import Specimen
 
 KIND = "table of specimens"
@@ -37,6 +38,48 @@ class SpecimenTable:
     rows: dict[str, dict[str, str]]
 
     __repr__ = short_repr
+
+    @property
+    def individual_column(self) -> str:
+        """Name of the column of individuals; empty if there is none."""
+        return next((name for name in self.columns if name.lower() in INDIVIDUALS), "")
+
+    @property
+    def side_column(self) -> str:
+        """Name of the column of sides; empty if there is none."""
+        return next((name for name in self.columns if name.lower() == SIDE), "")
+
+    def reading_said(self, group: str = "") -> str:
+        """Say which columns are read, of which ``group`` is that of groups, and which are not."""
+        naming = naming_column(self.columns)
+        read = [name for name in self.columns if name in (naming, self.individual_column, self.side_column, group)]
+        others = [name for name in self.columns if name not in read]
+        absent = [
+            word
+            for word, column in (("individual", self.individual_column), ("side", self.side_column))
+            if not column and others
+        ]
+        said = f"{self.path}: read {', '.join(read)}"
+        if others:
+            said += f"; not used: {some_names(others)}"
+        if absent:
+            said += f" (there is no column {' and no column '.join(absent)}: if one of these is it, call it so)"
+        return said
+
+    def refuse_without_individuals(self, specimens: Iterable[Specimen], by: str | None = None) -> None:
+        """Raise if the table states no individuals, and no individual has both sides by the names of specimens.
+
+        ``by`` tells replicates, as in :func:`liaam.morphometry.measurement_error`.
+        """
+        sides_of: dict[str, set[str]] = defaultdict(set)
+        for specimen in specimens:
+            if specimen.side and specimen.is_usable:
+                sides_of[individual_name(specimen, by)].add(specimen.side)
+        if not self.individual_column and sides_of and all(len(sides) == 1 for sides in sides_of.values()):
+            raise LiaamError(
+                f"{self.path} does not state which left and right specimens are of one individual: it has no column "
+                f"individual, but {', '.join(self.columns)}. Add one, or call the column that states it individual"
+            )
 
     def cells_of(self, specimens: Sequence[Specimen], column: str) -> tuple[str, ...]:
         """Return the cell of a column for each specimen; empty for those that have no row.
@@ -78,8 +121,8 @@ class SpecimenTable:
         found = self._rows_of(specimens)
         if all(row is None for row in found):
             raise LiaamError(f"no specimen has a row in {self.path}, which has names such as {next(iter(self.rows))}")
-        individual = next((name for name in self.columns if name.lower() in INDIVIDUALS), "")
-        side = next((name for name in self.columns if sides and name.lower() == SIDE), "")
+        individual = self.individual_column
+        side = self.side_column if sides else ""
         cells = [row or {} for row in found]
         own = [side_of_text(row.get(side, "")) for row in cells]
         refuse_odd_sides([each.name for each in specimens], own, self.path)
@@ -116,13 +159,14 @@ def read_specimen_table(path: AnyPath) -> SpecimenTable:
     if not rows:
         raise LiaamError(f"{path} has no rows below its header: give one row for each image")
     columns = tuple(rows[0][1])
-    of_image = [name for name in columns if name.lower() in IMAGES]
-    named = [*of_image, *(name for name in columns if name.lower() in SPECIMENS - INDIVIDUALS)]
-    if not named:
-        raise LiaamError(f"{path} has no column image (or specimen): give a .csv file with one row for each image")
+    naming = naming_column(columns)
+    if naming is None:
+        raise LiaamError(
+            f"{path} has no column {NAMING}: it has {', '.join(columns)}; give a .csv file with one row for each image"
+        )
     found: dict[str, dict[str, str]] = {}
     for number, row in rows:
-        name = row[named[0]].strip()
+        name = row[naming].strip()
         refuse_again(name, found, path, number)
         found[name] = row
     return SpecimenTable(str(path), columns, found)
