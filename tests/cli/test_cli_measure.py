@@ -188,6 +188,9 @@ def test_a_table_of_ones_own_tells_individuals_sides_and_groups_of_a_folder_of_f
     code, out, err = run(*given, "--groups", "sex", "--symmetry", "matching", "--permutations", 9)
     assert (code, err) == (0, "") and "variance of shape of 16 specimens of 8 individuals" in out
     assert "own.csv: read photo, individual, side, sex\n" in out and "are compared by specimens" not in out
+    table = pd.read_csv(tmp_path / "t.csv")
+    assert table["individual"].tolist()[:3] == ["F0", "F0", "F1"] and table["sex"].tolist() == [*"mmff"] * 4
+    assert table["side"].tolist() == ["left", "right"] * 8
     assert pd.read_csv(tmp_path / "t_asymmetry.csv")["individual"].tolist() == [f"F{i}" for i in range(8)]
     code, _, err = run(*given, "--groups", "age")
     assert code == 1 and "has no column 'age': it has photo, individual, side, sex" in err
@@ -532,6 +535,8 @@ def test_the_agreement_with_people_and_the_variance_of_groups_are_written(run, t
     assert "a – b: means" in out and "reliability ratio" in out
     agreement = json.loads((tmp_path / "t_agreement.json").read_text())
     assert agreement["n_specimens"] == 12 and 0.8 < agreement["slope"] < 1.2
+    table = pd.read_csv(tmp_path / "t.csv")
+    assert table["group"].tolist() == ["a", "b"] * 6 and "individual" not in table
     scores = pd.read_csv(tmp_path / "t_scores.csv")
     assert scores["group"].tolist() == ["a", "b"] * 6 and (scores["PC1_se"] > 0).all()
     assert len(pd.read_csv(tmp_path / "t_groups.csv")) == 2 * 4

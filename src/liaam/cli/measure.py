@@ -263,6 +263,9 @@ def measure(
         individuals = morphometry.individuals_of(specimens, replicates)
         agreement = _agreement(specimens, compare, group_of, individuals, reading)
 
+    if group_of is not None:
+        is_column = stated is not None and groups in stated.columns
+        columns = morphometry.with_groups(columns, group_of, str(groups) if is_column else "group")
     write_columns(output, columns)
     what = "specimen" if replicates is None else "record"
     say(f"{output}: {count_of(len(specimens), what)}{_unit_said(columns)}")
