@@ -491,6 +491,9 @@ def test_a_table_of_scales_is_used(run, tmp_path):
     assert table["distance_1_2_mm"].tolist()[0] == pytest.approx(1) and np.isnan(table["distance_1_2_mm"][1])
     assert table["scale_mm_per_px_se"][0] == 0.001
     assert "1 of 2 have no scale" in " ".join(err.split())
+    (tmp_path / "s.csv").write_text("specimen,scale,unit\nw0,100,um\nw1,0.05,mm\n")
+    code, out, _ = run("measure", file, "-o", tmp_path / "t.csv", "--scale", tmp_path / "s.csv")
+    assert code == 0 and "the scale of 2 specimens is that of the table of scales (0.05 mm to 100 um per pixel)" in out
 
 
 @pytest.mark.parametrize(

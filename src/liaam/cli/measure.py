@@ -96,7 +96,7 @@ def measure(
         typer.Option(
             "--scale",
             help="Length of a pixel, such as '0.0031 mm'; the landmarks at the ends of a scale bar and its length, "
-            "such as '11-12=5 mm'; a table of 'liaam scale', "
+            "such as '11-12=5 mm'; a table of 'liaam scale' or your own, with the columns image, scale and unit, "
             "or several, each after a --scale; or mm alone, the unit of the SCALE in .tps files. By "
             "default the scale that files and the tags of TIFF images state, or else results are in pixels.",
         ),
@@ -172,7 +172,7 @@ def measure(
     groups: Annotated[
         str | None,
         typer.Option(
-            help="Table .csv with the columns specimen (or image) and group, or a column of --specimens such as sex: "
+            help="Table .csv with the columns specimen (or image, photo, file) and group, or a column of --specimens such as sex: "
             "as --scores, and test the differences between the groups' mean shapes, which are written with standard "
             "errors. Individuals are compared, not their records."
         ),
@@ -641,10 +641,15 @@ def _say_sources(specimens: "Sequence[Specimen]") -> None:
         if specimen.scale is not None and specimen.scale_source:
             sources[specimen.scale_source].append(specimen)
     for source, of_source in sources.items():
-        first = of_source[0]
-        length = Length(first.scale or 1.0, first.unit)  # it has a scale, as all of a source
+        lengths = sorted((Length(each.scale or 1.0, each.unit) for each in of_source), key=_millimetres)
+        span = " to ".join(dict.fromkeys(str(each) for each in (lengths[0], lengths[-1])))
         doubt = "; give --scale if the images to measure were taken otherwise" if source == TRAINING else ""
-        say(f"the scale of {count_of(len(of_source), 'specimen')} is that of {source} ({length} per pixel){doubt}")
+        say(f"the scale of {count_of(len(of_source), 'specimen')} is that of {source} ({span} per pixel){doubt}")
+
+
+def _millimetres(length: Length) -> float:
+    """Return a length in millimetres, if its unit is known, to be compared with others."""
+    return length.within("mm").value
 
 
 def _complain_of_specimens_without_scale(columns: Columns) -> None:

@@ -36,16 +36,17 @@ def named_rows_in(text: str, path: str | Path) -> list[NamedRow]:
 
 
 def naming_column(columns: Iterable[str], specimens_first: bool = False) -> str | None:
-    """Return the column that names the image or the specimen of each row: all tables of specimens have it alike.
+    """Return the column that names the image or the specimen of each row; None if there is none.
 
-    It may be written with capitals. Where there are both, that of images is returned, unless ``specimens_first``.
+    All tables of specimens have it alike: it may be written with capitals, ``image`` and ``specimen`` come before other
+    words, and images before specimens, unless ``specimens_first``.
     """
-    columns = tuple(columns)
-    kinds = (IMAGES, SPECIMENS - INDIVIDUALS)
-    for names in reversed(kinds) if specimens_first else kinds:
-        for column in columns:
-            if column.lower() in names:
-                return column
+    by_name = {column.lower(): column for column in columns}
+    kinds = (("image", IMAGES), ("specimen", SPECIMENS - INDIVIDUALS))
+    for usual, names in reversed(kinds) if specimens_first else kinds:
+        found = next((name for name in (usual, *by_name) if name in names and name in by_name), None)
+        if found is not None:
+            return by_name[found]
     return None
 
 

@@ -78,9 +78,10 @@ def measure(
         Columns, one row per specimen; ``pandas.DataFrame`` takes them. ``specimen``, ``status`` (if known), ``scale``
         (length of a pixel, if known), the measures (angles in degrees), ``centroid_size``, ``individual`` and ``side``
         (if known), ``estimated`` (landmarks that were missing, if any), and the Procrustes coordinates ``X1``, ``Y1``,
-        ``X2``, ... with y upwards. Where the unit is known, names have it, as in ``scale_mm_per_px``, ``distance_1_5_mm``,
-        ``area_1_2_3_mm2`` and ``centroid_size_mm``. Columns ``..._se`` hold the standard errors, if any covariance is
-        known. Cells are NaN where a landmark is missing or the status says that the landmarks should not be used.
+        ``X2``, ... with y upwards. Where the unit is known, names have it, as in ``scale_mm_per_px``,
+        ``distance_1_5_mm``, ``area_1_2_3_mm2`` and ``centroid_size_mm``. Columns ``..._se`` hold the standard errors,
+        if any covariance is known. Cells are NaN where a landmark is missing or the status says that the landmarks
+        should not be used.
 
     Raises
     ------
