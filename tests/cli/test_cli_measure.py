@@ -187,6 +187,7 @@ def test_a_table_of_ones_own_tells_individuals_sides_and_groups_of_a_folder_of_f
     given = ("measure", folder, "--specimens", tmp_path / "own.csv", "-o", tmp_path / "t.csv")
     code, out, err = run(*given, "--groups", "sex", "--symmetry", "matching", "--permutations", 9)
     assert (code, err) == (0, "") and "variance of shape of 16 specimens of 8 individuals" in out
+    assert "own.csv: 1 row of no specimen: none.JPG\n" in out
     assert "own.csv: read photo, individual, side, sex\n" in out and "are compared by specimens" not in out
     table = pd.read_csv(tmp_path / "t.csv")
     assert table["individual"].tolist()[:3] == ["F0", "F0", "F1"] and table["sex"].tolist() == [*"mmff"] * 4
@@ -202,6 +203,9 @@ def test_a_table_of_ones_own_tells_individuals_sides_and_groups_of_a_folder_of_f
     code, out, err = run(*given, "--groups", "sex", "--permutations", 9)
     assert (code, err) == (0, "") and "groups are compared by specimens, which are taken as independent" in out
     assert "read photo, sex; not used: fly, Seite (there is no column individual and no column side" in out
+    (tmp_path / "own.csv").write_text("\n".join(["photo;fly;side;sex", *rows[1:-1], rows[-1].replace("G_15", "GG_15")]))
+    code, _, err = run(*given)
+    assert code == 1 and "own.csv: 1 row of no specimen: IMGG_15.JPG (is it IMG_15?)" in err
     (tmp_path / "own.csv").write_text("\n".join(["photo;fly;side;sex", *rows[1:]]))
     code, _, err = run(*given, "--symmetry", "matching")
     assert code == 1 and "own.csv does not state which left and right specimens are of one individual: " in err

@@ -3,7 +3,7 @@
 import math
 import re
 from collections import defaultdict
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -172,9 +172,9 @@ def measure(
     groups: Annotated[
         str | None,
         typer.Option(
-            help="Table .csv with the columns specimen (or image, photo, file) and group, or a column of --specimens such as sex: "
-            "as --scores, and test the differences between the groups' mean shapes, which are written with standard "
-            "errors. Individuals are compared, not their records."
+            help="Table .csv with the columns specimen (or image, photo, file) and group, or a column of --specimens "
+            "such as sex: as --scores, and test the differences between the groups' mean shapes, which are written "
+            "with standard errors. Individuals are compared, not their records."
         ),
     ] = None,
     compare: Annotated[
@@ -222,6 +222,7 @@ def measure(
     if stated is not None:
         specimens, unlisted = stated.of(specimens, sides=side != IGNORED)
         _complain_of_unlisted(unlisted, len(specimens), stated.path)
+        _name_rows_of_none(stated.rows_of_none(specimens), stated.path, complain if unlisted else say)
     specimens, reflected = morphometry.of_one_side(specimens, side, replicates, strict)
     if tables:
         specimens = morphometry.with_lengths(specimens, morphometry.read_lengths(*tables))
@@ -284,6 +285,7 @@ def measure(
         _write_variation(variation, output)
     if agreement is not None:
         _write_agreement(agreement, output)
+        _complain_of_absent(specimens)
     if plot is not None:
         _draw(columns, asymmetry, specimens, plot)
     if error is not None and replicates is not None:
@@ -316,6 +318,12 @@ def _complain_of_unlisted(names: Sequence[str], n: int, path: str) -> None:
     """Name the specimens of which a table has no row."""
     if names:
         complain(f"{len(names)} of {count_of(n, 'specimen')} have no row in {path}: {some_names(names)}")
+
+
+def _name_rows_of_none(names: Sequence[str], path: str, tell: Callable[[str], None]) -> None:
+    """Name the rows of a table of which there is no specimen: some may be misspelt."""
+    if names:
+        tell(f"{path}: {count_of(len(names), 'row')} of no specimen: {some_names(names)}")
 
 
 def _groups_of(specimens: "Sequence[Specimen]", groups: str, stated: "SpecimenTable | None") -> tuple[str, ...]:
@@ -438,6 +446,17 @@ def _write_agreement(agreement: "ShapeAgreement", output: Path) -> None:
     say(f"for the section Methods of a paper: {agreement.methods()}")
     others = f"{by_component.name}, {by_landmark.name} and {figure.name}"
     say(f"{everything}: agreement with people's landmarks; also {others}")
+
+
+def _complain_of_absent(specimens: "Sequence[Specimen]") -> None:
+    """Say that fits with absent landmarks are not compared with people's, which liaam evaluate does."""
+    named = [each.name for each in specimens if each.status in USABLE and np.isnan(each.points).any()]
+    if named:
+        complain(
+            f"{count_of(len(named), 'fit')} with absent landmarks cannot be compared with people's: "
+            f"{some_names(named)}; liaam evaluate compares such fits by the estimated positions, and so does "
+            "--compare with --estimate tps"
+        )
 
 
 def _write_variation(variation: "ShapeVariation", output: Path) -> None:

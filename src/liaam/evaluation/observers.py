@@ -121,4 +121,5 @@ def compare_specimens(
     whats = ["automatic landmarks", "labels", "labels of the second person"]
     points = [points_of(names, each, n, what) for each, what in zip(sets, whats, strict=False)]
     who = individuals_of(automatic) if individuals is None else individuals
-    return compare_shapes(*points, groups=groups, individuals=who, **options)
+    estimated = [bool(specimen.estimated) for specimen in automatic]
+    return compare_shapes(*points, groups=groups, individuals=who, estimated=estimated, **options)

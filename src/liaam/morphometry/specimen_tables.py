@@ -5,10 +5,12 @@ from __future__ import annotations
 from collections import defaultdict
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
+from difflib import get_close_matches
 
 from liaam.errors import LiaamError
 from liaam.formatting import short_repr
 from liaam.io.files import AnyPath, some_names
+from liaam.io.landmarks.matching import stem_of
 from liaam.io.landmarks.tables import INDIVIDUALS, SIDE
 from liaam.io.sides import OTHER_SIDE, side_of_text
 from liaam.io.table_reader import NAMING, naming_column, read_named_rows, refuse_again
@@ -17,6 +19,8 @@ from liaam.morphometry.sides import individual_name, refuse_odd_sides, side_is_b
 from liaam.morphometry.specimens import Specimen
 
 KIND = "table of specimens"
+
+_NEAR = 0.8  # likeness of two names, 0 to 1, above which one may be the other, mistyped
 
 
 @dataclass(frozen=True, eq=False)
@@ -65,6 +69,21 @@ class SpecimenTable:
         if absent:
             said += f" (there is no column {' and no column '.join(absent)}: if one of these is it, call it so)"
         return said
+
+    def rows_of_none(self, specimens: Sequence[Specimen]) -> tuple[str, ...]:
+        """Return the names of the rows of which there is no specimen.
+
+        Each is given with a similar name of a specimen that has no row, as ``IMG_010.JPG (is it IMG_0101?)``.
+        """
+        rows = self._rows_of(specimens)
+        found = {id(row) for row in rows if row is not None}
+        unlisted = [each.name for each, row in zip(specimens, rows, strict=True) if row is None]
+        named = []
+        for name, row in self.rows.items():
+            if id(row) not in found:
+                near = get_close_matches(stem_of(name), unlisted, n=1, cutoff=_NEAR)
+                named.append(name + (f" (is it {near[0]}?)" if near else ""))
+        return tuple(named)
 
     def refuse_without_individuals(self, specimens: Iterable[Specimen], by: str | None = None) -> None:
         """Raise if the table states no individuals, and no individual has both sides by the names of specimens.

@@ -164,14 +164,15 @@ class ShapeVariation:
         else:
             lines[0] += (
                 f", of which {self.measuring:.3g} of measuring, by the covariances of the landmarks (reliability ratio "
-                f"{self.reliability:.2f}, if errors do not depend on the shape)"
+                f"of the whole shape {self.reliability:.2f}, if errors do not depend on the shape)"
             )
         shown = zip(self.shares[:3], self.reliabilities[:3], strict=True)
         parts = [
-            f"PC{i} {100 * share:.0f} %" + ("" if np.isnan(ratio) else f" (reliability ratio {ratio:.2f})")
+            f"PC{i} {100 * share:.0f} %" + ("" if np.isnan(ratio) else f" ({ratio:.2f})")
             for i, (share, ratio) in enumerate(shown, 1)
         ]
-        lines.append(f"principal components: {', '.join(parts)}")
+        known = "" if np.isnan(self.reliabilities[:3]).all() else " (and the reliability ratio of the scores on each)"
+        lines.append(f"principal components{known}: {', '.join(parts)}")
         if self.tests and (self.individuals or not self.individuals_stated):
             lines.append(self._how_compared())
         for test in self.tests:
