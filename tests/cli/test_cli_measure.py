@@ -361,7 +361,7 @@ def test_missing_landmarks_are_estimated_and_named(run, tmp_path, rng):
         assert table["distance_left_jaw_right_jaw"].tolist()[2] == pytest.approx(80, abs=15)
 
 
-def test_estimates_that_cannot_be_right_are_reported(run, tmp_path, rng):
+def test_doubtful_estimates_are_reported_as_such(run, tmp_path, rng):
     shape = np.array([[0.0, 0], [30, -12], [60, -14], [80, -7], [88, 2], [78, 11], [52, 15], [28, 11], [30, 0]])
     points = 4 * (shape + rng.normal(0, 1, (24, 9, 2))) + 200
     points[5, 3:6] = np.nan
@@ -370,7 +370,9 @@ def test_estimates_that_cannot_be_right_are_reported(run, tmp_path, rng):
     assert "estimated far" not in run(*given, "tps")[2]
     code, _, err = run(*given, "regression")
     told = " ".join(err.split())
-    assert code == 0 and "1 specimen with landmarks estimated far from where they lie in complete specimens" in told
+    assert code == 0 and "Check them; " in told and "They are in the table (--strict stops instead)" in told
+    assert pd.read_csv(tmp_path / "t.csv")["estimated"].notna().sum() == 1
+    assert "1 specimen with landmarks estimated far from where they lie in complete specimens" in told
     assert "w05: 4 (" in told and "take --estimate tps" in told
     (tmp_path / "t.csv").unlink()
     code, _, err = run(*given, "regression", "--strict")

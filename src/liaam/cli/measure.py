@@ -365,21 +365,21 @@ def _refuse_or_complain(lines: Sequence[str], what: str, strict: bool) -> None:
 
 
 def _refuse_or_complain_of_far_estimates(lines: Sequence[str], method: str | None, strict: bool) -> None:
-    """Name specimens with estimates that cannot be right, or raise if strict."""
+    """Name specimens with doubtful estimates, or raise if strict."""
     if not lines:
         return
-    remedy = "check the other landmarks of these specimens"
+    remedy = "two of the other landmarks of these specimens may be exchanged, for example"
     if method == "regression":
-        remedy = "regression does not suit these specimens: take --estimate tps"
+        remedy = "regression seldom suits such specimens: take --estimate tps"
     more = f"; and {len(lines) - MOST_FAR} more" if len(lines) > MOST_FAR else ""
     text = (
         f"{count_of(len(lines), 'specimen')} with landmarks estimated far from where they lie in complete specimens, "
         f"in multiples of their root mean square distance from the mean there: {'; '.join(lines[:MOST_FAR])}{more}. "
-        f"They cannot be right; {remedy}"
+        f"Check them; {remedy}"
     )
     if strict:
         raise LiaamError(text)
-    complain(text)
+    complain(f"{text}. They are in the table (--strict stops instead)")
 
 
 def _twins(pairs: str | None, results: Path, specimens: "Sequence[Specimen]") -> str | tuple[int, ...] | None:
