@@ -1,6 +1,8 @@
 """``liaam measure``, as it is typed."""
 
 import json
+import re
+import shlex
 from pathlib import Path
 
 import numpy as np
@@ -170,7 +172,10 @@ def test_sides_are_reflected_and_said(run, wings, tmp_path):
     assert unreflected.filter(regex=r"^[XY]\d+$").to_numpy().std(axis=0).max() > 0.2
 
 
-def test_a_table_of_ones_own_tells_individuals_sides_and_groups_of_a_folder_of_fits(run, tmp_path, rng):
+GUIDE = Path(__file__).parents[2] / "docs" / "how-to" / "measure-specimens.md"
+
+
+def test_a_table_of_ones_own_tells_individuals_sides_and_groups_of_a_folder_of_fits(run, tmp_path, rng, monkeypatch):
     folder = tmp_path / "fits"
     folder.mkdir()
     wing = np.array([[0.0, 0], [90, 20], [200, 30], [240, 80], [150, 110], [30, 50]])
@@ -210,6 +215,18 @@ def test_a_table_of_ones_own_tells_individuals_sides_and_groups_of_a_folder_of_f
     code, _, err = run(*given, "--symmetry", "matching")
     assert code == 1 and "own.csv does not state which left and right specimens are of one individual: " in err
     assert "it has no column individual, but photo, fly, side, sex" in err
+    (tmp_path / "own.csv").write_text("\n".join(rows))
+    points[1] = np.nan
+    write_fit(folder / f"{name}.json", Landmarks(points), facts, (200, 600))
+    monkeypatch.chdir(tmp_path)
+    guide = GUIDE.read_text(encoding="utf-8")
+    (command,) = re.findall(r"^`liaam (measure fits .* --specimens own\.csv .*)`", guide, re.MULTILINE)
+    (example,) = (code for code in re.findall(r"^```python\n(.*?)^```$", guide, re.M | re.S) if "own.csv" in code)
+    assert run(*shlex.split(command))[0] == 0
+    by_command = pd.read_csv("table.csv")
+    assert by_command["estimated"].dropna().tolist() == [2.0] and "distance_1_5_mm" in by_command
+    exec(example, {})
+    pd.testing.assert_frame_equal(pd.read_csv("table.csv"), by_command)
     (tmp_path / "own.csv").write_text("\n".join(rows[:5]))
     _, _, err = run(*given[:-1], tmp_path / "u.csv", "--side", "ignore")
     assert "12 of 16 specimens have no row in" in err
