@@ -44,7 +44,7 @@ def test_a_table_states_individuals_sides_and_groups(tmp_path) -> None:
     found, unlisted = table.of(fits())
     assert [each.individual for each in found] == ["F1", "F1", "F2", ""] and unlisted == ("IMG_4",)
     assert [each.stated_side for each in found] == ["left", "right", "left", ""]
-    assert table.cells_of(fits(), "sex") == ("m", "m", "f", "")
+    assert table.cells_of(fits(), "sex") == ("m", "m", "f", "") == table.cells_of(fits(), "Sex")
     one_side, _ = of_one_side(found[:3])
     assert [each.individual for each in one_side] == ["F1", "F1", "F2"]
     assert [(each.side, each.stated_side) for each in one_side] == [("left", ""), ("right", ""), ("left", "")]

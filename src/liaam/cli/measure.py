@@ -223,6 +223,7 @@ def measure(
         specimens, unlisted = stated.of(specimens, sides=side != IGNORED)
         _complain_of_unlisted(unlisted, len(specimens), stated.path)
         _name_rows_of_none(stated.rows_of_none(specimens), stated.path, complain if unlisted else say)
+        groups = groups and (stated.column_called(groups) or groups)
     specimens, reflected = morphometry.of_one_side(specimens, side, replicates, strict)
     if tables:
         specimens = morphometry.with_lengths(specimens, morphometry.read_lengths(*tables))

@@ -155,7 +155,7 @@ def _refuse_incomplete_column(specimens: Sequence[Specimen], named: Sequence[Nam
     if bare and len(bare) < len(unnamed):
         raise LiaamError(
             f"{len(bare)} of {count_of(len(unnamed), 'specimen')} have no side in the column 'side' of your table, and "
-            f"others have: {some_names(bare)}; the fits do not say which side is left, as the model was not told: "
+            f"others have: {some_names(bare)}; the fits do not say which side is left, as training did not know it: "
             f"complete the column, or remove it (sides are then {ORIGINAL} and {MIRRORED})"
         )
 

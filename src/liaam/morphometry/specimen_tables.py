@@ -110,9 +110,15 @@ class SpecimenTable:
         LiaamError
             If there is no such column, or a specimen may be of several rows.
         """
-        if column not in self.columns:
+        own = self.column_called(column)
+        if not own:
             raise LiaamError(f"{self.path} has no column '{column}': it has {', '.join(self.columns)}")
-        return tuple("" if row is None else row[column].strip() for row in self._rows_of(specimens))
+        return tuple("" if row is None else row[own].strip() for row in self._rows_of(specimens))
+
+    def column_called(self, name: str) -> str:
+        """Return the column of a name, which may be written with other capitals; empty if there is none."""
+        others = (column for column in self.columns if column.casefold() == name.casefold())
+        return name if name in self.columns else next(others, "")
 
     def of(self, specimens: Sequence[Specimen], sides: bool = True) -> tuple[tuple[Specimen, ...], tuple[str, ...]]:
         """Return specimens with the individual and the side that the table states, and the names of those without row.
