@@ -568,6 +568,13 @@ def test_the_agreement_with_people_and_the_variance_of_groups_are_written(run, t
     assert len(pd.read_csv(tmp_path / "t_groups.csv")) == 2 * 4
     assert json.loads((tmp_path / "t_variation.json").read_text())["tests"][0]["specimens"] == 12
     assert (tmp_path / "t_agreement.png").exists() and len(pd.read_csv(tmp_path / "t_bias.csv")) == 4
+    assert "absent landmarks" not in err
     code, _, err = run("measure", folder, "-o", tmp_path / "u.csv", "--compare", folder)
     assert code == 1 and "the landmarks by hand are copies of the automatic landmarks (12 of 12 specimens)" in err
     assert not (tmp_path / "u.csv").exists()
+    shapes[0, 2] = np.nan
+    write_fit(folder / "wing0.json", Landmarks(shapes[0]), facts, (30, 40))
+    for more in ((), ("--estimate", "tps")):
+        _, out, err = run("measure", folder, "-o", tmp_path / "v.csv", "--compare", tmp_path / "first.csv", *more)
+        assert "1 fit with absent landmarks left out of the comparison with people's landmarks: wing0; " in err
+        assert "shapes of 11 specimens (1 left out, which lack landmarks)" in out

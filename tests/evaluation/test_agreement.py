@@ -76,7 +76,7 @@ def test_specimens_without_all_landmarks_are_left_out_and_counted(rng):
     kept = np.isfinite(lacking).all(axis=(1, 2))
     found = compare_shapes(automatic, lacking, estimated=np.arange(12) < 4)
     assert found.n_estimated == 3  # of those that are compared
-    assert "(3 of them with landmarks that were missing or absent, at estimated positions; 2 left out" in found.report()
+    assert "(3 of them with absent landmarks, at the positions that the fits estimate; 2 left out" in found.report()
     assert found.slope == pytest.approx(compare_shapes(automatic[kept], truth[kept]).slope)
 
 

@@ -450,13 +450,12 @@ def _write_agreement(agreement: "ShapeAgreement", output: Path) -> None:
 
 
 def _complain_of_absent(specimens: "Sequence[Specimen]") -> None:
-    """Say that fits with absent landmarks are not compared with people's, which liaam evaluate does."""
-    named = [each.name for each in specimens if each.status in USABLE and np.isnan(each.points).any()]
+    """Say that fits with absent landmarks are not compared with people's, unlike in liaam evaluate."""
+    named = [each.name for each in specimens if each.status in USABLE and np.isnan(each.measured).any()]
     if named:
         complain(
-            f"{count_of(len(named), 'fit')} with absent landmarks cannot be compared with people's: "
-            f"{some_names(named)}; liaam evaluate compares such fits by the estimated positions, and so does "
-            "--compare with --estimate tps"
+            f"{count_of(len(named), 'fit')} with absent landmarks left out of the comparison with people's landmarks: "
+            f"{some_names(named)}; 'liaam evaluate' compares such fits, too, at the positions that they estimate"
         )
 
 

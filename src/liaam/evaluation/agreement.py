@@ -214,9 +214,7 @@ class ShapeAgreement:
         """Return how many specimens are not compared, or by estimates, in brackets; nothing if all are as they are."""
         counts = []
         if self.n_estimated:
-            counts.append(
-                f"{self.n_estimated} of them with landmarks that were missing or absent, at estimated positions"
-            )
+            counts.append(f"{self.n_estimated} of them with absent landmarks, at the positions that the fits estimate")
         if self.n_left_out:
             counts.append(f"{self.n_left_out} left out, which lack landmarks")
         if self.n_copied:

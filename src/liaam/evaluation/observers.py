@@ -121,5 +121,4 @@ def compare_specimens(
     whats = ["automatic landmarks", "labels", "labels of the second person"]
     points = [points_of(names, each, n, what) for each, what in zip(sets, whats, strict=False)]
     who = individuals_of(automatic) if individuals is None else individuals
-    estimated = [bool(specimen.estimated) for specimen in automatic]
-    return compare_shapes(*points, groups=groups, individuals=who, estimated=estimated, **options)
+    return compare_shapes(*points, groups=groups, individuals=who, **options)
