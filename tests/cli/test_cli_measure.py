@@ -1,6 +1,8 @@
 """``liaam measure``, as it is typed."""
 
 import json
+import re
+import shlex
 from pathlib import Path
 
 import numpy as np
@@ -170,7 +172,10 @@ def test_sides_are_reflected_and_said(run, wings, tmp_path):
     assert unreflected.filter(regex=r"^[XY]\d+$").to_numpy().std(axis=0).max() > 0.2
 
 
-def test_a_table_of_ones_own_tells_individuals_sides_and_groups_of_a_folder_of_fits(run, tmp_path, rng):
+GUIDE = Path(__file__).parents[2] / "docs" / "how-to" / "measure-specimens.md"
+
+
+def test_a_table_of_ones_own_tells_individuals_sides_and_groups_of_a_folder_of_fits(run, tmp_path, rng, monkeypatch):
     folder = tmp_path / "fits"
     folder.mkdir()
     wing = np.array([[0.0, 0], [90, 20], [200, 30], [240, 80], [150, 110], [30, 50]])
@@ -187,6 +192,11 @@ def test_a_table_of_ones_own_tells_individuals_sides_and_groups_of_a_folder_of_f
     given = ("measure", folder, "--specimens", tmp_path / "own.csv", "-o", tmp_path / "t.csv")
     code, out, err = run(*given, "--groups", "sex", "--symmetry", "matching", "--permutations", 9)
     assert (code, err) == (0, "") and "variance of shape of 16 specimens of 8 individuals" in out
+    assert "own.csv: 1 row of no specimen: none.JPG\n" in out
+    assert "own.csv: read photo, individual, side, sex\n" in out and "are compared by specimens" not in out
+    table = pd.read_csv(tmp_path / "t.csv")
+    assert table["individual"].tolist()[:3] == ["F0", "F0", "F1"] and table["sex"].tolist() == [*"mmff"] * 4
+    assert table["side"].tolist() == ["left", "right"] * 8
     assert pd.read_csv(tmp_path / "t_asymmetry.csv")["individual"].tolist() == [f"F{i}" for i in range(8)]
     code, _, err = run(*given, "--groups", "age")
     assert code == 1 and "has no column 'age': it has photo, individual, side, sex" in err
@@ -194,6 +204,29 @@ def test_a_table_of_ones_own_tells_individuals_sides_and_groups_of_a_folder_of_f
     assert code == 1 and "if sex is a column of your own table, give that, too (--specimens TABLE.csv)" in " ".join(
         err.split()
     )
+    (tmp_path / "own.csv").write_text("\n".join(["photo;fly;Seite;sex", *rows[1:]]))
+    code, out, err = run(*given, "--groups", "sex", "--permutations", 9)
+    assert (code, err) == (0, "") and "groups are compared by specimens, which are taken as independent" in out
+    assert "read photo, sex; not used: fly, Seite (there is no column individual and no column side" in out
+    (tmp_path / "own.csv").write_text("\n".join(["photo;fly;side;sex", *rows[1:-1], rows[-1].replace("G_15", "GG_15")]))
+    code, _, err = run(*given)
+    assert code == 1 and "own.csv: 1 row of no specimen: IMGG_15.JPG (is it IMG_15?)" in err
+    (tmp_path / "own.csv").write_text("\n".join(["photo;fly;side;sex", *rows[1:]]))
+    code, _, err = run(*given, "--symmetry", "matching")
+    assert code == 1 and "own.csv does not state which left and right specimens are of one individual: " in err
+    assert "it has no column individual, but photo, fly, side, sex" in err
+    (tmp_path / "own.csv").write_text("\n".join(rows))
+    points[1] = np.nan
+    write_fit(folder / f"{name}.json", Landmarks(points), facts, (200, 600))
+    monkeypatch.chdir(tmp_path)
+    guide = GUIDE.read_text(encoding="utf-8")
+    (command,) = re.findall(r"^`liaam (measure fits .* --specimens own\.csv .*)`", guide, re.MULTILINE)
+    (example,) = (code for code in re.findall(r"^```python\n(.*?)^```$", guide, re.M | re.S) if "own.csv" in code)
+    assert run(*shlex.split(command))[0] == 0
+    by_command = pd.read_csv("table.csv")
+    assert by_command["estimated"].dropna().tolist() == [2.0] and "distance_1_5_mm" in by_command
+    exec(example, {})
+    pd.testing.assert_frame_equal(pd.read_csv("table.csv"), by_command)
     (tmp_path / "own.csv").write_text("\n".join(rows[:5]))
     _, _, err = run(*given[:-1], tmp_path / "u.csv", "--side", "ignore")
     assert "12 of 16 specimens have no row in" in err
@@ -345,7 +378,7 @@ def test_missing_landmarks_are_estimated_and_named(run, tmp_path, rng):
         assert table["distance_left_jaw_right_jaw"].tolist()[2] == pytest.approx(80, abs=15)
 
 
-def test_estimates_that_cannot_be_right_are_reported(run, tmp_path, rng):
+def test_doubtful_estimates_are_reported_as_such(run, tmp_path, rng):
     shape = np.array([[0.0, 0], [30, -12], [60, -14], [80, -7], [88, 2], [78, 11], [52, 15], [28, 11], [30, 0]])
     points = 4 * (shape + rng.normal(0, 1, (24, 9, 2))) + 200
     points[5, 3:6] = np.nan
@@ -354,7 +387,9 @@ def test_estimates_that_cannot_be_right_are_reported(run, tmp_path, rng):
     assert "estimated far" not in run(*given, "tps")[2]
     code, _, err = run(*given, "regression")
     told = " ".join(err.split())
-    assert code == 0 and "1 specimen with landmarks estimated far from where they lie in complete specimens" in told
+    assert code == 0 and "Check them; " in told and "They are in the table (--strict stops instead)" in told
+    assert pd.read_csv(tmp_path / "t.csv")["estimated"].notna().sum() == 1
+    assert "1 specimen with landmarks estimated far from where they lie in complete specimens" in told
     assert "w05: 4 (" in told and "take --estimate tps" in told
     (tmp_path / "t.csv").unlink()
     code, _, err = run(*given, "regression", "--strict")
@@ -434,6 +469,12 @@ def test_units_are_said_and_written(run, tmp_path):
     file = tps(tmp_path / "some.tps", [0.01, 0, 0.01])
     code, out, err = run("measure", file, "distance:1-2", "-o", tmp_path / "t.csv", "--scale", "mm")
     assert code == 0 and "1 of 3 have no scale, so that they have no sizes: w1" in " ".join(err.split())
+    file = tps(tmp_path / "none.tps", [0, 0, 0])
+    code, _, err = run("measure", file, "-o", tmp_path / "none.csv", "--scale", "mm")
+    assert code == 1 and "no file states a scale that could be in mm: give the length of a pixel" in " ".join(
+        err.split()
+    )
+    assert "'liaam scale'" in err and not (tmp_path / "none.csv").exists()
 
 
 def test_the_calibration_of_tiffs_is_used_and_said(run, tmp_path):
@@ -473,6 +514,9 @@ def test_a_table_of_scales_is_used(run, tmp_path):
     assert table["distance_1_2_mm"].tolist()[0] == pytest.approx(1) and np.isnan(table["distance_1_2_mm"][1])
     assert table["scale_mm_per_px_se"][0] == 0.001
     assert "1 of 2 have no scale" in " ".join(err.split())
+    (tmp_path / "s.csv").write_text("specimen,scale,unit\nw0,100,um\nw1,0.05,mm\n")
+    code, out, _ = run("measure", file, "-o", tmp_path / "t.csv", "--scale", tmp_path / "s.csv")
+    assert code == 0 and "the scale of 2 specimens is that of the table of scales (0.05 mm to 100 um per pixel)" in out
 
 
 @pytest.mark.parametrize(
@@ -517,11 +561,20 @@ def test_the_agreement_with_people_and_the_variance_of_groups_are_written(run, t
     assert "a – b: means" in out and "reliability ratio" in out
     agreement = json.loads((tmp_path / "t_agreement.json").read_text())
     assert agreement["n_specimens"] == 12 and 0.8 < agreement["slope"] < 1.2
+    table = pd.read_csv(tmp_path / "t.csv")
+    assert table["group"].tolist() == ["a", "b"] * 6 and "individual" not in table
     scores = pd.read_csv(tmp_path / "t_scores.csv")
     assert scores["group"].tolist() == ["a", "b"] * 6 and (scores["PC1_se"] > 0).all()
     assert len(pd.read_csv(tmp_path / "t_groups.csv")) == 2 * 4
     assert json.loads((tmp_path / "t_variation.json").read_text())["tests"][0]["specimens"] == 12
     assert (tmp_path / "t_agreement.png").exists() and len(pd.read_csv(tmp_path / "t_bias.csv")) == 4
+    assert "absent landmarks" not in err
     code, _, err = run("measure", folder, "-o", tmp_path / "u.csv", "--compare", folder)
     assert code == 1 and "the landmarks by hand are copies of the automatic landmarks (12 of 12 specimens)" in err
     assert not (tmp_path / "u.csv").exists()
+    shapes[0, 2] = np.nan
+    write_fit(folder / "wing0.json", Landmarks(shapes[0]), facts, (30, 40))
+    for more in ((), ("--estimate", "tps")):
+        _, out, err = run("measure", folder, "-o", tmp_path / "v.csv", "--compare", tmp_path / "first.csv", *more)
+        assert "1 fit with absent landmarks left out of the comparison with people's landmarks: wing0; " in err
+        assert "shapes of 11 specimens (1 left out, which lack landmarks)" in out

@@ -41,6 +41,8 @@ def test_shrinkage_is_found_whatever_the_labels_noise(rng, shrinkage):
     by_one = compare_shapes(automatic, labels[0])
     assert by_one.slope < found.slope - 0.02  # too small by the labels' reliability
     assert found.p_of_means > 0.01
+    is_low = "below 0.8, true differences appear too small: place landmarks on more pictures" in found.report()
+    assert is_low == (shrinkage < 0.8)
 
 
 def test_a_bias_is_found_at_its_landmark(rng):
@@ -72,6 +74,9 @@ def test_specimens_without_all_landmarks_are_left_out_and_counted(rng):
     found = compare_shapes(automatic, lacking)
     assert (found.n_specimens, found.n_left_out) == (10, 2)
     kept = np.isfinite(lacking).all(axis=(1, 2))
+    found = compare_shapes(automatic, lacking, estimated=np.arange(12) < 4)
+    assert found.n_estimated == 3  # of those that are compared
+    assert "(3 of them with absent landmarks, at the positions that the fits estimate; 2 left out" in found.report()
     assert found.slope == pytest.approx(compare_shapes(automatic[kept], truth[kept]).slope)
 
 

@@ -387,6 +387,8 @@ def test_shapes_of_both_sides_are_compared_on_one(rng):
     assert plain is not None and both.agreement is not None
     at_start = replace(evaluated(truths, found), at_start=(True,) + (False,) * 11)
     assert at_start.agreement is not None and at_start.agreement.n_specimens == 11
+    absent = replace(at_start, has_absent=(True,) * 3 + (False,) * 9)
+    assert absent.agreement is not None and absent.agreement.n_estimated == 2
     assert both.agreement.slope == pytest.approx(plain.slope, abs=1e-9)
     assert not both.on_wrong_side.any()
     assert "sides: 4 mirrored, 8 original; fits of the wrong side: 0" in both.report()

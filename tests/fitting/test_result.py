@@ -3,6 +3,7 @@
 import io
 import json
 from dataclasses import replace
+from pathlib import Path
 
 import matplotlib
 import numpy as np
@@ -81,6 +82,18 @@ def test_absent_landmarks_are_empty_in_tables_unless_asked_for(damaged):
     assert not liaam.to_dataframe([damaged, damaged], absent="estimate").isna().any().any()
     with pytest.raises(LiaamError, match="absent 'none' is unknown; choose from empty, estimate"):
         damaged.to_dict("none")
+
+
+def test_a_specimen_has_what_the_fit_knows_of_it(damaged):
+    of_left = replace(damaged, side="left", image=Path("new/fly.jpg"))
+    specimen = liaam.Specimen.of_fit(of_left)
+    assert (specimen.name, specimen.image, specimen.side, specimen.status) == ("fly", "fly.jpg", "left", "converged")
+    assert np.isnan(specimen.points).any(axis=1).tolist() == damaged.absent.tolist() and specimen.estimated == ()
+    estimated = liaam.Specimen.of_fit(of_left, "wing", absent="estimate")
+    assert estimated.name == "wing" and estimated.estimated == (1,)
+    np.testing.assert_array_equal(estimated.points, damaged.landmarks)
+    with pytest.raises(LiaamError, match="the image of the fit is from no file: give the specimen a name"):
+        liaam.Specimen.of_fit(damaged)
 
 
 def test_a_message_names_the_absent_landmarks(damaged):

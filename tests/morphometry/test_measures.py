@@ -128,11 +128,29 @@ def test_wrong_names_and_numbers_of_landmarks(text: str, words: str) -> None:
 
 @pytest.mark.parametrize(
     "text",
-    ["", "-1", "0", "nan", "5 apples", "1-2", "11,12", "1-2=", "1-2=mm", "1-2=0", "1-1=5", "1=5", "1-2-3=5", "=5"],
+    [
+        "",
+        "-1",
+        "0",
+        "nan",
+        "5 apples",
+        "milimeter",
+        "1-2",
+        "11,12",
+        "1-2=",
+        "1-2=mm",
+        "1-2=0",
+        "1-1=5",
+        "1=5",
+        "1-2-3=5",
+        "=5",
+    ],
 )
 def test_wrong_scales(text: str) -> None:
-    with pytest.raises(LiaamError, match=f"scale '{text}': give the length of a pixel"):
+    with pytest.raises(LiaamError, match=f"scale '{text}': give the length of a pixel") as fault:
         parse_scale(text)
+    unknown = {"5 apples": "apples", "milimeter": "milimeter", "nan": "nan"}.get(text)
+    assert (f"The unit '{unknown}' is unknown: give one of nm, um, mm" in str(fault.value)) == (unknown is not None)
 
 
 def test_a_comma_of_thousands_is_told_from_a_decimal_one() -> None:

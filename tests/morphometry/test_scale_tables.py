@@ -51,8 +51,12 @@ def test_images_of_one_name_are_told_apart_by_folder(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("text", "words"),
     [
-        ("a,b\n1,2\n", "has no columns image, scale, unit: give a table of 'liaam scale'"),
-        (HEADER, "has no columns"),
+        (
+            "a,b\n1,2\n",
+            r"no columns image \(or photo, file, specimen\), scale, unit: it has a, b; give a table of 'liaam",
+        ),
+        ("photo,scale\na.png,1\n", r"has no column unit: it has photo, scale; .* or one of your own, with the columns"),
+        (HEADER, "has no rows below its header"),
         (HEADER + "a.png,x,mm,0,ruler\n", "line 2 has no length of a pixel"),
         (HEADER + "a.png,-1,mm,0,ruler\n", "line 2 has no length of a pixel"),
         (HEADER + "a.png,1,apples,0,ruler\n", "line 2 has no length of a pixel"),
@@ -107,6 +111,7 @@ def test_a_table_of_other_images_of_the_same_names_is_refused(tmp_path: Path) ->
         ("sep=;\nimage;scale;unit;scale_se\na.png;5,5;µm;0,1\n", "latin-1"),
         ("image,scale,unit,scale_se\na.png,5.5,μm,0.1\n", "utf-8"),
         ("image,scale,unit,scale_se\na.png,5.5,microns,0.1\n", "utf-8"),
+        ("Photo,Scale,Unit,scale_se\na.png,5.5,microns,0.1\n", "utf-8"),
     ],
 )
 def test_tables_that_spreadsheets_save_are_read(tmp_path: Path, text: str, encoding: str) -> None:

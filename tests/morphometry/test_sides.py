@@ -140,8 +140,12 @@ def test_sides_of_a_column_may_have_other_names_but_are_two() -> None:
     found, said = of_one_side(given)
     assert said == "1 specimen of the side '1' was reflected, to be compared with '2'"
     assert [each.individual for each in found] == ["a", "a"]
-    with pytest.raises(LiaamError, match="more than two sides"):
-        of_one_side([*given, *specimens("b", side="3")])
+    more = [replace(each, file="t.csv") for each in (*given, *given, *specimens("b", side="3"))]
+    with pytest.raises(LiaamError, match=r"t\.csv: .*more than two sides\. The side of b \('3'\) is neither 1 nor 2:"):
+        of_one_side(more)
+    odd = [*specimens("l", side="left"), *specimens("r", side="right"), *specimens("w", side="lefft")]
+    with pytest.raises(LiaamError, match=r"The side of w \('lefft'\) is neither left nor right: correct the column"):
+        of_one_side(odd)
 
 
 def test_reflection_turns_covariances_and_keeps_measures() -> None:

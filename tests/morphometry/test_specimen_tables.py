@@ -1,5 +1,7 @@
 """Tables of what is known of specimens: individual, side and groups."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -41,18 +43,37 @@ def test_a_table_states_individuals_sides_and_groups(tmp_path) -> None:
     table = read_specimen_table(tmp_path / "own.csv")
     found, unlisted = table.of(fits())
     assert [each.individual for each in found] == ["F1", "F1", "F2", ""] and unlisted == ("IMG_4",)
-    assert [each.side for each in found] == ["left", "right", "left", "mirrored"]
-    assert table.cells_of(fits(), "sex") == ("m", "m", "f", "")
+    assert [each.stated_side for each in found] == ["left", "right", "left", ""]
+    assert table.cells_of(fits(), "sex") == ("m", "m", "f", "") == table.cells_of(fits(), "Sex")
     one_side, _ = of_one_side(found[:3])
     assert [each.individual for each in one_side] == ["F1", "F1", "F2"]
+    assert [(each.side, each.stated_side) for each in one_side] == [("left", ""), ("right", ""), ("left", "")]
+    with pytest.raises(
+        LiaamError, match=r"1 of 4 specimens have no side.*: IMG_4; .* complete the column, or remove it"
+    ):
+        of_one_side(found)
+
+
+def test_a_side_of_the_table_that_the_fit_contradicts_is_reported(own) -> None:
+    """As one of a name is: the fit's is taken."""
+    told = [replace(each, status="converged", side="right" if each.side == "original" else "left") for each in fits()]
+    found, _ = own(OWN + "IMG_4.JPG,F2,L,f\n").of(told)
+    one_side, said = of_one_side(found)
+    assert [each.side for each in one_side] == ["right", "left", "right", "left"]
+    assert "3 specimens of another side than stated: IMG_1 (stated left, right by the fit), IMG_2" in said
+    placed = [replace(each, status="", side="") for each in told]  # by a person: the table is all that is known
+    assert [each.side for each in own(OWN).of(placed)[0]] == ["left", "right", "left", ""]
+    one_sided, _ = own("image,side\nIMG_1,L\nIMG_3,L\n").of([fits()[0], fits()[2]])
+    assert [each.side for each in of_one_side(one_sided)[0]] == ["left", "left"]
 
 
 @pytest.mark.parametrize(
     ("text", "words"),
     [
-        ("wing,sex\na,m\n", "own.csv has no column image .or specimen.: give a .csv file with one row for each image"),
+        ("wing,sex\na,m\n", r"own.csv has no column image \(or photo, file, specimen\): it has wing, sex; give a .csv"),
         ("image,sex\n", "own.csv has no rows below its header"),
         ("image,sex\na,m\na,f\n", "own.csv: line 3 has 'a' again"),
+        (OWN.replace("F2,L", "F2,lefft"), r"own.csv: .*The side of IMG_3 \('lefft'\) is neither left nor right"),
         ("image,sex\nother,m\n", "no specimen has a row in own.csv, which has names such as other"),
     ],
 )

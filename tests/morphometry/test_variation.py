@@ -175,6 +175,11 @@ def test_groups_are_read_and_found_by_name(tmp_path: Path):
     table.write_text("specimen,group\na,male\na,female\n", encoding="utf-8")
     with pytest.raises(LiaamError, match="line 3 has 'a' again"):
         read_groups(table)
+    table.write_text("Photo,Group\na.jpg,male\n", encoding="utf-8")
+    assert read_groups(table) == {"a.jpg": "male"}
+    table.write_text("Photo,Gruppe\na.jpg,male\n", encoding="utf-8")
+    with pytest.raises(LiaamError, match=r"has no column group: it has Photo, Gruppe; give a \.csv file"):
+        read_groups(table)
     table.write_text("name,sex\na,male\n", encoding="utf-8")
     with pytest.raises(LiaamError, match=r"has no columns specimen \(or image\) and group"):
         read_groups(table)

@@ -145,7 +145,7 @@ def test_pictures_are_grouped_by_the_letters_in_which_their_names_differ(tmp_pat
 
 
 def test_pictures_without_a_scale_are_named_where_others_have_one(sample):
-    assert shapes(sample, ShapesQuery())["unscaled"] == []
+    assert shapes(sample, ShapesQuery(scale="mm"))["unscaled"] == []  # in pixels while no picture has a scale
     first, *_ = by_name(sample)
     bar = {"ends": [[0.0, 0.0], [20.0, 0.0]], "length": 10.0, "unit": "mm"}
     sample.review({"pictures": [first], "did": "scaled", "bar": bar, "of": first})

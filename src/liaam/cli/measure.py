@@ -3,7 +3,7 @@
 import math
 import re
 from collections import defaultdict
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -22,6 +22,7 @@ from liaam.io.landmarks.formats import KNOWN_FILES
 from liaam.io.landmarks.reading import Reading
 from liaam.morphometry.asymmetry import MATCHING
 from liaam.morphometry.replicates import BY_COVARIANCES
+from liaam.morphometry.sides import IGNORED
 from liaam.morphometry.symmetry import ERROR, INTERACTION
 from liaam.morphometry.table import scales_in, sizes_in, unit_of_table
 from liaam.scale.choice import TRAINING
@@ -95,7 +96,7 @@ def measure(
         typer.Option(
             "--scale",
             help="Length of a pixel, such as '0.0031 mm'; the landmarks at the ends of a scale bar and its length, "
-            "such as '11-12=5 mm'; a table of 'liaam scale', "
+            "such as '11-12=5 mm'; a table of 'liaam scale' or your own, with the columns image, scale and unit, "
             "or several, each after a --scale; or mm alone, the unit of the SCALE in .tps files. By "
             "default the scale that files and the tags of TIFF images state, or else results are in pixels.",
         ),
@@ -171,9 +172,9 @@ def measure(
     groups: Annotated[
         str | None,
         typer.Option(
-            help="Table .csv with the columns specimen (or image) and group, or a column of --specimens such as sex: "
-            "as --scores, and test the differences between the groups' mean shapes, which are written with standard "
-            "errors. Individuals are compared, not their records."
+            help="Table .csv with the columns specimen (or image, photo, file) and group, or a column of --specimens "
+            "such as sex: as --scores, and test the differences between the groups' mean shapes, which are written "
+            "with standard errors. Individuals are compared, not their records."
         ),
     ] = None,
     compare: Annotated[
@@ -219,8 +220,10 @@ def measure(
     specimens = _comparable_specimens(results, reading, resample, has_replicates=replicates is not None)
     stated = None if table is None else morphometry.read_specimen_table(table)
     if stated is not None:
-        specimens, unlisted = stated.of(specimens)
+        specimens, unlisted = stated.of(specimens, sides=side != IGNORED)
         _complain_of_unlisted(unlisted, len(specimens), stated.path)
+        _name_rows_of_none(stated.rows_of_none(specimens), stated.path, complain if unlisted else say)
+        groups = groups and (stated.column_called(groups) or groups)
     specimens, reflected = morphometry.of_one_side(specimens, side, replicates, strict)
     if tables:
         specimens = morphometry.with_lengths(specimens, morphometry.read_lengths(*tables))
@@ -238,6 +241,8 @@ def measure(
     if replicates is not None:
         error = morphometry.measurement_error(specimens, columns, replicates, slid=slide is not None)
     asymmetry = None
+    if symmetry == MATCHING and stated is not None:
+        stated.refuse_without_individuals(specimens, replicates)
     if symmetry is not None:
         asymmetry = morphometry.asymmetry(
             specimens,
@@ -260,11 +265,16 @@ def measure(
         individuals = morphometry.individuals_of(specimens, replicates)
         agreement = _agreement(specimens, compare, group_of, individuals, reading)
 
+    if group_of is not None:
+        is_column = stated is not None and groups in stated.columns
+        columns = morphometry.with_groups(columns, group_of, str(groups) if is_column else "group")
     write_columns(output, columns)
     what = "specimen" if replicates is None else "record"
     say(f"{output}: {count_of(len(specimens), what)}{_unit_said(columns)}")
     if scale is None or scale in UNITS:  # then nobody gave the length of a pixel
         _say_sources(specimens)
+    if stated is not None:
+        say(stated.reading_said(groups or ""))
     if reflected:
         say(reflected)
     if asymmetry is not None:
@@ -276,6 +286,7 @@ def measure(
         _write_variation(variation, output)
     if agreement is not None:
         _write_agreement(agreement, output)
+        _complain_of_absent(specimens)
     if plot is not None:
         _draw(columns, asymmetry, specimens, plot)
     if error is not None and replicates is not None:
@@ -308,6 +319,12 @@ def _complain_of_unlisted(names: Sequence[str], n: int, path: str) -> None:
     """Name the specimens of which a table has no row."""
     if names:
         complain(f"{len(names)} of {count_of(n, 'specimen')} have no row in {path}: {some_names(names)}")
+
+
+def _name_rows_of_none(names: Sequence[str], path: str, tell: Callable[[str], None]) -> None:
+    """Name the rows of a table of which there is no specimen: some may be misspelt."""
+    if names:
+        tell(f"{path}: {count_of(len(names), 'row')} of no specimen: {some_names(names)}")
 
 
 def _groups_of(specimens: "Sequence[Specimen]", groups: str, stated: "SpecimenTable | None") -> tuple[str, ...]:
@@ -349,21 +366,21 @@ def _refuse_or_complain(lines: Sequence[str], what: str, strict: bool) -> None:
 
 
 def _refuse_or_complain_of_far_estimates(lines: Sequence[str], method: str | None, strict: bool) -> None:
-    """Name specimens with estimates that cannot be right, or raise if strict."""
+    """Name specimens with doubtful estimates, or raise if strict."""
     if not lines:
         return
-    remedy = "check the other landmarks of these specimens"
+    remedy = "two of the other landmarks of these specimens may be exchanged, for example"
     if method == "regression":
-        remedy = "regression does not suit these specimens: take --estimate tps"
+        remedy = "regression seldom suits such specimens: take --estimate tps"
     more = f"; and {len(lines) - MOST_FAR} more" if len(lines) > MOST_FAR else ""
     text = (
         f"{count_of(len(lines), 'specimen')} with landmarks estimated far from where they lie in complete specimens, "
         f"in multiples of their root mean square distance from the mean there: {'; '.join(lines[:MOST_FAR])}{more}. "
-        f"They cannot be right; {remedy}"
+        f"Check them; {remedy}"
     )
     if strict:
         raise LiaamError(text)
-    complain(text)
+    complain(f"{text}. They are in the table (--strict stops instead)")
 
 
 def _twins(pairs: str | None, results: Path, specimens: "Sequence[Specimen]") -> str | tuple[int, ...] | None:
@@ -430,6 +447,16 @@ def _write_agreement(agreement: "ShapeAgreement", output: Path) -> None:
     say(f"for the section Methods of a paper: {agreement.methods()}")
     others = f"{by_component.name}, {by_landmark.name} and {figure.name}"
     say(f"{everything}: agreement with people's landmarks; also {others}")
+
+
+def _complain_of_absent(specimens: "Sequence[Specimen]") -> None:
+    """Say that fits with absent landmarks are not compared with people's, unlike in liaam evaluate."""
+    named = [each.name for each in specimens if each.status in USABLE and np.isnan(each.measured).any()]
+    if named:
+        complain(
+            f"{count_of(len(named), 'fit')} with absent landmarks left out of the comparison with people's landmarks: "
+            f"{some_names(named)}; 'liaam evaluate' compares such fits, too, at the positions that they estimate"
+        )
 
 
 def _write_variation(variation: "ShapeVariation", output: Path) -> None:
@@ -633,10 +660,15 @@ def _say_sources(specimens: "Sequence[Specimen]") -> None:
         if specimen.scale is not None and specimen.scale_source:
             sources[specimen.scale_source].append(specimen)
     for source, of_source in sources.items():
-        first = of_source[0]
-        length = Length(first.scale or 1.0, first.unit)  # it has a scale, as all of a source
+        lengths = sorted((Length(each.scale or 1.0, each.unit) for each in of_source), key=_millimetres)
+        span = " to ".join(dict.fromkeys(str(each) for each in (lengths[0], lengths[-1])))
         doubt = "; give --scale if the images to measure were taken otherwise" if source == TRAINING else ""
-        say(f"the scale of {count_of(len(of_source), 'specimen')} is that of {source} ({length} per pixel){doubt}")
+        say(f"the scale of {count_of(len(of_source), 'specimen')} is that of {source} ({span} per pixel){doubt}")
+
+
+def _millimetres(length: Length) -> float:
+    """Return a length in millimetres, if its unit is known, to be compared with others."""
+    return length.within("mm").value
 
 
 def _complain_of_specimens_without_scale(columns: Columns) -> None:

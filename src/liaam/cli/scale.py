@@ -91,12 +91,12 @@ def scale(
 def earlier_rows(output: Path) -> list[Row]:
     """Return the rows of a table that exists; raise if it is no table of scales."""
     from liaam.io.table_reader import read_named_rows
-    from liaam.morphometry.scale_tables import KIND, lengths_in
+    from liaam.morphometry.scale_tables import KIND, lengths_in, with_usual_columns
 
     if not output.exists():
         return []
     try:
-        rows = read_named_rows(output, KIND)
+        rows = with_usual_columns(read_named_rows(output, KIND), output)
         lengths_in(rows, output)
     except LiaamError as fault:
         raise LiaamError(f"{output} exists, and cannot be completed: {fault}; or give another name with -o") from fault

@@ -49,6 +49,7 @@ NEARLY_COPIED = 1e-3
 LEAST_COMMON = 0.3
 LEAST_VARIED = 1e-9  # Root mean squared deviation from the mean shape below which shapes are all the same
 TOLERANCE = 1e-15  # Of the superimposition, whose slopes are compared to many digits in tests
+LOW_SLOPE = 0.8  # Slope below which more landmarks have to be placed
 INTERVAL = 0.95  # Probability of the intervals
 
 
@@ -66,6 +67,8 @@ class ShapeAgreement:
         Specimens without all landmarks.
     n_copied : int
         Specimens whose labels are copies of the automatic landmarks, left out as well.
+    n_estimated : int
+        Specimens that are compared with some automatic landmarks estimated, as those that a fit found absent.
     slope : float
         Slope of automatic on people's shapes: a difference between groups appears multiplied by about this.
     slope_interval : tuple of float
@@ -123,6 +126,7 @@ class ShapeAgreement:
     random_error: np.ndarray
     mean: np.ndarray
     scores: np.ndarray
+    n_estimated: int = 0
 
     __repr__ = short_repr
 
@@ -159,9 +163,13 @@ class ShapeAgreement:
         people = ""
         if np.isfinite(self.repeatability_of_people):
             people = f"; of the shapes of two people: {self.repeatability_of_people:.3f}"
+        low = ""
+        if self.slope < LOW_SLOPE:
+            remedy = "place landmarks on more pictures, and train again"
+            low = f"; below {LOW_SLOPE:g}, true differences appear too small: {remedy}"
         lines = [
             f"shapes of {specimens}{self._left_out()}: automatic shapes have {self.variance_ratio:.2f} times the "
-            f"variance of shapes placed by hand; slope on these {self.slope:.2f} ({_range(self.slope_interval)})",
+            f"variance of shapes placed by hand; slope on these {self.slope:.2f} ({_range(self.slope_interval)}){low}",
             f"intraclass correlation of automatic shapes and shapes placed by hand: {self.repeatability:.3f}{people}",
             f"squared correlation with {self._compared_with}: {self.reliability:.2f}; factor of regression "
             f"calibration: {self.calibration:.2f}",
@@ -203,8 +211,10 @@ class ShapeAgreement:
         return figure_of_shape_agreement(self.mean, self.bias, self.random_error, slopes, ratios, self.scores)
 
     def _left_out(self) -> str:
-        """Return how many specimens are not compared, in brackets; nothing if all are."""
+        """Return how many specimens are not compared, or by estimates, in brackets; nothing if all are as they are."""
         counts = []
+        if self.n_estimated:
+            counts.append(f"{self.n_estimated} of them with absent landmarks, at the positions that the fits estimate")
         if self.n_left_out:
             counts.append(f"{self.n_left_out} left out, which lack landmarks")
         if self.n_copied:
@@ -237,6 +247,7 @@ def compare_shapes(
     *,
     groups: Sequence[str] | None = None,
     individuals: Sequence[str] | None = None,
+    estimated: Sequence[bool] | None = None,
     permutations: int = PERMUTATIONS,
     seed: int = 0,
 ) -> ShapeAgreement:
@@ -254,6 +265,8 @@ def compare_shapes(
     individuals : sequence of str, optional
         Individual of each specimen. Specimens of one are not independent: confidence intervals, the standard error of
         the mean and the test of the means are those of individuals. By default each is of its own.
+    estimated : sequence of bool, optional
+        Whether some automatic landmarks of each specimen are estimates, which the report then says.
     permutations : int
         Random changes of sign for the test of the means.
     seed : int
@@ -290,6 +303,7 @@ def compare_shapes(
         n_individuals=int(owners.max()) + 1,
         n_left_out=int((~choice.complete).sum()),
         n_copied=int(choice.copied.sum()),
+        n_estimated=0 if estimated is None else int(np.asarray(estimated, bool)[choice.used].sum()),
         slope=slope,
         slope_interval=slope_interval,
         attenuation=attenuation,

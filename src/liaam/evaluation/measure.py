@@ -386,6 +386,7 @@ def _evaluation(
     if not cases:
         reason = f": {faults[0]}" if faults else "; give landmarked images"
         raise LiaamError(f"there are no images to evaluate{reason}")
+    any_absent = any(result.absent.any() for result in results)
     return Evaluation(
         names=tuple(case.name for case in cases),
         images=tuple(case.image for case in cases),
@@ -402,4 +403,5 @@ def _evaluation(
         contours=tuple(protocol.contours),
         sides=tuple(result.side for result in results) if any(result.side for result in results) else (),
         at_start=tuple(result.at_start for result in results) if any(result.at_start for result in results) else (),
+        has_absent=tuple(bool(result.absent.any()) for result in results) if any_absent else (),
     )

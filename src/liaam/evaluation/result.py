@@ -64,6 +64,9 @@ class Evaluation:
         Whether each fit failed and has the landmarks of its start (:attr:`liaam.FitResult.at_start`); empty if none.
     in_training : tuple of bool
         Whether the model was trained on the file of each image, by its content; empty if the model does not say.
+    has_absent : tuple of bool
+        Whether each fit found landmarks absent (:attr:`liaam.FitResult.absent`), which are then at their estimated
+        positions; empty if none did.
     """
 
     names: tuple[str, ...]
@@ -84,6 +87,7 @@ class Evaluation:
     sides: tuple[str, ...] = ()
     at_start: tuple[bool, ...] = ()
     in_training: tuple[bool, ...] = ()
+    has_absent: tuple[bool, ...] = ()
 
     def __repr__(self) -> str:
         return f"Evaluation({count_of(len(self), 'image')}, median error {_percentile(self.errors, 50):.2%})"
@@ -291,7 +295,10 @@ class Evaluation:
             labels = reflected_shapes(labels, is_mirrored)
             second = None if second is None else reflected_shapes(second, is_mirrored)
         try:
-            return compare_shapes(automatic, labels, second, groups=groups)
+            estimated = None
+            if self.has_absent:
+                estimated = [absent for absent, right in zip(self.has_absent, is_right, strict=True) if right]
+            return compare_shapes(automatic, labels, second, groups=groups, estimated=estimated)
         except LiaamError as fault:
             return str(fault)
 

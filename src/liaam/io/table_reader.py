@@ -1,11 +1,12 @@
 """Read tables with named columns, as people and spreadsheets save them."""
 
-from collections.abc import Container, Sequence
+from collections.abc import Container, Iterable, Sequence
 from pathlib import Path
 
 from liaam.errors import LandmarkError, LiaamError
 from liaam.io.files import AnyPath, existing_file
 from liaam.io.landmarks.reading import TableLine, read_text, table_rows
+from liaam.io.landmarks.tables import IMAGES, INDIVIDUALS, SPECIMENS
 
 NamedRow = tuple[int, dict[str, str]]
 """The number of a line, and its cells by the names of their columns."""
@@ -32,6 +33,25 @@ def named_rows_in(text: str, path: str | Path) -> list[NamedRow]:
         return named_rows(table_rows(text))
     except LandmarkError as fault:
         raise LiaamError(f"{path}: {fault}") from fault
+
+
+def naming_column(columns: Iterable[str], specimens_first: bool = False) -> str | None:
+    """Return the column that names the image or the specimen of each row; None if there is none.
+
+    All tables of specimens have it alike: it may be written with capitals, ``image`` and ``specimen`` come before other
+    words, and images before specimens, unless ``specimens_first``.
+    """
+    by_name = {column.lower(): column for column in columns}
+    kinds = (("image", IMAGES), ("specimen", SPECIMENS - INDIVIDUALS))
+    for usual, names in reversed(kinds) if specimens_first else kinds:
+        found = next((name for name in (usual, *by_name) if name in names and name in by_name), None)
+        if found is not None:
+            return by_name[found]
+    return None
+
+
+NAMING = "image (or photo, file, specimen)"
+"""What messages call the column that names the image or specimen."""
 
 
 def refuse_again(name: str, known: Container[str], path: AnyPath, number: int, kind: str = "image") -> None:

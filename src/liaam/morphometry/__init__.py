@@ -14,7 +14,7 @@ from liaam.morphometry.space import Grid, ShapeSpace, shape_space, thin_plate_we
 from liaam.morphometry.specimen_tables import SpecimenTable, read_specimen_table
 from liaam.morphometry.specimens import Specimen
 from liaam.morphometry.symmetry import Asymmetry, matching_asymmetry, object_asymmetry
-from liaam.morphometry.table import alike, measure
+from liaam.morphometry.table import alike, measure, with_groups
 from liaam.morphometry.variation import ShapeVariation, shape_variation
 
 __all__ = [
@@ -52,6 +52,7 @@ __all__ = [
     "thin_plate_weights",
     "with_estimated_landmarks",
     "with_even_curves",
+    "with_groups",
     "with_lengths",
     "without_copies",
 ]

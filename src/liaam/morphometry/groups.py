@@ -7,12 +7,8 @@ from collections.abc import Hashable, Mapping, Sequence
 
 from liaam.errors import LiaamError
 from liaam.io.files import AnyPath
-from liaam.io.table_reader import NamedRow, named_rows_in, read_named_rows, refuse_again
+from liaam.io.table_reader import NamedRow, named_rows_in, naming_column, read_named_rows, refuse_again
 from liaam.morphometry.scale_tables import images_of
-
-NAMES = ("specimen", "image")
-"""Columns of a table of groups that may name the specimen: the first that is there is read."""
-
 
 FEWEST_OF_GROUP = 2
 """Individuals from which the mean of a group can be compared with others, and has a standard error."""
@@ -35,16 +31,21 @@ def groups_in(text: str, path: str) -> dict[str, str]:
 
 
 def _groups_of_rows(rows: Sequence[NamedRow], path: str) -> dict[str, str]:
-    column = next((column for column in NAMES if rows and column in rows[0][1]), None)
-    if column is None or "group" not in rows[0][1]:
-        raise LiaamError(
-            f"{path} has no columns specimen (or image) and group: give a .csv file with one row for each specimen"
-        )
+    if not rows:
+        raise LiaamError(f"{path} has no rows below its header: give one row for each specimen")
+    known = [*rows[0][1]]
+    column = naming_column(known, specimens_first=True)
+    of_group = next((name for name in known if name.lower() == "group"), None)
+    if column is None or of_group is None:
+        absent = [what for what, own in (("specimen (or image)", column), ("group", of_group)) if own is None]
+        what = f"column{'s' if len(absent) > 1 else ''} {' and '.join(absent)}"
+        remedy = "give a .csv file with one row for each specimen"
+        raise LiaamError(f"{path} has no {what}: it has {', '.join(known)}; {remedy}")
     groups: dict[str, str] = {}
     for number, row in rows:
         name = row[column].strip()
         refuse_again(name, groups, path, number, "specimen")
-        groups[name] = row["group"].strip()
+        groups[name] = row[of_group].strip()
     return groups
 
 

@@ -15,7 +15,7 @@ import numpy as np
 
 from liaam.errors import LiaamError
 from liaam.model.shape import align
-from liaam.scale.lengths import Length, parse_length, unit_of, with_points
+from liaam.scale.lengths import UNITS, Length, parse_length, unit_of, with_points
 
 _TWO_NUMBERS = re.compile(r"[1-9]\d*,\d+")  # of landmarks, perhaps, whose distance was forgotten
 
@@ -253,8 +253,17 @@ def parse_scale(text: str) -> Length | ScaleBar | str:
         raise LiaamError(
             f"scale '{text}': give the length of a pixel, such as '0.0031 mm' or '200 px/mm'; or two landmarks and the "
             "length between them, such as '11-12=5 mm'; or the unit of the SCALE in the files, such as mm"
+            f"{_unknown(text)}"
         )
     return ScaleBar(ends, length.value, length.unit, length.se) if equals else length
+
+
+def _unknown(text: str) -> str:
+    """Say that the unit at the end of a text is none that is known; nothing if it is one, or there is none."""
+    unit = re.search(r"([^\W\d_]*)\W*\Z", text)
+    if unit is None or not unit[1] or unit_of(unit[1]):
+        return ""
+    return f". The unit '{unit[1][:20]}' is unknown: give one of {', '.join(UNITS)}"
 
 
 def indices_of(what: str, landmarks: Sequence[str], names: Sequence[str], n: int) -> list[int]:

@@ -67,7 +67,7 @@ def with_estimated_landmarks(
 
     See Also
     --------
-    far_estimates : Which estimates cannot be right.
+    far_estimates : Which estimates are doubtful.
     estimated_on_a_side : Which landmarks are estimated in all specimens of one side.
 
     Raises

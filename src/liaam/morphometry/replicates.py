@@ -169,8 +169,8 @@ def _count_semilandmarks(specimens: Sequence[Specimen]) -> int:
 
 def _measures_in(columns: Columns) -> list[str]:
     """Return the names of the columns that hold measures, without their standard errors."""
-    others = {"specimen", "side", "status", "estimated", scale_column(unit_of_table(columns))}
-    others |= {f"{name}_se" for name in columns}
+    others = {scale_column(unit_of_table(columns)), *(f"{name}_se" for name in columns)}
+    others |= {name for name, cells in columns.items() if any(isinstance(cell, str) for cell in cells)}
     return [name for name in columns if name not in others and not re.fullmatch(r"[XY]\d+", name)]
 
 

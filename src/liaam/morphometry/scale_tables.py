@@ -10,7 +10,7 @@ from pathlib import PureWindowsPath
 from liaam.errors import LiaamError
 from liaam.io.files import AnyPath, name_key, some_names
 from liaam.io.landmarks.matching import stem_of
-from liaam.io.table_reader import NamedRow, read_named_rows, refuse_again
+from liaam.io.table_reader import NAMING, NamedRow, naming_column, read_named_rows, refuse_again
 from liaam.morphometry.specimens import Specimen
 from liaam.scale.lengths import Length, unit_of
 
@@ -50,16 +50,35 @@ def read_lengths(*paths: AnyPath) -> dict[str, Length | None]:
 
 def lengths_in(rows: Sequence[NamedRow], path: AnyPath) -> dict[str, Length | None]:
     """Read the rows of one table of ``liaam scale``, as :func:`read_lengths`; ``path`` names it in messages."""
-    if not rows or not {*COLUMNS[:3]} <= rows[0][1].keys():
-        raise LiaamError(f"{path} has no columns {', '.join(COLUMNS[:3])}: give a table of 'liaam scale'")
     lengths: dict[str, Length | None] = {}
-    for number, row in rows:
+    for number, row in with_usual_columns(rows, path):
         refuse_again(row["image"], lengths, path, number)
         try:
             lengths[row["image"]] = _length_in(row)
         except (ValueError, LiaamError) as fault:
             raise LiaamError(f"{path}: line {number} has no length of a pixel ({fault}): correct it") from fault
     return lengths
+
+
+def with_usual_columns(rows: Sequence[NamedRow], path: AnyPath) -> list[NamedRow]:
+    """Return the rows of a table of lengths with the columns called as ``liaam scale`` calls them.
+
+    In a table that a person has written, the image may be called as in other tables of specimens.
+    """
+    if not rows:
+        raise LiaamError(f"{path} has no rows below its header: give one row for each image")
+    known = [*rows[0][1]]
+    called = {name: next((each for each in known if each.lower() == name), None) for name in COLUMNS}
+    called["image"] = naming_column(known)
+    absent = [NAMING if name == "image" else name for name in COLUMNS[:3] if called[name] is None]
+    if absent:
+        columns = "columns" if len(absent) > 1 else "column"
+        raise LiaamError(
+            f"{path} has no {columns} {', '.join(absent)}: it has {', '.join(known)}; give a table of 'liaam scale', "
+            f"or one of your own, with the columns {', '.join(COLUMNS[:3])}, such as wing1.jpg, 0.0031, mm"
+        )
+    usual = {own: name for name, own in called.items() if own is not None}
+    return [(number, {usual.get(name, name): cell for name, cell in row.items()}) for number, row in rows]
 
 
 def _length_in(row: Mapping[str, str]) -> Length | None:

@@ -83,7 +83,7 @@ def of_one_side(
     """
     specimens = tuple(specimens)
     if side == IGNORED:
-        return tuple(replace(specimen, side="") for specimen in specimens), ""
+        return tuple(replace(specimen, side="", stated_side="") for specimen in specimens), ""
     named, by_fit = _sides_of(specimens, by)
     sides = sorted({each.side for each in named} - {""})
     if side not in (AUTO, REFLECTED) and side not in sides:
@@ -92,12 +92,14 @@ def of_one_side(
     if not sides:
         found, said = _reflected_by_shape(specimens)
         return _of_images_with_both_sides(found, by), said
+    _refuse_incomplete_column(specimens, named)
     sided = tuple(
         replace(specimen, side=each.side, individual=specimen.individual or each.rest, stated_side=by_fit.get(i, ""))
         for i, (specimen, each) in enumerate(zip(specimens, named, strict=True))
     )
     if len(sides) > 2:
-        raise LiaamError(f"the specimens have more than two sides ({some_names(sides)}): correct the column 'side'")
+        files = some_names(sorted({each.file for each in sided} - {""}))
+        refuse_odd_sides([each.name for each in sided], [each.side for each in sided], files)
     unknown = [specimen.name for specimen in sided if not specimen.side]
     if unknown and len(sides) == 2:
         raise LiaamError(
@@ -127,6 +129,35 @@ def of_one_side(
     if doubts and strict:
         raise LiaamError(doubts)
     return found, "; ".join(filter(None, (done, doubts)))
+
+
+def refuse_odd_sides(names: Sequence[str], sides: Sequence[str], where: str = "") -> None:
+    """Raise if specimens of these names have more than two sides, and name the odd ones; ``where`` is their file."""
+    counts = Counter(filter(None, sides))
+    if len(counts) <= 2:
+        return
+    usual = [LEFT, RIGHT] if {LEFT, RIGHT} & {*counts} else [side for side, _ in counts.most_common(2)]
+    odd = [f"{name} ('{side}')" for name, side in zip(names, sides, strict=True) if side and side not in usual]
+    raise LiaamError(
+        f"{where}{': ' if where else ''}the specimens have more than two sides. The side of {some_names(odd)} is "
+        f"neither {' nor '.join(usual)}: correct the column 'side'"
+    )
+
+
+def _refuse_incomplete_column(specimens: Sequence[Specimen], named: Sequence[Named]) -> None:
+    """Raise if a table states which side is left for only some fits by a model that does not know it."""
+    unnamed = [
+        each
+        for each, found in zip(specimens, named, strict=True)
+        if each.is_usable and found.side in (ORIGINAL, MIRRORED)
+    ]
+    bare = [each.name for each in unnamed if not each.stated_side]
+    if bare and len(bare) < len(unnamed):
+        raise LiaamError(
+            f"{len(bare)} of {count_of(len(unnamed), 'specimen')} have no side in the column 'side' of your table, and "
+            f"others have: {some_names(bare)}; the fits do not say which side is left, as training did not know it: "
+            f"complete the column, or remove it (sides are then {ORIGINAL} and {MIRRORED})"
+        )
 
 
 def _of_images_with_both_sides(specimens: tuple[Specimen, ...], by: str | None) -> tuple[Specimen, ...]:
@@ -381,28 +412,50 @@ def individuals_of(specimens: Iterable[Specimen], by: str | None = None) -> tupl
     return tuple(map(individual_of, specimens))
 
 
+def individuals_are_stated(specimens: Iterable[Specimen], by: str | None = None) -> bool:
+    """Return whether anything states the individual of any specimen: it is then not only that of its own name.
+
+    ``by`` tells replicates, as in :func:`individuals_of`.
+    """
+    return by is not None or any({each.individual, each.replicate_of} - {"", each.name} for each in specimens)
+
+
 def _sides_of(specimens: Sequence[Specimen], by: str | None) -> tuple[list[Named], dict[int, str]]:
     """Return the side of each specimen, and the name of the individual that it is of.
 
-    Also return the side that names or folders state of the specimens whose fits are of the other, by index.
+    Also return the side that a table, names or folders state of the specimens whose fits are of the other, by index.
     """
     in_names = _in_names(specimens, by)
-    stated = [folder_side(each.image) or named.side for each, named in zip(specimens, in_names, strict=True)]
+    stated = [
+        each.stated_side or folder_side(each.image) or named.side
+        for each, named in zip(specimens, in_names, strict=True)
+    ]
     called = _called(specimens, stated)
     found = []
     against = {}
     for i, (specimen, named, said) in enumerate(zip(specimens, in_names, stated, strict=True)):
         side = called.get(specimen.side, side_of_text(specimen.side))
         found.append(Named(side or named.side, named.rest))
-        if specimen.status in USABLE and said in OTHER_SIDE and side == OTHER_SIDE[said]:
+        if specimen.is_usable and side_is_by_fit(specimen) and said in OTHER_SIDE and side == OTHER_SIDE[said]:
             against[i] = said
     return found, against
 
 
+def side_is_by_fit(specimen: Specimen) -> bool:
+    """Return whether the side of a specimen is that of its fit, which knows it better than a table."""
+    return specimen.side in (ORIGINAL, MIRRORED) or (specimen.status in USABLE and specimen.side in OTHER_SIDE)
+
+
 def _called(specimens: Sequence[Specimen], stated: Sequence[str]) -> dict[str, str]:
-    """Return what the sides of fits that have no names are called, if names or folders of all specimens say so."""
-    counts = Counter(zip((specimen.side for specimen in specimens), stated, strict=True))
-    if set(stated) != {LEFT, RIGHT}:
+    """Return what the sides of fits that have no names are called, if a table, names or folders of all say so.
+
+    A table may state one side only; in names, a word that all have may mean something else.
+    """
+    known = [(each, said) for each, said in zip(specimens, stated, strict=True) if each.is_usable]
+    counts = Counter((each.side, said) for each, said in known)
+    sides = {said for _, said in known}
+    is_stated = {LEFT, RIGHT} <= sides or all(each.stated_side for each, _ in known)
+    if not is_stated or not sides <= {LEFT, RIGHT}:
         return {}
     n_right = counts[ORIGINAL, RIGHT] + counts[MIRRORED, LEFT]
     n_left = counts[ORIGINAL, LEFT] + counts[MIRRORED, RIGHT]

@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from pathlib import Path
 
 import numpy as np
 
-from liaam.errors import LandmarkError
-from liaam.fitting.result import USABLE
+from liaam.errors import LandmarkError, LiaamError
+from liaam.fitting.result import USABLE, FitResult
 from liaam.formatting import short_repr
 from liaam.io.landmarks import Contour
 from liaam.scale.lengths import UNITS
@@ -49,8 +50,8 @@ class Specimen:
     side : str
         Side of the individual, ``left`` or ``right`` or as a table has it, or empty if unknown.
     stated_side : str
-        Side that its name, a folder or a column states, if its fit or its shape contradicts it, or empty. `side` is
-        then by the fit or the shape.
+        Side that its name, a folder or a column states, if its fit or its shape has another, or empty. `side` is then
+        by the fit or the shape.
     reflected : bool
         Whether x was reversed, to compare it with specimens of the other side.
     estimated : tuple of int
@@ -115,6 +116,42 @@ class Specimen:
             raise LandmarkError(f"specimen {self.name}: a covariance is not positive definite: give square pixels")
         if any(not 0 <= index < n for curve in self.curves for index in curve.indices):
             raise LandmarkError(f"specimen {self.name}: a curve has a landmark that does not exist: correct the curve")
+
+    @classmethod
+    def of_fit(cls, result: FitResult, name: str = "", absent: str = "empty") -> Specimen:
+        """Return the specimen of a fit, with its side, as :func:`liaam.read_specimens` reads it from a file.
+
+        Parameters
+        ----------
+        result : FitResult
+        name : str
+            By default that of the image's file, without its ending.
+        absent : {"empty", "estimate"}
+            What stands for absent landmarks (:attr:`liaam.FitResult.absent`): NaN, or the estimates of the fit, which
+            `estimated` then lists.
+
+        Raises
+        ------
+        LiaamError
+            If the image has no file, and no name is given.
+        """
+        image = result.image.name if isinstance(result.image, Path) else ""
+        name = name or Path(image).stem
+        if not name:
+            raise LiaamError("the image of the fit is from no file: give the specimen a name")
+        points, covariances = (np.where(np.abs(each) <= MOST, each, np.nan) for each in result.reported(absent))
+        is_estimated = result.absent & np.isfinite(points).all(axis=1) & result.status.ok
+        return cls(
+            name,
+            points,
+            covariances,
+            names=result.landmark_names,
+            status=str(result.status),
+            curves=Contour.all_of(result.contours),
+            side=result.side,
+            estimated=tuple(np.flatnonzero(is_estimated).tolist()),
+            image=image,
+        )
 
     @property
     def is_usable(self) -> bool:

@@ -76,17 +76,19 @@ def measure(
     -------
     dict of str to list
         Columns, one row per specimen; ``pandas.DataFrame`` takes them. ``specimen``, ``status`` (if known), ``scale``
-        (length of a pixel, if known), the measures (angles in degrees), ``centroid_size``, ``side`` (if known),
-        ``estimated`` (landmarks that were missing, if any), and the Procrustes coordinates ``X1``, ``Y1``, ``X2``, ...
-        with y upwards. Where the unit is known, names have it, as in ``scale_mm_per_px``, ``distance_1_5_mm``,
-        ``area_1_2_3_mm2`` and ``centroid_size_mm``. Columns ``..._se`` hold the standard errors, if any covariance is
-        known. Cells are NaN where a landmark is missing or the status says that the landmarks should not be used.
+        (length of a pixel, if known), the measures (angles in degrees), ``centroid_size``, ``individual`` and ``side``
+        (if known), ``estimated`` (landmarks that were missing, if any), and the Procrustes coordinates ``X1``, ``Y1``,
+        ``X2``, ... with y upwards. Where the unit is known, names have it, as in ``scale_mm_per_px``,
+        ``distance_1_5_mm``, ``area_1_2_3_mm2`` and ``centroid_size_mm``. Columns ``..._se`` hold the standard errors,
+        if any covariance is known. Cells are NaN where a landmark is missing or the status says that the landmarks
+        should not be used.
 
     Raises
     ------
     LiaamError
         If there is no specimen with landmarks or curves to use, a measure names a landmark that does not exist, two
-        measures have one name, or some scales have a unit and others have none.
+        measures have one name, some scales have a unit and others have none, or the scale is a unit alone and no
+        specimen has one.
     """
     specimens, left_out = alike(specimens)
     for line in left_out:
@@ -119,6 +121,21 @@ def measure(
     mean = procrustes_mean(np.array([specimens[i].points[inside] for i in whole])) if whole else None
     with np.errstate(divide="ignore", invalid="ignore"):  # by points that are missing or coincide
         return _columns([_row(specimen, items, rule, bar, mean, unit) for specimen in specimens], unit)
+
+
+def with_groups(columns: Columns, groups: Sequence[str], name: str = "group") -> Columns:
+    """Return a table of :func:`measure` with the group of each specimen in a column of this name.
+
+    It comes after the columns of the individual, side and size, and is called ``group`` if the name is that of another
+    column.
+    """
+    before = next(key for key in reversed(columns) if key in ("individual", "side") or key.startswith(_SIZE))
+    found: Columns = {}
+    for key, cells in columns.items():
+        found[key] = cells
+        if key == before:
+            found["group" if name in columns else name] = list(groups)
+    return found
 
 
 def _check_columns(wanted: Sequence[Measure]) -> None:
@@ -178,6 +195,11 @@ def _in_one_unit(
     if isinstance(rule, Length | ScaleBar):
         return tuple(specimens), rule.unit
     scaled = [specimen for specimen in specimens if specimen.scale is not None]
+    if rule and not scaled:
+        raise LiaamError(
+            f"scale '{rule}': no file states a scale that could be in {rule}: give the length of a pixel, such as "
+            f"--scale '0.0031 {rule}', or a table of the scales that 'liaam scale' finds in the images"
+        )
     units = Counter(specimen.unit for specimen in scaled if specimen.unit)
     unit = rule or (units.most_common(1)[0][0] if units else "")
     bare = next((specimen.name for specimen in scaled if not specimen.unit), None)
@@ -278,7 +300,7 @@ def _row(
     """Measure one specimen. The last item is the centroid size. Sizes in pixels are none in a known unit."""
     row: SpecimenRow = {"specimen": specimen.name, "status": specimen.status}
     if not specimen.is_usable:
-        return row
+        return row | {"individual": specimen.individual}
     length, slope, length_se = _pixel(specimen, rule, bar)
     scale = scale_column(unit)
     row[scale] = length
@@ -293,7 +315,8 @@ def _row(
         row[item.column] = value * length**item.power
         of_points = float(_standard_errors(specimen.covariances, gradient[None])[0])
         row[f"{item.column}_se"] = math.hypot(of_points, by_length * length_se)
-    row |= {"side": specimen.side, "estimated": " ".join(specimen.labels[index] for index in specimen.estimated)}
+    row |= {"individual": specimen.individual, "side": specimen.side}
+    row["estimated"] = " ".join(specimen.labels[index] for index in specimen.estimated)
     inside = items[-1].indices
     if mean is not None and has_shape(specimen.points[inside]):
         row |= _shape(specimen, inside, mean)
@@ -351,4 +374,6 @@ def _columns(rows: Sequence[SpecimenRow], unit: str) -> Columns:
     errors = {name for name in names if name.endswith("_se")}
     optional = {"status", scale_column(unit), "side", "estimated", *errors}
     unknown = {name for name in optional if all(cell == "" or cell != cell for cell in columns[name])}
+    if all(row["individual"] in ("", row["specimen"]) for row in rows):  # all are their own
+        unknown.add("individual")
     return {name: cells for name, cells in columns.items() if name not in unknown}

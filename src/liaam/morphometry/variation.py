@@ -29,7 +29,7 @@ from liaam.errors import LiaamError
 from liaam.formatting import json_value, short_repr
 from liaam.io.files import count_of, some_names
 from liaam.morphometry.groups import large_groups
-from liaam.morphometry.sides import individuals_of
+from liaam.morphometry.sides import individuals_are_stated, individuals_of
 from liaam.morphometry.specimens import Specimen
 from liaam.morphometry.superimposition import superimpose, tangent_covariances
 from liaam.tables import Columns
@@ -73,6 +73,8 @@ class ShapeVariation:
     tests : list of dict
         For all groups and for each two of several: ``groups``, ``specimens``, ``individuals``, ``distance`` (Procrustes
         distance between two means), ``R2`` (share of the groups in the variance between individuals) and ``P``.
+    individuals_stated : bool
+        Whether the individual of any specimen is known. If not, specimens are taken as independent.
     """
 
     names: tuple[str, ...]
@@ -89,6 +91,7 @@ class ShapeVariation:
     means_se: dict[str, np.ndarray]
     means_se_by_measuring: dict[str, np.ndarray]
     tests: list[dict[str, str | float]]
+    individuals_stated: bool = True
 
     __repr__ = short_repr
 
@@ -161,15 +164,16 @@ class ShapeVariation:
         else:
             lines[0] += (
                 f", of which {self.measuring:.3g} of measuring, by the covariances of the landmarks (reliability ratio "
-                f"{self.reliability:.2f}, if errors do not depend on the shape)"
+                f"of the whole shape {self.reliability:.2f}, if errors do not depend on the shape)"
             )
         shown = zip(self.shares[:3], self.reliabilities[:3], strict=True)
         parts = [
-            f"PC{i} {100 * share:.0f} %" + ("" if np.isnan(ratio) else f" (reliability ratio {ratio:.2f})")
+            f"PC{i} {100 * share:.0f} %" + ("" if np.isnan(ratio) else f" ({ratio:.2f})")
             for i, (share, ratio) in enumerate(shown, 1)
         ]
-        lines.append(f"principal components: {', '.join(parts)}")
-        if self.tests and self.individuals:
+        known = "" if np.isnan(self.reliabilities[:3]).all() else " (and the reliability ratio of the scores on each)"
+        lines.append(f"principal components{known}: {', '.join(parts)}")
+        if self.tests and (self.individuals or not self.individuals_stated):
             lines.append(self._how_compared())
         for test in self.tests:
             apart = "" if np.isnan(float(test["distance"])) else f"means {test['distance']:.3g} apart, "
@@ -181,7 +185,13 @@ class ShapeVariation:
         return "\n".join(lines)
 
     def _how_compared(self) -> str:
-        """Say that groups are compared by individuals, whose records are not independent."""
+        """Say that groups are compared by individuals, whose records are not independent; or else by specimens."""
+        if not self.individuals:
+            return (
+                "groups are compared by specimens, which are taken as independent; if several are of one individual, "
+                "such as both sides or replicates, state it: a column 'individual' of a table of your own "
+                "(--specimens), or --replicates"
+            )
         paired = len(in_several(self.individuals, self.groups))
         if not paired:
             return "groups are compared by the means of individuals, since the records of one are not independent"
@@ -196,6 +206,7 @@ class ShapeVariation:
         values = {
             "specimens": len(self.names),
             "individuals": len(set(self.individuals or self.names)),
+            "individuals_stated": self.individuals_stated,
             "left_out": self.n_left_out,
             "variance": self.total,
             "variance_of_measuring": self.measuring,
@@ -287,6 +298,7 @@ def shape_variation(
         means_se=means_se,
         means_se_by_measuring=by_measuring,
         tests=_tests(units, compared, permutations, seed),
+        individuals_stated=individuals_are_stated(used, by),
     )
 
 

@@ -204,6 +204,8 @@ def _with_scale(
     A scale between two points is measured in each picture.
     """
     rule = parse_scale(written) if written else None
+    if isinstance(rule, str) and not any(each.scale is not None for each in specimens):
+        return specimens, None  # nothing is in this unit yet
     if not isinstance(rule, Length):
         return specimens, rule or _unit_of_files(specimens)
     of_all = {"scale": rule.value, "unit": rule.unit, "scale_se": rule.se}
