@@ -19,7 +19,7 @@ from scenes.leaf import draw_leaf
 
 HERE = Path(__file__).parent
 
-WIDTHS = {"sun": 60.0, "shade": 66.0}  # Mean widths, pixels; they vary by 6
+WIDTHS = {"sun": 60.0, "shade": 70.0}  # Mean widths, pixels; they vary by 6
 LABELLED = 30
 NEW = 60
 ERROR = 0.8  # Standard deviation of a person's landmarks in x and in y, pixels

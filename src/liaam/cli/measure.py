@@ -182,7 +182,8 @@ def measure(
         typer.Option(
             metavar="LABELS",
             help="Landmarks that a person has placed on the same specimens, a file or a folder: print whether those "
-            "that are measured are good enough for statistics. Give a second person's with another --compare.",
+            "that are measured are good enough for statistics. Give a second person's with another --compare. "
+            "The model must not be trained on their images: with those, the agreement is far too good.",
         ),
     ] = None,
     permutations: Annotated[int, typer.Option(help="Random permutations for the tests of asymmetry and groups.")] = 999,

@@ -49,6 +49,7 @@ NEARLY_COPIED = 1e-3
 LEAST_COMMON = 0.3
 LEAST_VARIED = 1e-9  # Root mean squared deviation from the mean shape below which shapes are all the same
 TOLERANCE = 1e-15  # Of the superimposition, whose slopes are compared to many digits in tests
+LARGE_SHARE = 0.05  # Share of the variance of shape from which a component's slope is in the range that is reported
 LOW_SLOPE = 0.8  # Slope below which more landmarks have to be placed
 INTERVAL = 0.95  # Probability of the intervals
 
@@ -82,6 +83,8 @@ class ShapeAgreement:
         Variance of automatic shapes as a multiple of that of the specimens.
     mean_distance : float
         Procrustes distance between the mean shapes, as a multiple of the standard error of people's mean.
+    mean_distance_of_people : float
+        The same between the mean shapes of two people; NaN if only one has placed landmarks.
     p_of_means : float
         Probability of so large a distance if both means are equal: by random changes of sign of each individual's
         differences.
@@ -127,6 +130,7 @@ class ShapeAgreement:
     mean: np.ndarray
     scores: np.ndarray
     n_estimated: int = 0
+    mean_distance_of_people: float = np.nan
 
     __repr__ = short_repr
 
@@ -173,9 +177,10 @@ class ShapeAgreement:
             f"intraclass correlation of automatic shapes and shapes placed by hand: {self.repeatability:.3f}{people}",
             f"squared correlation with {self._compared_with}: {self.reliability:.2f}; factor of regression "
             f"calibration: {self.calibration:.2f}",
-            f"mean shapes: {self.mean_distance:.1f} standard errors apart, {by_chance} (P = {self.p_of_means:.3f})",
+            f"mean shapes: apart by {self.mean_distance:.1f} standard errors of the mean by hand{self._of_people()}; "
+            f"{by_chance}, by random changes of sign (P = {self.p_of_means:.3f})",
             f"centroid sizes: correlation {self.size_correlation:.3f}, ratio {self.size_ratio:.3f}",
-            f"a difference between groups appears multiplied by about {self._of_groups()}",
+            f"a difference between groups appears multiplied by about {self._of_groups()}{self._by_components()}",
         ]
         return "\n".join(lines)
 
@@ -193,9 +198,9 @@ class ShapeAgreement:
             f"superimposition: automatic shapes had {self.variance_ratio:.2f} times their variance, a slope of "
             f"{self.slope:.2f} on them (95 % confidence interval {_range(self.slope_interval)}), an intraclass "
             f"correlation of {self.repeatability:.2f}{repeated} and a squared correlation of {self.reliability:.2f} "
-            f"with {self._compared_with}. The mean shapes were {self.mean_distance:.1f} standard errors apart "
-            f"({probability}), the correlation of centroid sizes was {self.size_correlation:.3f}, and a difference "
-            f"between groups is expected to appear multiplied by {self._of_groups()} (attenuation)."
+            f"with {self._compared_with}. The mean shapes were {self.mean_distance:.1f} standard errors of the mean by "
+            f"hand apart{self._of_people()} (random changes of sign, {probability}), the correlation of centroid sizes was {self.size_correlation:.3f}, and a difference "
+            f"between groups is expected to appear multiplied by {self._of_groups()}{self._by_components()}."
         )
 
     def to_json(self) -> str:
@@ -232,6 +237,18 @@ class ShapeAgreement:
     def _compared_with(self) -> str:
         """The shapes of the squared correlation: their errors are known only if two people have placed landmarks."""
         return "the true shapes" if np.isfinite(self.repeatability_of_people) else "the shapes placed by hand"
+
+    def _of_people(self) -> str:
+        """Return how far apart the mean shapes of two people are, if two have placed landmarks."""
+        return f" (two people: {self.mean_distance_of_people:.1f})" if np.isfinite(self.mean_distance_of_people) else ""
+
+    def _by_components(self) -> str:
+        """Return the range of slopes along the larger principal components, if several are known."""
+        slopes = [each["slope"] for each in self.components if each["share"] >= LARGE_SHARE]
+        slopes = [slope for slope in slopes if np.isfinite(slope)]
+        if len(slopes) < 2:
+            return ""
+        return f"; along single principal components, {min(slopes):.2f} to {max(slopes):.2f}"
 
     def _of_groups(self) -> str:
         """Return the attenuation of given groups, with its interval, or else the slope."""
@@ -297,12 +314,16 @@ def compare_shapes(
     random = (differences - bias).reshape(shapes.n, -1, 2)
     standard_error = _error_of_mean(shapes.first, owners)
     sizes = [np.linalg.norm(each - each.mean(axis=1, keepdims=True), axis=(1, 2)) for each in used]
-    between_people = np.nan if second is None else _repeatability(shapes.positions[1], shapes.positions[2])
+    between_people = between_means = np.nan
+    if second is not None:
+        between_people = _repeatability(shapes.positions[1], shapes.positions[2])
+        between_means = float(np.linalg.norm((shapes.positions[2] - shapes.positions[1]).mean(axis=0)) / standard_error)
     return ShapeAgreement(
         n_specimens=shapes.n,
         n_individuals=int(owners.max()) + 1,
         n_left_out=int((~choice.complete).sum()),
         n_copied=int(choice.copied.sum()),
+        mean_distance_of_people=between_means,
         n_estimated=0 if estimated is None else int(np.asarray(estimated, bool)[choice.used].sum()),
         slope=slope,
         slope_interval=slope_interval,

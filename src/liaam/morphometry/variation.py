@@ -163,8 +163,8 @@ class ShapeVariation:
             )
         else:
             lines[0] += (
-                f", of which {self.measuring:.3g} of measuring, by the covariances of the landmarks (reliability ratio "
-                f"of the whole shape {self.reliability:.2f}, if errors do not depend on the shape)"
+                f"; measurement error, by the covariances of the landmarks: {self.measuring:.3g} (reliability ratio of "
+                f"the whole shape {self.reliability:.2f}, if errors do not depend on the shape)"
             )
         shown = zip(self.shares[:3], self.reliabilities[:3], strict=True)
         parts = [
