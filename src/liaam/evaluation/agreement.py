@@ -199,8 +199,9 @@ class ShapeAgreement:
             f"{self.slope:.2f} on them (95 % confidence interval {_range(self.slope_interval)}), an intraclass "
             f"correlation of {self.repeatability:.2f}{repeated} and a squared correlation of {self.reliability:.2f} "
             f"with {self._compared_with}. The mean shapes were {self.mean_distance:.1f} standard errors of the mean by "
-            f"hand apart{self._of_people()} (random changes of sign, {probability}), the correlation of centroid sizes was {self.size_correlation:.3f}, and a difference "
-            f"between groups is expected to appear multiplied by {self._of_groups()}{self._by_components()}."
+            f"hand apart{self._of_people()} (random changes of sign, {probability}), the correlation of centroid sizes "
+            f"was {self.size_correlation:.3f}, and a difference between groups is expected to appear multiplied by "
+            f"{self._of_groups()}{self._by_components()}."
         )
 
     def to_json(self) -> str:
