@@ -65,6 +65,14 @@ def test_check_says_what_it_cannot_judge_with_few_landmarks(run, scenes, tmp_pat
     assert not (tmp_path / "o").exists()
 
 
+def test_check_names_copies_of_an_image(run, scenes, tmp_path):
+    folder = write_folder(tmp_path, scenes)
+    (folder / "face7.png").write_bytes((folder / "face2.png").read_bytes())
+    code, text, err = run("check", folder)
+    assert code == 1 and "no other faults" in text
+    assert "copies of one image: face2.png = face7.png; keep one of each" in " ".join(err.split())
+
+
 def test_check_finds_landmarks_outside_of_their_image(run, scenes, tmp_path):
     folder = write_folder(tmp_path, scenes)
     write_landmarks(folder / "face4.pts", Landmarks(scenes[4].landmarks + 500))

@@ -86,6 +86,7 @@ def check_pixels(data: Dataset) -> bool:
 
     Return whether any cannot be used.
     """
+    from liaam.datasets.copies import copies_fault
     from liaam.datasets.units import units_fault
     from liaam.photometry import is_grey
     from liaam.photometry.encoding import as_colour, refuse_unscaled
@@ -113,6 +114,8 @@ def check_pixels(data: Dataset) -> bool:
     units = units_fault(data.samples)
     if units:
         unusable = [units]
+    if copies := copies_fault(data.samples):
+        unusable.append(copies)
     for fault in unusable:
         complain(fault)
     if cut_off := describe_cut_off({sample.name: outside_of.get(sample.name, (0, 0)) for sample in data}):
@@ -281,9 +284,12 @@ def warn_of_faults(data: Dataset, folder: Path, shapes: int | str = inputs.AUTO,
 
     Finds the same faults as ``liaam check``. Training itself names the images with too few landmarks.
     """
+    from liaam.datasets.copies import copies_fault
     from liaam.datasets.label_faults import LEAST_PICTURES
     from liaam.datasets.units import units_fault
 
+    if copies := copies_fault(data.samples):
+        complain(copies)
     if units := units_fault(data.samples):
         complain(units)
     samples = [sample for sample in data if can_be_completed(sample)]

@@ -239,9 +239,12 @@ def evaluate_model(model: "AAM", data: "Dataset", init: str | None, options: dic
 
 def evaluate_folds(data: "Dataset", folds: int, options: dict[str, Any]) -> "Evaluation":
     """Evaluate models of the others on each of so many parts of the images; say which images stay together."""
+    from liaam.datasets.copies import copies_fault
     from liaam.evaluation import cross_validate
     from liaam.training.objects import describe_objects
 
+    if copies := copies_fault(data.samples):
+        complain(copies)
     together = describe_objects([sample.name for sample in data])
     if together:
         say(together)
