@@ -38,6 +38,7 @@ def test_a_measurement_leaves_less_doubt_than_it_and_the_prediction_have(seed, k
     rng = np.random.default_rng(seed)
     belief, noise, measured = any_belief(rng, k), spread(rng, k), rng.normal(size=k)
     after = kalman.update(belief, measured, noise)
+    assert 0.0 <= kalman.gain(belief, after, slice(None)) <= 1.0
     scale = np.abs(noise).max() + np.abs(belief.pp).max()
     assert least(noise - after.pp + 1e-9 * scale * np.eye(k)) >= 0
     assert least(belief.pp - after.pp + 1e-9 * scale * np.eye(k)) >= 0

@@ -41,6 +41,16 @@ def test_directions_are_orthonormal_and_the_modes_derivatives(motion, rng):
         np.testing.assert_allclose((motion.shape(y + step) - motion.shape(y)).ravel(), basis[i], atol=1e-9)
 
 
+def test_what_lies_outside_the_coordinates_turns_and_grows_with_the_shape(motion, rng):
+    shape = posed(motion, rng) + rng.normal(0.0, 1.0, motion.shape_model.mean.shape)
+    y = motion.coordinates(shape)
+    rest = motion.rest(shape, y)
+    np.testing.assert_allclose(motion.shape_with(y, rest), shape, atol=1e-9)
+    turned = 2.0 * shape @ np.array([[0.0, 1.0], [-1.0, 0.0]])
+    np.testing.assert_allclose(motion.rest(turned, motion.coordinates(turned)), rest, atol=1e-9)
+    assert np.abs(rest).max() > 1e-3
+
+
 def test_a_shape_of_no_size_has_coordinates(motion):
     y = motion.coordinates(np.full((motion.shape_model.n_points, 2), 5.0))
     assert np.isfinite(motion.shape(y)).all()

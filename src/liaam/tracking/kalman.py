@@ -75,6 +75,13 @@ def update(belief: Belief, measured: np.ndarray, noise: np.ndarray) -> Belief:
     )
 
 
+def gain(predicted: Belief, updated: Belief, which: slice) -> float:
+    """Return the share of the way from the prediction to the measurement, of some coordinates on average, 0 to 1."""
+    before = float(np.trace(predicted.pp[which, which]))
+    after = float(np.trace(updated.pp[which, which]))
+    return 1.0 - after / before if before > 0.0 else 0.0
+
+
 def widened(belief: Belief, measured: np.ndarray, noise: np.ndarray) -> Belief:
     """Inflate the covariance of coordinates with large innovations, so that the filter follows sudden motion at once.
 

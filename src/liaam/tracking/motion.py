@@ -55,6 +55,19 @@ class Motion:
         """Return the shape (n, 2) float64 of coordinates (m + 4,)."""
         return (y @ self.basis(y)).reshape(-1, 2)
 
+    def rest(self, shape: np.ndarray, y: np.ndarray) -> np.ndarray:
+        """Return what of a shape (n, 2) lies outside its coordinates y, (n,) complex128, in the directions of the mean.
+
+        It is relative to the size of the shape.
+        """
+        outside = np.ascontiguousarray(shape - self.shape(y)).view(np.complex128)[:, 0]
+        return outside / (complex(y[0], y[1]) or 1.0)
+
+    def shape_with(self, y: np.ndarray, rest: np.ndarray) -> np.ndarray:
+        """Return the shape (n, 2) of coordinates y, with what lies outside of them (:meth:`rest`)."""
+        outside = rest * complex(y[0], y[1])
+        return self.shape(y) + np.stack([outside.real, outside.imag], axis=1)
+
     def basis(self, y: np.ndarray) -> np.ndarray:
         """Return orthonormal directions of the coordinates at `y`, (m + 4, 2 n) float64."""
         turn = complex(y[0], y[1])

@@ -72,6 +72,10 @@ class TrackingOptions:
             raise MethodError("longest_wait must be at least 1, patience and review at least 0")
 
 
+ALL = slice(None)  # Coordinates of a track
+MODES = slice(4, None)  # Those of the modes of its shape
+
+
 @dataclass(frozen=True, eq=False)
 class _CoordinateTrack:
     """Estimate of an object's k coordinates, and statistics of its motion (see :func:`kalman.noise_and_drive`)."""
@@ -80,6 +84,7 @@ class _CoordinateTrack:
     moments: kalman.Moments
     share: float  # fraction of a fit's covariance that changes from frame to frame
     drive: np.ndarray  # (k,): density of the acceleration
+    rest: np.ndarray  # (n,) complex: the part of the shape outside the coordinates (:meth:`Motion.rest`)
 
 
 @dataclass(eq=False)
@@ -356,6 +361,7 @@ class Tracker:
         track = self.state.track
         y, covariance, basis = motion.measured(result)
         variances = covariance.diagonal()
+        rest = motion.rest(result.landmarks, y)
         if track is None:
             noise = kalman.FIRST_SHARE * covariance
             speed = np.full(len(y), FIRST_SPEED * diagonal_of(result.landmarks) * np.sqrt(len(result.landmarks)))
@@ -364,15 +370,17 @@ class Tracker:
         else:
             noise = track.share * covariance
             moments = track.moments
-            belief = kalman.update(kalman.widened(track.belief, y, noise), y, noise)
+            predicted = kalman.widened(track.belief, y, noise)
+            belief = kalman.update(predicted, y, noise)
+            # What a refiner adds to the modes of the shape is smoothed as much as these.
+            rest = track.rest + kalman.gain(predicted, belief, MODES if len(y) > 4 else ALL) * (rest - track.rest)
         moments = kalman.observed(moments, y)
         share, drive = kalman.noise_and_drive(moments, variances)
-        self.state.track = _CoordinateTrack(belief, moments, share, drive)
+        self.state.track = _CoordinateTrack(belief, moments, share, drive, rest)
         landmarks = result.landmarks
         covariances = result.landmark_covariances
         if self.options.smooth:
-            # The part of the shape outside the coordinates stays as fitted.
-            landmarks = landmarks + motion.shape(belief.position) - motion.shape(y)
+            landmarks = motion.shape_with(belief.position, rest)
             # Smoothing does not reduce the part of the fit's error that is the same in all frames.
             covariances = covariances + landmark_covariances(basis, belief.pp - noise)
         return TrackedFrame(
