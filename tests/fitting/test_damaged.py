@@ -36,15 +36,17 @@ def test_what_is_covered_is_absent_and_does_not_pull_the_rest(calibrated, same_l
     fit = Fitter(calibrated).fit(image, start)
     before = Fitter(without_calibration(calibrated)).fit(image, start)
 
-    def error(result):
-        return np.linalg.norm(result.landmarks - same_light_scene.landmarks, axis=1)[~below].mean()
+    def error(landmarks):
+        return np.linalg.norm(landmarks - same_light_scene.landmarks, axis=1)[~below].mean()
 
     assert not whole.absent.any()
     depth = same_light_scene.landmarks[:, 1] - same_light_scene.landmarks[below][:, 1].min() + 3.0
     assert fit.absent[depth > 6.0].all()
     assert not fit.absent[depth < -9.0].any()
     assert fit.status is FitStatus.CONVERGED
-    assert error(fit) < 1.5 * error(whole) < error(before)
+    # The fit itself: the refiner brings back much of what covered pixels have pulled away.
+    assert error(fit.registered) < 1.5 * error(whole.registered) < error(before.registered)
+    assert error(fit.landmarks) < error(before.landmarks)
 
 
 def test_absent_landmarks_are_estimates_with_larger_covariances(calibrated, same_light_scene, covered):
