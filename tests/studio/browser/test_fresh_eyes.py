@@ -97,7 +97,7 @@ def test_no_face_is_made_of_a_picture_without_one(relit, artefacts):
 def test_a_picture_that_is_only_looked_at_is_said_to_be(relit, artefacts):
     drop_anywhere(relit, "guest.jpg", FACE.read_bytes())
     wait_for(relit, "() => window.liaamStudio.fit.fit?.upload")
-    assert "not in the folder" in relit.locator("[data-testid=fit-aside]").inner_text()
+    assert "Not in the folder" in relit.locator("[data-testid=fit-aside]").inner_text()
     assert relit.evaluate(CURRENT) is None
     shoot(relit, artefacts, "50-looked-at")
     relit.locator("[data-testid=strip] [data-name='anna.jpg']").click()  # the one that was shown before
