@@ -4,7 +4,7 @@ import { api } from "./api.js";
 import { Divider } from "./divider.js";
 import { expert } from "./expert.js";
 import { drawFit, drawOver, drawSpecimens, Overlays } from "./fit-draw.js";
-import { IS_TOUCH } from "./annotate-words.js";
+import { IS_TOUCH, several } from "./annotate-words.js";
 import { objectOf, reducedText, significant } from "./fit-run.js";
 import { InvariantView } from "./fit-theta.js";
 import { look } from "./look.js";
@@ -348,6 +348,13 @@ export class FitView {
     return this.#isEven && !this.#split.has(this.#name) ? EVENLY_LIT : "";
   }
 
+  /** What is said of further objects in the picture, as long as only one is fitted. */
+  get #beside() {
+    const more = (this.#fit?.n_found ?? 1) - 1;
+    if (more < 1 || this.#others.length) return "";
+    return `${several(more, `more ${objectOf(this.#tab.state.project.model)}`)} in the picture: press “Fit all” in the panel, or draw a box around one. `;
+  }
+
   /** Whether the view has nothing to show, since the light is that of training. */
   get #isEven() { return Boolean(this.#name in EVEN && this.#scales.get(this.#name)?.even); }
 
@@ -359,7 +366,7 @@ export class FitView {
     const isEven = !why && this.#isEven;
     const isSplit = this.#split.has(this.#name) && !why;
     const lead = this.#name === "picture" && this.#fit && !this.#why("flat") ? RELIGHT : "";
-    const hint = this.#tab.startHint || lead + ((isSplit && view.splitHint) || view.hint || "");
+    const hint = this.#tab.startHint || this.#beside + lead + ((isSplit && view.splitHint) || view.hint || "");
     for (const each of this.#choice.element.children)
       each.classList.toggle("unavailable", Boolean(this.#why(each.value)));
     this.#choice.value = view.name;
