@@ -287,4 +287,4 @@ def test_a_slip_is_shown_beside_the_picture_and_before_training(serve, page, who
     page.locator("[data-testid=who-save]").click()
     wait_for(page, "() => window.liaamStudio.state.picture('portrait-03.png').checked === 'Ada'")
     wait_for(page, "() => !window.liaamStudio.state.picture('portrait-03.png').slip")
-    assert annotate(page, "name()") != "portrait-03.png"
+    wait_for(page, "() => window.liaamStudio.annotate.name() !== 'portrait-03.png'")
