@@ -1,6 +1,6 @@
 """What a model found in pictures, until a person has placed points there."""
 
-from small_projects import POINTS, TRIANGLE, by_name, proposal, put, states
+from small_projects import POINTS, TRIANGLE, by_name, proposal, put, refused, states
 
 from liaam.studio.project import Project
 from liaam.studio.review import teaching_order
@@ -16,6 +16,9 @@ def test_proposals_are_shown_until_there_are_landmarks(small):
         marks = project.marks("p1.png")
         assert (marks["source"], marks["points"], marks["revision"]) == ("proposal", POINTS, None)
         assert marks["quality"] == 0.9
+    fault = refused(small.export, "pts")
+    assert "points of 2 pictures are only proposed: accept them" in str(fault)
+    assert fault.details == {"proposed": 2}
     put(small, "p1.png", POINTS)  # taken as it is
     marks = small.marks("p1.png")
     assert (marks["source"], marks["fitted"], len(marks["covariances"])) == ("file", POINTS, 3)  # for the ellipses

@@ -751,6 +751,7 @@ class Details(TypedDict):
     current: Annotated[NotRequired[Marks], "The landmarks, which were changed since the page read them."]
     template: Annotated[NotRequired[Template | None], "The template, which was changed since the page read it."]
     training: Annotated[NotRequired[Training], "The training that is running already."]
+    proposed: Annotated[NotRequired[int], "Pictures whose points are only proposed, where accepted ones are needed."]
 
 
 class Fault(Details):

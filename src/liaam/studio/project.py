@@ -434,8 +434,19 @@ class Project:
                     landmarks = replace(marks.landmarks, scale=scale, unit=unit, names=template.names, side=side)
                     pictures.append(Placed(file, landmarks, [*self._states.origins_of(file, marks)], size))
         if not pictures:
-            raise Refusal(422, f"no picture has landmarks yet: place the points of one, then {to}")
+            raise self._nothing_placed(to)
         return pictures
+
+    def _nothing_placed(self, to: str) -> Refusal:
+        """Return why nothing can be done with the landmarks of the folder: there are none, or only proposed ones."""
+        with self._lock:
+            proposed = sum(1 for file in self._listing.pictures if (self._proposals.of(file) or {}).get("points"))
+        if not proposed:
+            return Refusal(422, f"no picture has landmarks yet: place the points of one, then {to}")
+        which = "the points of the picture are" if proposed == 1 else f"the points of {proposed} pictures are"
+        return Refusal(
+            422, f"{which} only proposed: accept them in Annotate or on the wall, then {to}", proposed=proposed
+        )
 
     def unfitted(self, model: str = "") -> list[tuple[str, Path]]:
         """Return the names and paths of the usable pictures without points to which a model, by key, was not fitted.

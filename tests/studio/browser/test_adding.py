@@ -158,8 +158,12 @@ def test_new_pictures_are_accepted_on_the_wall(serve, page, whole_folder, portra
     write_image(whole_folder / "new.png", portraits[0].image)  # fitted as soon as it lies in the whole_folder
     wait_for_state(page, "new.png", "proposed")
     wait_for(page, "() => window.liaamStudio.annotate.source() === 'proposal'")
-    page.keyboard.press("g")
+    before = page.locator("[data-testid=wall]").bounding_box()
+    page.locator("[data-testid=export-all]").select_option("pts")
+    refused = page.locator(".toast.bad", has_text="the points of 13 pictures are only proposed: accept them")
+    refused.locator("[data-testid=toast-action]").click()
     wait_for(page, "() => document.querySelectorAll('.wall-points').length === 13")
+    assert page.locator("[data-testid=wall]").bounding_box() == before  # a second press closes the wall
     assert page.locator(".stage:visible").count() == 0
     shoot(page, artefacts, "43-wall")
     assert page.evaluate(CLIPPED) == [] and violations(page) == {}
@@ -283,4 +287,4 @@ def test_a_slip_is_shown_beside_the_picture_and_before_training(serve, page, who
     page.locator("[data-testid=who-save]").click()
     wait_for(page, "() => window.liaamStudio.state.picture('portrait-03.png').checked === 'Ada'")
     wait_for(page, "() => !window.liaamStudio.state.picture('portrait-03.png').slip")
-    assert annotate(page, "name()") != "portrait-03.png"
+    wait_for(page, "() => window.liaamStudio.annotate.name() !== 'portrait-03.png'")

@@ -308,7 +308,8 @@ def test_the_objects_of_a_picture_are_fitted_in_turn(fit_tab, lit_file):
     for address in ("**/api/fits", "**/api/uploads?*"):
         fit_tab.route(address, answer)
     dropped(fit_tab, lit_file)
-    fit_tab.get_by_text("1 more object in the picture").wait_for()
+    for place in (".fit-hint", "[data-testid=fit-status]"):
+        fit_tab.locator(place, has_text="1 more object in the picture").wait_for()
     following = fit_tab.get_by_role("button", name="Next object")
     for box in (boxes[1], boxes[0]):
         following.click()

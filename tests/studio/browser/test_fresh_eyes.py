@@ -85,6 +85,7 @@ def test_no_face_is_made_of_a_picture_without_one(relit, artefacts):
     assert relit.locator("[data-testid=light-stage]").is_hidden()
     assert relit.locator("[data-testid=light]").get_attribute("inert") is not None  # it stays where it was
     assert relit.locator("[data-testid=fit-split]").is_disabled()
+    assert relit.locator("[data-testid=layer-picture]").is_checked()  # which is what is seen
     shoot(relit, artefacts, "50-no-face")
     relit.locator("[data-testid=tab-annotate]").click()
     opened(relit, "sea.png")
@@ -94,10 +95,52 @@ def test_no_face_is_made_of_a_picture_without_one(relit, artefacts):
     opened(relit, "anna.jpg")
 
 
+def test_it_is_said_at_the_picture_that_its_light_is_even_already(relit, artefacts):
+    """The answers are changed to those of a picture in even light with a second face."""
+
+    def even(route):
+        answer = route.fetch()
+        relit.wait_for_function("() => document.querySelector('[data-testid=fit-state]').textContent")
+        scale = json.dumps(json.loads(answer.headers["x-scale"]) | {"even": True})
+        route.fulfill(response=answer, headers=answer.headers | {"x-scale": scale})
+
+    relit.locator("[data-testid=layer-flat]").click()
+    relit.locator("[data-testid=strip] [data-name='sea.png']").click()
+    relit.locator(f"{STATUS} .badge", has_text="No face found").wait_for()
+    relit.route("**/layers/flat?*", even)
+    relit.route(re.compile("/api/fits$"), lambda route: route.fulfill(json=route.fetch().json() | {"n_found": 2}))
+    relit.locator("[data-testid=strip] [data-name='anna.jpg']").click()
+    relit.locator("[data-testid=fit-state]", has_text="Removing the shading…").wait_for()
+    relit.locator(".fit-divider-label", has_text="Already in even light").wait_for()
+    relit.unroute("**/layers/flat?*")
+    for name in ("opacity-view", "fit-save", "balance"):
+        assert relit.locator(f"[data-testid={name}]").is_disabled(), name
+    assert "nothing is taken off" in relit.locator("[data-testid=fit-save]").get_attribute("title")
+    assert not relit.locator("[data-testid=balance]").is_checked()  # neutral: nothing is corrected
+    relit.locator("[data-testid=fit-split]").click()
+    relit.locator("[data-testid=fit-state]", has_text="Already in even light").wait_for()
+    shoot(relit, artefacts, "50-even")
+
+    expert = relit.locator("[data-testid=expert]")
+    before = expert.bounding_box()
+    expert.check()
+    assert expert.bounding_box() == before
+    relit.locator("[data-testid=layer-relit]").click()
+    relit.locator("[data-testid=start-box]").click()
+    assert relit.locator(".fit-hint").inner_text() == "Draw a box around the object."
+    relit.locator("[data-testid=start-auto]").click()
+    relit.locator("[data-testid=fit-run]").click()
+    relit.locator(".fit-hint", has_text="1 more face in the picture: press “Fit all”").wait_for()
+    relit.unroute_all(behavior="wait")
+    for text, kind in (("failed", "bad"), ("first", "good"), ("second", "good")):
+        relit.evaluate("([text, kind]) => { window.liaamStudio.app.toast(text, kind); }", [text, kind])
+    assert relit.locator(".toast").all_inner_texts() == ["failed", "second"]
+
+
 def test_a_picture_that_is_only_looked_at_is_said_to_be(relit, artefacts):
     drop_anywhere(relit, "guest.jpg", FACE.read_bytes())
     wait_for(relit, "() => window.liaamStudio.fit.fit?.upload")
-    assert "not in the folder" in relit.locator("[data-testid=fit-aside]").inner_text()
+    assert "Not in the folder" in relit.locator("[data-testid=fit-aside]").inner_text()
     assert relit.evaluate(CURRENT) is None
     shoot(relit, artefacts, "50-looked-at")
     relit.locator("[data-testid=strip] [data-name='anna.jpg']").click()  # the one that was shown before

@@ -85,7 +85,7 @@ def test_points_accepted_with_others_are_known_as_such_until_each_is_moved_or_co
     saved(page)
     wait_for(page, "name => window.liaamStudio.state.picture(name).unconfirmed === 4", NAMES[1])
     assert page.locator(".point[data-state=accepted]").count() == 4
-    assert "4 points unconfirmed" in page.locator("[data-testid=review-state]").inner_text()
+    assert "4 unconfirmed" in page.locator("[data-testid=review-state]").inner_text()
     page.locator("[data-testid=point-list] [data-index='1']").click()
     for _ in range(4):
         page.keyboard.press("y")

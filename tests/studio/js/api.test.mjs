@@ -3,7 +3,7 @@
 import assert from "node:assert/strict";
 import { test } from "node:test";
 
-import { api, ApiError, url } from "./modules/api.js";
+import { answers, api, ApiError, url } from "./modules/api.js";
 
 /** Answer requests one by one; waits take no time. */
 function served(t, ...answers) {
@@ -45,8 +45,13 @@ test("but not for ever", async (t) => {
   assert.equal(asked.length, 10);
 });
 
-test("a refusal that names no time is told at once", async (t) => {
-  const { asked } = served(t, full);
-  await assert.rejects(api.put("/api/template", {}), { message: "the disk refuses", status: 503 });
+test("a refusal that names no time is told at once, and a later success is told to be about the same", async (t) => {
+  const { asked } = served(t, full, good);
+  const told = [];
+  answers.addEventListener("good", ({ detail }) => told.push(detail));
+  const about = "PUT /api/template";
+  await assert.rejects(api.put("/api/template?new=1", {}), { message: "the disk refuses", status: 503, about });
   assert.equal(asked.length, 1);
+  await api.put("/api/template", {});
+  assert.deepEqual(told, [about]);
 });

@@ -800,6 +800,8 @@ interface Details {
   template?: Template | null;
   /** The training that is running already. */
   training?: Training;
+  /** Pictures whose points are only proposed, where accepted ones are needed. */
+  proposed?: number;
 }
 
 /** The answer to a request that is refused or has failed. */
@@ -812,6 +814,8 @@ interface Fault {
   template?: Template | null;
   /** The training that is running already. */
   training?: Training;
+  /** Pictures whose points are only proposed, where accepted ones are needed. */
+  proposed?: number;
   /** What is wrong, and what to do, in a sentence for the person. */
   error: string;
 }

@@ -7,7 +7,7 @@ import { test } from "node:test";
 import { fileNameIn } from "./modules/api.js";
 import { shareAfterKey } from "./modules/divider.js";
 import {
-  betterOf, cleaned, comparison, duration, factsOf, FitStore, kindOf, meanDistance, objectOf, significant, verdictOf,
+  betterOf, cleaned, comparison, duration, factsOf, FitStore, kindOf, meanDistance, objectOf, reducedText, significant, verdictOf,
 } from "./modules/fit-run.js";
 import { relativeCosts } from "./modules/fit-iterations.js";
 import { FrameMeter } from "./modules/ui.js";
@@ -345,6 +345,7 @@ test("a fit that failed or is doubtful says what to do", () => {
   assert.equal(failed.kind, "bad");
   assert.match(failed.advice, /mean shape/);
   assert.match(verdictOf(fit({ n_found: 3 })).advice, /^2 more objects in the picture/);
+  assert.match(verdictOf(fit({ n_found: 2 }), false, "face").advice, /^1 more face in the picture. Fit all/);
   assert.equal(verdictOf(fit({ n_found: 1 })).advice, "");
   assert.equal(verdictOf(fit({ found: null })).kind, "good");
   assert.equal(verdictOf(fit()).title, "converged, quality 93 %");
@@ -675,4 +676,9 @@ test("a side that could not be saved is not shown as said", async () => {
   delete globalThis.document;
   assert.equal(list.value, "left");
   assert.deepEqual(told, ["no connection"]);
+});
+
+test("a picture that is not saved whole is said to be reduced", () => {
+  assert.match(reducedText({ width: 3688, height: 4920 }, 16_000_000), /has 18.1 million pixels, and is saved with 16 million/);
+  assert.deepEqual([reducedText({ width: 4000, height: 4000 }, 16_000_000), reducedText(null, 1)], ["", ""]);
 });

@@ -80,6 +80,21 @@ test("graphs show the rows of the table, in the order of time, with gaps where t
   assert.equal(track.end, 0.75);
 });
 
+test("what was not watched is a gap, and not skipped", () => {
+  const track = new Track(header);
+  for (const time of [0, 0.04, 0.12]) track.set(time, found);
+  const { run } = track;
+  track.leap();
+  track.set(0.16, found, run); // was on its way
+  for (const time of [60, 60.04]) track.set(time, found);
+  track.leap();
+  track.set(0.2, found); // played on from the first frames
+  assert.deepEqual(track.graphs([({ roll }) => roll]), [
+    [0, 0.04, 0.12, 0.16, 0.2, 30.1, 60, 60.04], [90, 90, 90, 90, 90, null, 90, 90],
+  ]);
+  assert.equal(track.skipped, 1); // at 0.08
+});
+
 test("the first distance is one that was measured before, or the first that the model has", () => {
   const names = ["brow", "chin", "nose"];
   assert.deepEqual(firstPair(names, [["lip", "chin"], ["nose", "brow"]]), [2, 0]);

@@ -1,11 +1,13 @@
 // The server's HTTP interface: a function for each verb, and an error with a message for the user.
 
 export class ApiError extends Error {
-  /** @param {string} message for the user; @param {number} status HTTP status, 0 if the server is unreachable. */
-  constructor(message, status, body = null) {
+  /** @param {string} message for the user; @param {number} status HTTP status, 0 if the server is unreachable;
+   *  @param {string} about what was asked for, see `subjectOf` */
+  constructor(message, status, body = null, about = "") {
     super(message);
     this.name = "ApiError";
     this.status = status;
+    this.about = about;
     /** @type {Partial<Fault> | null} */
     this.body = body;
   }
@@ -51,6 +53,12 @@ class Busy extends EventTarget {
 
 export const busy = new Busy();
 
+/** Tells listeners of "good" what was asked for with success: errors about it are out of date. */
+export const answers = new EventTarget();
+
+/** What a request is about: its verb and its address without the query. */
+const subjectOf = (address, { method = "GET" }) => `${method} ${address.split("?")[0]}`;
+
 async function send(address, { quiet = false, ...options } = {}) {
   if (!quiet) busy.add(1);
   return request(address, options).finally(() => quiet || busy.add(-1));
@@ -70,11 +78,15 @@ async function request(address, options) {
     const delay = 1000 * Math.min(wait, 10) * (1 + Math.random()); // random, to spread retries
     await new Promise((resolve) => { setTimeout(resolve, delay); });
   }
-  if (response.ok) return response;
+  const about = subjectOf(address, options);
+  if (response.ok) {
+    answers.dispatchEvent(new CustomEvent("good", { detail: about }));
+    return response;
+  }
   /** @type {Fault | null} */
   const body = await response.json().catch(() => null);
   const message = body?.error ?? `The server answered ${response.status} ${response.statusText}.`;
-  throw new ApiError(message, response.status, body);
+  throw new ApiError(message, response.status, body, about);
 }
 
 async function json(address, options) {

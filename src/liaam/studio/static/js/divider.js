@@ -9,6 +9,8 @@ export function shareAfterKey(share, { key, shiftKey = false }) {
   return next === undefined ? null : Math.min(1, Math.max(0, next));
 }
 
+const BESIDE = 8; // css pixels between the line and a label
+
 export class Divider {
   #viewer;
   #onmove;
@@ -40,7 +42,10 @@ export class Divider {
   /** Position of the line in the container, css pixels. */
   get x() { return this.#share * this.#viewer.container.clientWidth; }
 
-  show(on) { this.element.hidden = !on; }
+  show(on) {
+    this.element.hidden = !on;
+    if (on) this.#makeRoom();
+  }
 
   label(before, after) {
     this.#before.textContent = before;
@@ -54,9 +59,15 @@ export class Divider {
     this.element.style.left = `${100 * this.#share}%`;
     this.element.setAttribute("aria-valuenow", String(percent));
     this.element.setAttribute("aria-valuetext", `${percent} % of the width`);
-    // Near an edge there is no room for the label on that side.
-    this.#before.hidden = this.#share < 0.08;
-    this.#after.hidden = this.#share > 0.92;
+    this.#makeRoom();
     this.#onmove();
+  }
+
+  /** Near an edge there is no room for the label on that side. */
+  #makeRoom() {
+    const width = this.#viewer.container.clientWidth;
+    const isCut = (label, room) => { label.style.visibility = room < label.offsetWidth + BESIDE ? "hidden" : ""; };
+    isCut(this.#before, this.x);
+    isCut(this.#after, width - this.x);
   }
 }

@@ -28,7 +28,7 @@ class Expert extends EventTarget {
   control() {
     const box = h("input", { type: "checkbox", testid: "expert", onchange: () => this.turn(box.checked) });
     this.follow(() => { box.checked = this.on; });
-    const what = "Show methods, residual and invariant image, iterations, and the tab Compare";
+    const what = "Show methods, residual and invariant image, iterations, and the tab Compare if the model knows several methods";
     return h("label.check.small", { title: what }, box, "Expert");
   }
 }

@@ -135,7 +135,7 @@ export function verdictOf(fit, isExpert = true, object = "object") {
     return { kind, title: `${title}, search uncertain`, advice };
   }
   const more = (fit.n_found ?? 1) - 1;
-  const others = more > 0 ? `${several(more, "more object")} in the picture. Fit them in turn, or draw a box around one:` : "";
+  const others = more > 0 ? `${several(more, `more ${object}`)} in the picture. Fit all, or one after the other, or draw a box around one:` : "";
   return { kind, title, advice: others };
 }
 
@@ -166,6 +166,13 @@ export function factsOf(fit, isExpert = true) {
     isExpert && fit.theta_deg != null && ["θ", `${fit.theta_deg.toFixed(1)}°`],
     isExpert && ["Time", search ? `${duration(search)} search + ${duration(fitting)} fit` : duration(fitting)],
   ].filter(Boolean);
+}
+
+/** What is said of the size in which a picture is saved, if it is not whole. @param {Pick<Fit, "width" | "height"> | null} fit; @param {number} most */
+export function reducedText(fit, most) {
+  if (!fit || fit.width * fit.height <= most) return "";
+  const [has, saved] = [fit.width * fit.height, most].map((pixels) => (pixels / 1e6).toFixed(1).replace(/\.0$/, ""));
+  return `This picture has ${has} million pixels, and is saved with ${saved} million. “liaam relight” keeps all.`;
 }
 
 /** Mean distance between two shapes in pixels, over their common points; NaN without any. */

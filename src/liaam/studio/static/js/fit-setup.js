@@ -3,7 +3,7 @@
 import { api } from "./api.js";
 import { expert } from "./expert.js";
 import { entries, modelNeeded, offer } from "./fit-draw.js";
-import { AUTO, factsOf, objectOf, verdictOf } from "./fit-run.js";
+import { AUTO, factsOf, objectOf, reducedText, verdictOf } from "./fit-run.js";
 import { balanceQuery, lightQuery } from "./relight.js";
 import { sidesInWords } from "./sides.js";
 import { button, h, iconButton, saveFile, segmented } from "./ui.js";
@@ -40,7 +40,9 @@ export class SetupPanel {
       icon: "image", small: true, title: "Open another picture without adding it to the folder",
       onclick: () => tab.chooseFile(),
     });
-    this.#aside = h("p.small.muted", { hidden: true, testid: "fit-aside" }, "This picture is only looked at: it is not in the folder.");
+    this.#aside = h("p.small.muted.grow", {
+      hidden: true, testid: "fit-aside", title: "This picture is only looked at: it is not in the folder",
+    }, "Not in the folder");
     this.#place = button("Place its landmarks", {
       icon: "plus", small: true, hidden: true, testid: "fit-place", title: "Add the picture to the folder, and annotate it",
       onclick: () => app.adding.keep(tab.sources.current.file),
@@ -73,11 +75,11 @@ export class SetupPanel {
     this.#ofSides = h("div.column.tight", { testid: "fit-sides" });
     this.#ofMethod = h("div.column.tight", h("label.field", "Method", method), summary);
     this.#withModel = h("div.column",
-      h("div.column.tight", this.#starts.element, this.#hint), this.#ofSides, this.#ofMethod,
-      h("div.row", expert.control(), h("span.grow"), this.#runner));
+      this.#starts.element, h("div.row", expert.control(), h("span.grow"), this.#runner), // these stay where they are
+      this.#hint, this.#ofSides, this.#ofMethod);
     this.element = h("section.panel", { "aria-label": "Fit" },
       h("div.row.fit-source", this.#back, this.#label, open), this.#needsModel, this.#withModel);
-    this.#notes = h("section.panel", { "aria-label": "Notes" }, this.#mismatch, this.#aside, this.#place);
+    this.#notes = h("section.panel", { "aria-label": "Notes" }, this.#mismatch, h("div.row", this.#aside, this.#place));
   }
 
   /** What comes and goes, to be shown below what is pressed. */
@@ -244,7 +246,15 @@ const ABOUT = {
   relit: "In the strength that the panel shows, without points and contours",
 };
 const SHOWN_OVER = ["flat", "relit"]; // the picture, in a strength
+const WHOLE = ["flat", "shading", "relit"]; // that are computed in so many pixels at most
 const NEEDS = { flat: "flat", shading: "shading", relit: "flat" }; // a layer of the fit
+
+/** Width and height in the head of a PNG file; null for other files. @param {Blob} blob */
+async function sizeOfPng(blob) {
+  if (blob.type !== "image/png") return null;
+  const head = new DataView(await blob.slice(16, 24).arrayBuffer());
+  return { width: head.getUint32(0), height: head.getUint32(4) };
+}
 
 export class ExportMenu {
   /** @type {import("./fit.js").Tab} */
@@ -307,12 +317,20 @@ export class ExportMenu {
   }
 
   /** Save a file of the fit without the menu. */
-  async save(what) { saveFile(...(await api.file(this.#address(what)))); }
+  async save(what) { await this.#keep(await api.file(this.#address(what))); }
+
+  /** Save a file, and say if it is smaller than the picture. */
+  async #keep([blob, name]) {
+    const { fit } = this.#tab;
+    const saved = await sizeOfPng(blob);
+    const isReduced = saved && !name.endsWith("_crop.png") && fit && saved.width < fit.width;
+    saveFile(blob, name, isReduced ? `, reduced to ${saved.width}×${saved.height} from ${fit.width}×${fit.height} pixels. “liaam relight” keeps all` : "");
+  }
 
   async #save(link) {
     link.ariaBusy = "true";
     const file = await api.file(link.getAttribute("href")).finally(() => { link.ariaBusy = null; });
-    saveFile(...file);
+    await this.#keep(file);
     this.close();
   }
 
@@ -329,6 +347,8 @@ export class ExportMenu {
         continue;
       }
       link.href = this.#address(what);
+      const reduced = WHOLE.includes(what) && reducedText(fit, this.#tab.state.project.limits.relit_pixels);
+      link.title = [ABOUT[what], reduced].filter(Boolean).join(". ");
       link.hidden = what in NEEDS && !fit.layers.includes(NEEDS[what]);
     }
   }

@@ -4,8 +4,8 @@ import { api } from "./api.js";
 import { Divider } from "./divider.js";
 import { expert } from "./expert.js";
 import { drawFit, drawOver, drawSpecimens, Overlays } from "./fit-draw.js";
-import { IS_TOUCH } from "./annotate-words.js";
-import { objectOf, significant } from "./fit-run.js";
+import { IS_TOUCH, several } from "./annotate-words.js";
+import { objectOf, reducedText, significant } from "./fit-run.js";
 import { InvariantView } from "./fit-theta.js";
 import { look } from "./look.js";
 import { Balance, balanceQuery, Light, lightQuery, numbersOf, RoughLight } from "./relight.js";
@@ -16,23 +16,24 @@ const AS_SHOWN = "in the strength that the panel shows, without points and conto
 /** saves: what of the view is saved as a picture, if it can be. */
 const VIEWS = [
   { name: "picture", label: "Picture", hint: `For another picture, ${IS_TOUCH ? "" : "drop or paste it here, or "}press “Open…”.` },
-  { name: "flat", label: "Remove shading", after: "Without shading", saves: `The whole picture without its shading, ${AS_SHOWN}`,
+  { name: "flat", label: "Remove shading", after: "Without shading", work: "Removing the shading…", saves: `The whole picture without its shading, ${AS_SHOWN}`,
     hint: "The picture without its shading: in the even light of the pictures that the model was trained on." },
-  { name: "shading", label: "Shading", after: "Shading", saves: "Only the shading: the surroundings are transparent",
+  { name: "shading", label: "Shading", after: "Shading", work: "Computing the shading…", saves: "Only the shading: the surroundings are transparent",
     hint: "The effect of the light alone." },
-  { name: "residual", label: "Residual", after: "Residual", hint: "The difference between the picture and the model.",
+  { name: "residual", label: "Residual", after: "Residual", work: "Computing the residual…", hint: "The difference between the picture and the model.",
     expert: true },
-  { name: "invariant", label: "Invariant", after: "Invariant", expert: true },
-  { name: "relit", label: "Relight", after: "Relit", saves: `The whole picture in this light, ${AS_SHOWN}`,
+  { name: "invariant", label: "Invariant", after: "Invariant", work: "Computing the invariant image…", expert: true },
+  { name: "relit", label: "Relight", after: "Relit", work: "Relighting…", saves: `The whole picture in this light, ${AS_SHOWN}`,
     hint: "Drag the lamp over the picture.",
     splitHint: "Drag the lamp over the picture, and the line between before and after." },
 ];
 
-/** What is said where the light is that of training, by view: then neither has anything to show. */
+/** What is said where the light is that of training, by view: then neither has anything to show or to save. */
 const EVEN = {
   flat: "The light here is as even as in the pictures that the model was trained on: nothing is taken off.",
   shading: "The light here is as even as in the pictures that the model was trained on: there is no shading to show.",
 };
+const EVENLY_LIT = "Already in even light"; // over the picture
 
 const RELIGHT = "Remove the shading, or relight the picture, by the buttons above it. ";
 const NOTHING_TO_SAVE = "To save a picture here, remove its shading or relight it first. Export has other files";
@@ -69,7 +70,7 @@ export class FitView {
   #isRough = false; // whether it is shown
   #awaited = null; // timer of the exact relit picture; null once it is shown
   // Elements.
-  #choice; #hint; #layerName; #layerText; #legend; #saveButton; #slider;
+  #choice; #hint; #layerName; #layerText; #legend; #saveButton; #slider; #state;
 
   /** @param {import("./fit.js").Tab} tab */
   constructor(tab) {
@@ -79,7 +80,8 @@ export class FitView {
     this.#divider = new Divider(this.viewer, () => this.viewer.redraw());
     this.invariant = new InvariantView(this.viewer);
     this.light = new Light(tab.state.project.default_ambient);
-    this.container.append(this.light.stage);
+    this.#state = h("span.fit-state", { role: "status", hidden: true, testid: "fit-state" });
+    this.container.append(this.light.stage, this.#state);
     this.light.addEventListener("change", () => this.#relight());
     this.balance = new Balance();
     this.balance.addEventListener("change", () => this.#rebalance());
@@ -91,7 +93,7 @@ export class FitView {
       title: "Show the picture on the left of a line and the view on its right", onclick: () => this.toggleSplit(),
     });
     this.#saveButton = button("Save", {
-      icon: "download", kind: "primary", small: true, testid: "fit-save", onclick: () => tab.save(this.#name),
+      icon: "download", kind: "primary", small: true, testid: "fit-save", onclick: () => this.#save(),
     });
     this.overlays = new Overlays([], () => this.viewer.redraw(), "layer");
     this.layers = this.#layers();
@@ -331,44 +333,77 @@ export class FitView {
     if (this.#name !== "picture") this.#setOpacity(this.#name, opacity > 0.25 ? opacity - 0.25 : 1);
   }
 
+  /** Save the picture that is shown. A large one takes seconds. */
+  async #save() {
+    if (this.#saveButton.ariaBusy) return;
+    this.#saveButton.ariaBusy = "true";
+    await this.#tab.save(this.#name).finally(() => { this.#saveButton.ariaBusy = null; });
+  }
+
+  /** What is said over a picture that is not yet, or never will be, what the view says; "" if nothing. */
+  #stateOf(image) {
+    if (this.#why(this.#name)) return "";
+    const { work = "" } = VIEWS.find(({ name }) => name === this.#name);
+    if (!image) return work;
+    return this.#isEven && !this.#split.has(this.#name) ? EVENLY_LIT : "";
+  }
+
+  /** What is said of further objects in the picture, as long as only one is fitted. */
+  get #beside() {
+    const more = (this.#fit?.n_found ?? 1) - 1;
+    if (more < 1 || this.#others.length) return "";
+    return `${several(more, `more ${objectOf(this.#tab.state.project.model)}`)} in the picture: press “Fit all” in the panel, or draw a box around one. `;
+  }
+
+  /** Whether the view has nothing to show, since the light is that of training. */
+  get #isEven() { return Boolean(this.#name in EVEN && this.#scales.get(this.#name)?.even); }
+
   #changed() {
-    const view = VIEWS.find(({ name }) => name === this.#name);
+    // What cannot be shown of a fit is not chosen either: the picture is what one sees.
     const why = this.#why(this.#name);
+    const view = VIEWS.find(({ name }) => name === (why && this.#fit ? "picture" : this.#name));
     const scale = why ? null : this.#scales.get(this.#name);
+    const isEven = !why && this.#isEven;
     const isSplit = this.#split.has(this.#name) && !why;
     const lead = this.#name === "picture" && this.#fit && !this.#why("flat") ? RELIGHT : "";
-    const hint = lead + ((isSplit && view.splitHint) || view.hint || "");
+    const hint = this.#tab.startHint || this.#beside + lead + ((isSplit && view.splitHint) || view.hint || "");
     for (const each of this.#choice.element.children)
       each.classList.toggle("unavailable", Boolean(this.#why(each.value)));
+    this.#choice.value = view.name;
     this.#layerName.textContent = view.label;
-    this.#slider.disabled = this.#name === "picture";
-    this.#slider.value = String(this.#opacity[this.#name]);
-    this.#layerText.textContent = `${Math.round(100 * this.#opacity[this.#name])} %`;
+    this.#slider.disabled = view.name === "picture" || isEven;
+    this.#slider.value = String(this.#opacity[view.name]);
+    this.#layerText.textContent = isEven ? "–" : `${Math.round(100 * this.#opacity[view.name])} %`;
     this.invariant.show(this.#name === "invariant" && !why);
-    this.#hint.textContent = this.#source ? why || (scale?.even && EVEN[this.#name]) || hint : "";
+    const isComing = !why && this.#images.get(this.#name) === null;
+    this.#hint.textContent = this.#source ? why || (isEven && EVEN[this.#name]) || (isComing && view.work) || hint : "";
     this.#hint.classList.toggle("error-text", this.#faults.has(this.#name));
     this.#hint.hidden = this.invariant.isShown;
     this.splitter.disabled = !this.#source || Boolean(why);
-    this.#saveButton.disabled = !view.saves || Boolean(why);
-    this.#saveButton.title = view.saves ?? NOTHING_TO_SAVE;
-    this.#explain(scale?.limit ? scale : null);
+    this.#saveButton.disabled = !view.saves || Boolean(why) || isEven;
+    this.#saveButton.title = isEven ? EVEN[this.#name] : view.saves ? [view.saves, reducedText(this.#fit, this.#most)].filter(Boolean).join(". ") : NOTHING_TO_SAVE;
+    this.#explain(scale?.limit && !isEven ? scale : null);
     this.light.show(this.#name === "relit", Boolean(why));
     this.light.note(this.#note());
     this.balance.show(this.#scales.get("flat")?.colour);
     press(this.splitter, isSplit);
-    if (isSplit) this.#divider.label("Picture", view.after);
+    if (isSplit) this.#divider.label("Picture", isEven ? EVENLY_LIT : view.after);
     this.viewer.redraw();
   }
+
+  /** Show what is to be done at the picture, where the start of a fit is chosen. */
+  showStart() { this.#changed(); }
+
+  /** Most pixels of a picture without shading, or relit, that is saved. */
+  get #most() { return this.#tab.state.project.limits.relit_pixels; }
 
   /** What is to be known before the relit picture is saved; "" if nothing. */
   #note() {
     const fit = this.#fit;
     if (!fit) return "";
-    const most = this.#tab.state.project.limits.relit_pixels;
-    const [has, saved] = [fit.width * fit.height, most].map((pixels) => Math.round(pixels / 1e6));
     return [
       this.#others.length > 0 && `Only the light of ${fit.specimen.name} is changed: choose another one below.`,
-      fit.width * fit.height > most && `This picture has ${has} million pixels; the relit one is saved with ${saved} million. “liaam relight” keeps all.`,
+      reducedText(fit, this.#most),
     ].filter(Boolean).join(" ");
   }
 
@@ -396,6 +431,8 @@ export class FitView {
     const image = this.#image();
     const isSplit = this.#split.has(this.#name);
     this.#divider.show(isSplit && image !== null); // no label for what is not drawn
+    this.#state.textContent = this.#stateOf(image);
+    this.#state.hidden = !this.#state.textContent;
     if (image) {
       drawOver(ctx, viewer, image, {
         from: isSplit ? this.#divider.x : null, opacity: this.#opacity[this.#name],

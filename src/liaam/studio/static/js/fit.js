@@ -146,6 +146,9 @@ export class Tab extends SourceTab {
     this.#view.viewer.redraw();
   }
 
+  /** What is to be done at the picture before it is fitted; "" if nothing. */
+  get startHint() { return { box: "Draw a box around the object.", mean: "Drag the shape onto the object." }[this.#start] ?? ""; }
+
   get startTool() { return { box: this.#box, mean: this.#mean }[this.#start] ?? null; }
 
   #take(/** @type {Fit | null} */ fit) {
@@ -276,6 +279,7 @@ export class Tab extends SourceTab {
     this.#setup.showStart(value);
     this.#mean.showFit(false);
     this.#view.viewer.use(this.startTool);
+    this.#view.showStart();
   }
 
   #busy(now) {

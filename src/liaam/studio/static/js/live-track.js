@@ -7,6 +7,7 @@ const FACTS = 10; // columns before those of the points
 const PER_POINT = 7; // x, y, fitted x and y, variances and covariance
 const MOST = 480_000; // pixels of a frame that is sent: at four bytes each, less than the server's limit of 2 MB
 const JUMP = 0.5; // seconds between two frames from which on the object is searched anew
+const APART = JUMP; // seconds between two frames that were watched apart from which on nothing is known between them
 const SLOW = 15; // frames per second below which the user sees a message
 
 export function sentSize(width, height) {
@@ -56,6 +57,7 @@ export class Track {
   #header;
   #rows = new Map();
   #end = 0;
+  #run = 0; // of the frames that are watched one after the other
 
   constructor(header = "") { this.#header = header; }
 
@@ -64,11 +66,21 @@ export class Track {
   get rows() { return this.#rows; }
   /** Time of the row that was added last, in seconds. */
   get end() { return this.#end; }
-  /** Number of frames between the first and the last that have no row, if frames come in equal intervals. */
+  /** The run to which the frames belong that are shown now. */
+  get run() { return this.#run; }
+
+  /** The person goes to another time: what lies between was not watched. */
+  leap() { this.#run += 1; }
+
+  /** Number of watched frames that have no row, if frames come in equal intervals. */
   get skipped() {
     const { times, interval } = this.#times;
-    return times.length < 2 ? 0 : Math.round((times.at(-1) - times[0]) / interval) + 1 - times.length;
+    const watched = times.slice(1).map((time, i) => (this.#isUnwatched(this.#rows.get(times[i]), this.#rows.get(time)) ? interval : time - times[i]));
+    return times.length < 2 ? 0 : Math.round(watched.reduce((sum, each) => sum + each, 0) / interval) + 1 - times.length;
   }
+
+  /** Whether what lies between two frames that follow each other in time was not watched. */
+  #isUnwatched(before, after) { return before.run !== after.run && after.time - before.time > APART; }
 
   /** What is said when the table of a video is saved; "" if no frame was skipped. */
   get gaps() {
@@ -79,12 +91,12 @@ export class Track {
 
   get lost() { return [...this.#rows.values()].filter(({ shape }) => !shape.length).length; }
 
-  /** Add the row of a frame; returns it as a fit. */
-  set(time, row) {
+  /** Add the row of a frame, of the run in which it was shown; returns it as a fit. */
+  set(time, row, run = this.#run) {
     const fit = parseRow(row);
     this.#end = time;
     const { fitStatus, quality, roll, size, shape } = fit;
-    this.#rows.set(key(time), { row, time, fitStatus, quality, roll, size, shape: Float32Array.from(shape.flat()) });
+    this.#rows.set(key(time), { row, time, run, fitStatus, quality, roll, size, shape: Float32Array.from(shape.flat()) });
     return fit;
   }
 
@@ -96,9 +108,12 @@ export class Track {
     return [...this.#rows.values()].map((frame) => [frame.time, kind(frame)]);
   }
 
-  /** Times, and values of each of some functions of a frame, from a time on, for graphs. A lost frame has none. */
+  /** Times, and values of each of some functions of a frame, from a time on, for graphs. A lost frame has none, nor has
+   *  the middle of what was not watched, so that no line is drawn there. */
   graphs(values, since = -Infinity) {
-    const frames = [...this.#rows.values()].filter(({ time }) => time >= since).sort((a, b) => a.time - b.time);
+    const known = [...this.#rows.values()].filter(({ time }) => time >= since).sort((a, b) => a.time - b.time);
+    const frames = known.flatMap((frame, i) => (i > 0 && this.#isUnwatched(known[i - 1], frame)
+      ? [{ time: (known[i - 1].time + frame.time) / 2, shape: [] }, frame] : [frame]));
     const seen = (of) => frames.map((frame) => (frame.shape.length ? of(frame) : null));
     return [frames.map(({ time }) => time), ...values.map(seen)];
   }

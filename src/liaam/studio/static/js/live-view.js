@@ -32,7 +32,7 @@ export class LiveView {
     this.#divider.label("Picture", "Without shading");
     const file = fileField(act.file, { accept: "video/*", "aria-label": "Open a video", testid: "live-file" });
     const tool = (label, name, more) =>
-      button(label, { small: true, testid: `live-${name}`, onclick: act[name], ...more });
+      button(label, { small: true, testid: `live-${name}`, title: label, onclick: act[name], ...more });
     this.#tools = {
       flat: tool("Remove shading", "flat", { pressed: false, shortcut: "F" }),
       mirror: tool("Mirror", "mirror", {

@@ -57,6 +57,7 @@ export class Tab {
     this.#stop();
     const [view, { video }] = [this.#view, this.#source];
     video.addEventListener("play", () => view.meter.reset());
+    video.addEventListener("seeking", () => this.#track.leap());
     for (const type of ["play", "pause", "ended"]) video.addEventListener(type, () => this.#dress());
     video.addEventListener("resize", () => view.viewer.setPicture(null, video.videoWidth, video.videoHeight));
     app.state.addEventListener("project", () => this.#dress());
@@ -128,7 +129,7 @@ export class Tab {
     this.#missed = waits ? time : null;
     if (waits) return;
     const canvas = this.#source.grab(sentSize(video.videoWidth, video.videoHeight));
-    const frame = { time, grabbed: performance.now(), canvas, asked: this.#isFlat };
+    const frame = { time, grabbed: performance.now(), canvas, asked: this.#isFlat, run: this.#track.run };
     if (known) this.#take(frame, known, null);
     else this.#send(frame);
   }
@@ -161,7 +162,7 @@ export class Tab {
   }
 
   #take(frame, row, flat) {
-    const fit = this.#track.set(frame.time, row);
+    const fit = this.#track.set(frame.time, row, frame.run);
     if (frame.grabbed < this.#view.shown?.grabbed) return; // overtaken by a newer one
     const { triangles, contours } = this.#app.state.project.model;
     this.#view.show({ ...frame, flat, fit: { ...fit, triangles, contours } });

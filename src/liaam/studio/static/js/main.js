@@ -1,6 +1,6 @@
 // The frame of the page: tabs, theme, keys, and the status of training and of the connection.
 
-import { api, ApiError, busy } from "./api.js";
+import { answers, api, ApiError, busy } from "./api.js";
 import { IS_TOUCH } from "./annotate-words.js";
 import { acceptFiles, createAdding } from "./adding.js";
 import { expert } from "./expert.js";
@@ -272,7 +272,22 @@ function status() {
 
 addEventListener("unhandledrejection", (event) => {
   if (event.reason instanceof ApiError) event.preventDefault(); // others are faults of the page, for its console
-  if (event.reason?.message) toast(event.reason, "bad");
+  if (event.reason?.message) complain(event.reason);
 });
+
+answers.addEventListener("good", (/** @type {any} */ { detail }) => ui.settleErrors(detail));
+
+/** Say what failed. If points have to be accepted first, the wall is offered, and the message goes once some are. */
+function complain(error) {
+  const proposed = error.body?.proposed;
+  const close = toast(error, "bad", proposed && { label: "Show them all", onclick: () => app.list.wall.open(true) });
+  if (!proposed) return;
+  const follow = () => {
+    if (!state.project.pictures.some(({ placed }) => placed)) return;
+    state.removeEventListener("project", follow);
+    close();
+  };
+  state.addEventListener("project", follow);
+}
 
 start();

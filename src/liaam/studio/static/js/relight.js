@@ -97,19 +97,27 @@ export const balanceQuery = (/** @type {boolean} */ corrects) => (corrects ? {} 
 /** Whether the colour of the light is corrected in flat and relit pictures, and what it is. Event: "change". */
 export class Balance extends EventTarget {
   #box = h("input", {
-    type: "checkbox", checked: true, testid: "balance", onchange: () => this.dispatchEvent(new Event("change")),
+    type: "checkbox", disabled: true, testid: "balance", onchange: () => {
+      this.#corrects = this.#box.checked;
+      this.dispatchEvent(new Event("change"));
+    },
   });
   #found = h("span.muted", { testid: "light-colour" });
-  element = h("label.check.fit-balance", { title: "Take the colour of the light off the whole picture, face and wall alike" },
+  element = h("label.check.fit-balance",
     this.#box, h("span.grow", "Correct the colour of the light"), this.#found);
 
-  get corrects() { return this.#box.checked; }
+  #corrects = true; // as chosen, also while there is nothing to correct
+  get corrects() { return this.#corrects; }
 
   /** Show the name of the colour that was found, "" if it is as in training; null: not known.
    *  @param {string | null | undefined} colour */
   show(colour) {
     this.#found.textContent = colour === "" ? "neutral" : colour ?? "";
     this.#box.disabled = !colour;
+    this.#box.checked = Boolean(colour) && this.#corrects;
+    this.element.title = colour ? "Take the colour of the light off the whole picture, face and wall alike"
+      : colour === "" ? "The light is neutral, as in the pictures that the model was trained on: there is no colour to correct"
+      : "The colour of the light is measured when the shading is removed, or the picture is relit";
   }
 }
 

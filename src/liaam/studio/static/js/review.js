@@ -14,7 +14,7 @@ const DID = {
   restored: "restored proposed points", deleted: "deleted the landmarks", undeleted: "restored the landmarks",
   scaled: "set the scale, with those of other pictures", unscaled: "took that scale back",
 };
-const EXPORTS = { pts: ".pts files (zip)", coco: "COCO keypoints", tps: "tpsDig (.tps)", csv: "Table (.csv)", sliders: "Sliders (.csv)", measure: "Measurements…" };
+const EXPORTS = { pts: ".pts files (zip)", coco: "COCO keypoints", tps: "tpsDig (.tps)", csv: "Table (.csv)", sliders: "Sliders (.csv)", measure: "Measurements (opens Measure)" };
 const UNMEASURED = "It is measured on pictures that are held out from a training on four or more. In these, a person must " +
   "have placed, moved or confirmed (Y) at least half of the points: accepted ones would confirm the model that made them.";
 export const sentence = (/** @type {HistoryEntry} */ { who, did }) => `${who || "Someone"} ${DID[did]}`;
@@ -102,9 +102,9 @@ export function createReview(tab) {
   function show() {
     const { checked, state: progress, unconfirmed } = /** @type {Partial<Picture>} */ (state.picture() ?? {});
     element.hidden = !state.project.template;
-    const seen = unconfirmed ? `${several(unconfirmed, "point")} unconfirmed` : "Not checked yet";
+    const seen = unconfirmed ? `${unconfirmed} unconfirmed` : "Not checked yet";
     now.textContent = checked ? `Checked by ${checked}` : progress === "done" ? seen : "";
-    now.title = unconfirmed ? "Accepted together with others. Y confirms the selected point, for accuracy and agreement" : STATES.checked.about;
+    now.title = unconfirmed ? "Points that were accepted together with others. Y confirms the selected point, for accuracy and agreement" : STATES.checked.about;
     check.style.visibility = progress === "done" ? "" : "hidden"; // its place stays
     check.lastChild.textContent = checked ? "Withdraw" : "Mark as checked";
     name.textContent = whoAmI(state.project) || "Your name…";

@@ -204,14 +204,14 @@ export async function confirm(title, text, action, kind = "danger") {
   return (await dialog(title, text, actions)) === true;
 }
 
-/** Save files, [blob, name] each, and say so. */
-export function saveFiles(files) {
+/** Save files, [blob, name] each, and say so; note: what is said after the names. */
+export function saveFiles(files, note = "") {
   for (const [blob, name] of files) download(blob, name);
-  if (files.length) toast(`Saved ${files.map(([, name]) => name).join(", ")}`, "good");
+  if (files.length) toast(`Saved ${files.map(([, name]) => name).join(", ")}${note}`, "good");
 }
 
-/** @param {Blob} blob; @param {string} name */
-export const saveFile = (blob, name) => saveFiles([[blob, name]]);
+/** @param {Blob} blob; @param {string} name; @param {string} note */
+export const saveFile = (blob, name, note = "") => saveFiles([[blob, name]], note);
 
 function download(blob, name) {
   const address = URL.createObjectURL(blob);
@@ -222,18 +222,32 @@ function download(blob, name) {
   setTimeout(() => URL.revokeObjectURL(address), 60_000); // the browser may not have read it yet
 }
 
-/** Show a message; errors stay until they are closed. `action`: {label, onclick}. Returns what removes it. */
+const TOASTS = 2; // at a time, since they lie over the picture
+
+/** How much a message must stay: an error most of all. @param {Element} item */
+const weight = (item) => (item.matches(".bad") ? 2 : item.querySelector("[data-testid=toast-action]") ? 1 : 0);
+
+/** Remove errors about what now has succeeded. @param {string} about as of an ApiError */
+export function settleErrors(about) {
+  for (const item of /** @type {NodeListOf<HTMLElement>} */ (document.querySelectorAll(".toast[data-about]"))) if (item.dataset.about === about) item.remove();
+}
+
+/** Show a message; errors stay until they are closed, or what failed has succeeded. `action`: {label, onclick}. Returns
+ *  what removes it. */
 export function toast(message, kind = "info", action = null) {
   if (message?.unreachable) return () => {}; // the notice above the page says so
   const box = document.getElementById("toasts");
   const text = message instanceof Error ? message.message : String(message);
   for (const other of box.querySelectorAll(".toast")) if (other.firstChild.textContent === text) other.remove();
   const remove = () => item.remove();
-  const item = h("div.toast", { class: kind, role: kind === "bad" ? "alert" : null }, h("span.grow", text),
+  const item = h("div.toast", { class: kind, role: kind === "bad" ? "alert" : null, dataset: message?.about ? { about: message.about } : {} }, h("span.grow", text),
     action && button(action.label, { small: true, testid: "toast-action", onclick: () => { remove(); action.onclick(); } }),
     iconButton("Dismiss", "close", remove, { small: true }));
   box.append(item);
-  while (box.children.length > 4) box.firstChild.remove();
+  while (box.children.length > TOASTS) {
+    const others = [...box.children].filter((other) => other !== item);
+    others.reduce((least, other) => (weight(other) < weight(least) ? other : least)).remove();
+  }
   if (kind !== "bad") setTimeout(remove, action ? 10_000 : 5000);
   return remove;
 }
