@@ -16,6 +16,7 @@ import { PointTool } from "./gestures.js";
 import { chosenKeys, meant } from "./hotkeys.js";
 import { Marking } from "./marking.js";
 import { createMeasured } from "./measured.js";
+import { sameBar } from "./points.js";
 import { createPointsPanel } from "./points-panel.js";
 import { createReview } from "./review.js";
 import { ScaleBar } from "./scale-bar.js";
@@ -208,12 +209,40 @@ export class Tab {
     }
   }
 
-  /** Set the scale bar of the open picture in all others of the shown folder, also in those that filters hide. */
+  /** The scale bar of the open picture in all others of the shown folder, also in those that filters hide: {redo(), undo()}
+   *  set it and take it back there. The message of redo() offers to take it back everywhere, also here. */
   #shareBar(bar, anyway) {
-    const others = this.state.pictures.map(({ name }) => name).filter((name) => name !== this.name);
+    const { name, marking, opening, saving, app: { list: { bulk } } } = this;
+    const before = marking.state.bar;
+    const others = this.state.pictures.map((picture) => picture.name).filter((other) => other !== name);
     /** @type {Partial<Review>} */
-    const scale = { bar, of: this.name, anyway };
-    this.app.list.bulk.run("scaled", others, scale);
+    const more = { bar, of: name, anyway };
+    let changed = null; // promise of the others that have it; null if it was taken back
+    const step = {
+      redo: () => {
+        const work = bulk.run("scaled", others, { more, undo: takeBack });
+        changed = work.catch(() => []); // what is wrong is told
+        return work;
+      },
+      undo: async () => {
+        const names = await changed;
+        changed = null;
+        if (names?.length) await bulk.run("unscaled", names);
+      },
+    };
+    const takeBack = () => {
+      const { history } = opening.bookOf(name);
+      const isOpen = name === this.name;
+      if (!changed) return undefined;
+      if (isOpen && history.beyond("undo") === step) return this.commands.travel("undo"); // also of the others
+      if (!sameBar(history.state.bar, bar)) return step.undo(); // another was drawn here since
+      if (isOpen) marking.change({ bar: before }, "scale as before", null, { beyond: { undo: step.redo, redo: step.undo } });
+      else if (history.beyond("undo") === step) history.undo();
+      else history.push({ ...history.state, bar: before }, "scale as before");
+      if (!isOpen) saving.change(name, history.state);
+      return step.undo();
+    };
+    return step;
   }
 
   /** Other points were selected. */

@@ -88,12 +88,14 @@ export class Editable {
   travel(way) {
     const { history } = this;
     const what = way === "undo" ? history?.undoes : history?.redoes;
+    const beyond = history?.beyond(way);
     const isDone = history?.[way](this.context);
     if (!isDone) return null;
     this.setShown(null);
     this.restore(history.context ?? {}); // that to which the step has led
     this.changed();
     this.onselect();
+    beyond?.[way]();
     return what;
   }
 }

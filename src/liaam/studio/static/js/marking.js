@@ -101,15 +101,16 @@ export class Marking extends Editable {
   /** Let mirrored points move together, or no longer; return which. */
   toggleMirrored() { return (this.#mirrored = !this.#mirrored); }
 
-  /** @typedef {{alone?: number, fresh?: string, changed?: string | null, accepts?: boolean, context?: any}} Options
-   *  Those of originsAfter, and what the next click depended on before the step, if that is not the present. */
+  /** @typedef {{alone?: number, fresh?: string, changed?: string | null, accepts?: boolean, context?: any, beyond?: any}} Options
+   *  Those of originsAfter, what the next click depended on before the step, if that is not the present, and what the
+   *  step has changed beyond this picture (of History.push). */
 
   /** @param {any} points; @param {string} what; @param {string | null} key; @param {Options} options */
   commit(points, what, key = null, options = {}) { this.change({ points }, what, key, options); }
 
   /** One undo step. It accepts a proposal, unless it changes the scale bar, and the mean shape if a point moves.
    *  @param {any} change; @param {string} what; @param {string | null} key; @param {Options} options */
-  change(change, what, key = null, { context = this.contextBefore, ...options } = {}) {
+  change(change, what, key = null, { context = this.contextBefore, beyond = null, ...options } = {}) {
     if (this.#locked) return;
     const before = this.state;
     const { points, invisible, absent = [], bar = null } = { ...before, ...change };
@@ -127,8 +128,8 @@ export class Marking extends Editable {
     const same = samePoints(points, before.points) && state.invisible.join() === before.invisible.join() &&
       state.absent.join() === (before.absent ?? []).join() && origins.join() === originsOf(before).join() &&
       sameBar(before.bar, bar);
-    if (before.source === source && same) return;
-    this.history.push(state, what, key, context);
+    if (before.source === source && same && !beyond) return;
+    this.history.push(state, what, key, context, beyond);
     this.changed();
   }
 

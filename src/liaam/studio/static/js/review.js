@@ -14,7 +14,7 @@ const DID = {
   restored: "restored proposed points", deleted: "deleted the landmarks", undeleted: "restored the landmarks",
   scaled: "set the scale, with those of other pictures", unscaled: "took that scale back",
 };
-const EXPORTS = { pts: ".pts files (zip)", coco: "COCO keypoints", tps: "tpsDig (.tps)", csv: "Table (.csv)", sliders: "Sliders (.csv)", measure: "Measurements…" };
+const EXPORTS = { pts: ".pts files (zip)", coco: "COCO keypoints", tps: "tpsDig (.tps)", csv: "Table (.csv)", sliders: "Sliders (.csv)", measure: "Measurements…", model: "Model (.liaam)" };
 const UNMEASURED = "It is measured on pictures that are held out from a training on four or more. In these, a person must " +
   "have placed, moved or confirmed (Y) at least half of the points: accepted ones would confirm the model that made them.";
 export const sentence = (/** @type {HistoryEntry} */ { who, did }) => `${who || "Someone"} ${DID[did]}`;
@@ -55,8 +55,10 @@ export function createReview(tab) {
   const name = button("", {
     small: true, kind: "ghost", title: "Your name in the history", onclick: () => askName(app).then(show),
   });
-  const save = async (format) =>
-    (format === "measure" ? app.openTab("measure") : saveFile(...(await api.file(api.url("export/{kind}", { kind: format })))));
+  const save = async (format) => {
+    if (format === "measure") return app.openTab("measure");
+    return saveFile(...(await api.file(format === "model" ? api.url("model/file") : api.url("export/{kind}", { kind: format }))));
+  };
   const files = menu("Export all…", EXPORTS, save, {
     class: "small", "aria-label": "Export all landmarks", testid: "export-all",
   });

@@ -25,8 +25,8 @@ export class ScaleBar extends Editable {
   #on = false;
   #ends = [null, null];
 
-  /** handlers: onpreview(): an end moves; onchange(): drawing starts or stops; onshare(bar, anyway): the other pictures
-   *  get it too; alone(): whether there are none; onfind({kind, length, unit}): ask the server for the scale of the
+  /** handlers: onpreview(): an end moves; onchange(): drawing starts or stops; onshare(bar, anyway) ->
+   *  {undo(), redo()}, which gives it to the other pictures too, and takes it back there; alone(): whether there are none; onfind({kind, length, unit}): ask the server for the scale of the
    *  picture, which gives a FoundScale, or null after it has said why not.
    *  @param {import("./marking.js").Marking} marking; @param {any} handlers */
   constructor(marking, handlers) {
@@ -40,7 +40,8 @@ export class ScaleBar extends Editable {
   /** None that could be moved. */
   get points() { return []; }
 
-  onshare(_bar, _anyway) {}
+  /** @returns {{undo: () => any, redo: () => any}} */
+  onshare(_bar, _anyway) { return { undo() {}, redo() {} }; }
   /** @returns {Promise<FoundScale | null>} */
   async onfind(_asked) { return null; }
   alone() { return false; }
@@ -49,6 +50,9 @@ export class ScaleBar extends Editable {
   get bar() { return this.#marking.state?.bar ?? null; }
   get history() { return this.#marking.history; }
   get editable() { return this.#marking.editable; }
+  /** The open picture. While a dialog is open, its marks may be fetched again, as after a training: what is typed and
+   *  confirmed there is for the picture, whichever marks it has by then. */
+  get #picture() { return this.#marking.book?.name ?? null; }
   get placing() { return this.editable; }
   get prompt() {
     if (this.ends[1]) return ""; // it is being asked for its length
@@ -75,10 +79,11 @@ export class ScaleBar extends Editable {
   /** The button: draw a bar, stop drawing, or change the bar that is there. */
   async start() {
     if (this.on || !this.bar) return this.turn(!this.on);
-    const { bar } = this;
+    const [{ bar }, picture] = [this, this.#picture];
     const remove = { label: "Remove", value: "remove", testid: "scale-remove" };
     const find = { label: "Find…", value: "find", testid: "scale-find-again" };
     const [answer, change] = await this.ask(bar, [remove, find, { label: "Draw again", value: "draw" }]);
+    if (this.#picture !== picture) return;
     if (answer === "remove") this.#marking.change({ bar: null }, "remove the scale bar");
     else if (answer === "draw") this.turn(true);
     else if (answer === "find") this.find();
@@ -107,11 +112,10 @@ export class ScaleBar extends Editable {
   }
 
   async finish() {
-    const { ends } = this;
-    const { book } = this.#marking;
+    const [{ ends }, picture] = [this, this.#picture];
     if (distance(ends[0], ends[1]) < LEAST) return this.preview([ends[0], null]);
     const [answer, bar] = await this.ask(known());
-    if (this.#marking.book !== book) return;
+    if (this.#picture !== picture) return;
     this.turn(false);
     if (!answer) return;
     localStorage.setItem(KEY, JSON.stringify({ length: bar.length, unit: bar.unit }));
@@ -120,17 +124,17 @@ export class ScaleBar extends Editable {
 
   /** Ask what is in the picture, let the server find it, show it, and ask whether it is right. */
   async find() {
-    const { book } = this.#marking;
+    const picture = this.#picture;
     const [looks, asked] = await this.askKind(JSON.parse(localStorage.getItem(FIND_KEY) ?? '{"kind": "ruler", "length": 1, "unit": "mm"}'));
-    if (!looks || this.#marking.book !== book) return;
+    if (!looks || this.#picture !== picture) return;
     localStorage.setItem(FIND_KEY, JSON.stringify(asked));
     const found = await this.onfind(asked);
-    if (!found || this.#marking.book !== book) return;
+    if (!found || this.#picture !== picture) return;
     this.#on = true; // so that what was found is drawn
     this.#ends = found.bar.ends;
     this.onchange();
     const [answer, anyway] = await this.offer(found);
-    if (this.#marking.book !== book) return;
+    if (this.#picture !== picture) return;
     this.turn(false);
     if (answer) this.settle(answer, { ...found.bar, anyway }, "scale bar that was found");
   }
@@ -170,8 +174,10 @@ export class ScaleBar extends Editable {
 
   /** With the box, both buttons set the scale in all pictures. */
   settle(answer, { anyway, ...bar }, what) {
-    this.#marking.change({ bar }, what);
-    if (answer === "share" || anyway) this.onshare(bar, anyway);
+    if (answer !== "share" && !anyway) return this.#marking.change({ bar }, what);
+    const others = this.onshare(bar, anyway);
+    this.#marking.change({ bar }, "same scale for all", null, { beyond: others }); // one step with theirs
+    return others.redo();
   }
 
   async ask(bar, more = []) {
