@@ -94,7 +94,11 @@ def test_one_scale_for_all_pictures_and_its_undo(marked, serve, open_page, artef
     # A training ends meanwhile, so that the marks of the picture are fetched again: what is typed is not lost.
     with page.expect_response("**/portrait-01.png/landmarks"):
         page.evaluate(
-            "() => { const { state } = liaamStudio; state.picture().uncertainty = 0.1; state.dispatchEvent(new Event('project')); }"
+            """() => {
+              const { state } = window.liaamStudio;
+              state.picture().uncertainty = 0.1;
+              state.dispatchEvent(new Event("project"));
+            }"""
         )
     page.wait_for_timeout(100)
     page.locator("[data-testid=scale-share]").click()
