@@ -4,7 +4,7 @@ import re
 
 import numpy as np
 import pytest
-from people import NAMES, annotate, client, drag, open_picture, opened, saved, wait_for, wait_for_state, wait_until
+from people import NAMES, annotate, client, drag, open_picture, opened, points_of, saved, wait_for, wait_for_state, wait_until
 
 from liaam.io import Landmarks, write_landmarks
 
@@ -40,11 +40,30 @@ def test_enter_on_an_untouched_mean_shape_saves_nothing(blank, marked):
 
 
 def test_a_moved_or_a_confirmed_mean_shape_is_saved(blank, marked):
-    drag(blank, client(blank, 2), [v + 12 for v in client(blank, 2)])
+    before = points_of(blank)
+    middle = np.mean([client(blank, i) for i in range(5)], axis=0)
+    for moves in (1, 2):  # by the inside of its frame, which stays after the first move
+        drag(blank, middle, middle + (12, 8))
+        middle += (12, 8)
+        wait_for(blank, "moves => window.liaamStudio.annotate.undoSteps() === moves", moves)
+    shifts = points_of(blank) - before
+    assert np.ptp(shifts, axis=0).max() < 0.02 and shifts.min() > 5
+    # A click on a button leaves the focus in the picture, so that Enter accepts.
+    blank.locator("[data-testid=point-list] [data-index='2']").click()
+    absent = blank.locator("button[title^=Absent]")
+    absent.click()
+    wait_for(blank, "() => window.liaamStudio.annotate.points()[2] === null")
     blank.keyboard.press("Enter")
     opened(blank, NAMES[2])
     wait_for_state(blank, NAMES[1], "done")
     assert (marked / "portrait-02.ljson").exists()
+    blank.keyboard.press("Control+z")  # returns to the picture that was accepted
+    opened(blank, NAMES[1])
+    steps = annotate(blank, "undoSteps()")
+    blank.keyboard.press("Control+z")  # and takes its last step back
+    wait_for(blank, "steps => window.liaamStudio.annotate.undoSteps() === steps - 1", steps)
+    blank.keyboard.press("Control+y")
+    open_picture(blank, NAMES[2])
     blank.locator("[data-testid=confirm-layout]").click()
     blank.locator("[data-testid=confirm]").click()
     saved(blank)

@@ -99,8 +99,12 @@ export function createAdding(app) {
     return add([item]);
   }
 
-  /** Add a picture that is only shown so far. */
-  const keep = (file) => add([{ file, path: file.name }]).catch(complain);
+  /** Add a picture that is only shown so far, and open it for its landmarks to be placed. */
+  async function keep(file) {
+    const added = await add([{ file, path: file.name }]).catch((error) => void complain(error));
+    const name = added?.[0];
+    if (name && state.picture(name)?.state !== "broken") state.select(name);
+  }
 
   /** Add files to the folder: pictures first, since landmarks belong to them. */
   async function add(items) {
@@ -135,6 +139,7 @@ export function createAdding(app) {
     toast(summary(result), result.refused.length ? "bad" : "good");
     app.list.sortByQuality();
     if (result.pictures && !state.guest) app.openTab("annotate");
+    return added;
   }
 
   async function openModel(file) {

@@ -44,7 +44,7 @@ export class Tab {
   #alternative = h("p.visually-hidden", { id: "annotate-text" });
   #side = h("aside.side.annotate-side", { "aria-label": "Points" });
   #finder; // button of the scale bar
-  viewer = new Viewer(this.#container, { label: "Picture with landmarks" });
+  viewer = new Viewer(this.#container, { label: "Picture with landmarks", mirrors: true });
 
   /** Announce a text to screen readers. */
   say = (text) => { this.#spoken.textContent = text; };
@@ -104,6 +104,7 @@ export class Tab {
     viewer.addLayer((ctx) => this.#draw(ctx));
     root.classList.add("annotate");
     root.append(h("div.workspace", this.toolbar.element, this.#container), this.#side);
+    root.addEventListener("mousedown", (event) => this.#keepFocus(event));
     this.#listen();
     this.#expose();
   }
@@ -126,6 +127,14 @@ export class Tab {
   saved() { return this.saver.flush(); }
   focus() { this.viewer.canvas.focus({ preventScroll: true }); }
 
+  /** The mouse chooses buttons without taking the focus from the picture, so that Enter accepts afterwards. Only those to
+   *  which Tab has led are pressed by Enter. */
+  #keepFocus(event) {
+    if (this.editing || !(event.target instanceof Element) || !event.target.closest("button, summary, label.check, .segmented")) return;
+    event.preventDefault();
+    this.focus();
+  }
+
   /** Run the action of a button. After a click, return the focus to the picture, so that Enter works there. */
   act(event, work) {
     work();
@@ -144,7 +153,7 @@ export class Tab {
     });
     state.addEventListener("online", (/** @type {any} */ { detail }) => detail && this.#online());
     this.viewer.addEventListener("view", () => opening.sharpen());
-    this.viewer.addEventListener("unmirror", () => commands.mirrorView());
+    this.viewer.addEventListener("mirror", () => commands.mirrorView());
     // A gesture in progress is not saved when the page is closed.
     document.addEventListener("visibilitychange", () => document.visibilityState === "hidden" && saver.flush());
     addEventListener("pagehide", () => saver.flush());

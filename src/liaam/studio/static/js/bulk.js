@@ -107,7 +107,7 @@ export function createBulk({ app, chosen, onall, onend, ondone }) {
   });
   const small = (label, onclick, testid) => button(label, { small: true, kind: "ghost", onclick, testid });
   const element = h("div.strip-bulk", { hidden: true },
-    h("div.row", count, small("All", onall, "bulk-all"), small("End", onend, "bulk-end")),
+    h("div.row", count, small("All", onall, "bulk-all"), small("Done", onend, "bulk-end")),
     h("div.row", choice, undo));
 
   function mayDelete(names) {

@@ -162,8 +162,11 @@ function openTab(name, options = {}) {
 function keys(event) {
   if (event.defaultPrevented || isTyping(event) || document.querySelector("dialog[open]")) return;
   if (open === "annotate" && !tabs.get(open).tab.editing) translate(event);
-  if (tabs.get(open)?.tab.key?.(event) || (isPlain(event) && commonKey(event))) event.preventDefault();
+  if (tabs.get(open)?.tab.key?.(event) || (isPlain(event) && commonKey(event)) || isUndo(event)) event.preventDefault();
 }
+
+/** Whether a key would undo or redo what was typed in a field that the focus has left, unseen. */
+const isUndo = ({ key, ctrlKey, metaKey }) => (ctrlKey || metaKey) && ["z", "y"].includes(key.toLowerCase());
 
 function commonKey(event) {
   const byNumber = shownTabs().map(({ name }, i) => [i + 1, () => openTab(name)]);

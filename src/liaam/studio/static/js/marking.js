@@ -19,6 +19,7 @@ export class Marking extends Editable {
   #book = null;
   #invisible = new Set();
   #hidden = false;
+  #whole = null; // the state after all points were moved together, whose frame stays until something else is changed
   #mirrored = false;
   #locked;
   #template;
@@ -75,8 +76,10 @@ export class Marking extends Editable {
 
   framed() {
     if (this.selection.size > 1) return [...this.selection].filter((i) => this.points[i]);
-    return this.state?.source === "layout" ? placed(this.points) : [];
+    return this.#isFramed(this.state) ? placed(this.points) : [];
   }
+
+  #isFramed(state) { return state !== null && (state.source === "layout" || state === this.#whole); }
 
   /** "missing", "absent", "invisible", "proposed", "accepted" or "placed". */
   stateOf(index) {
@@ -129,6 +132,8 @@ export class Marking extends Editable {
       state.absent.join() === (before.absent ?? []).join() && origins.join() === originsOf(before).join() &&
       sameBar(before.bar, bar);
     if (before.source === source && same && !beyond) return;
+    const moved = placed(points).filter((i) => !samePoint(points[i], before.points[i]));
+    if (this.#isFramed(before) && moved.length && moved.length === placed(points).length) this.#whole = state;
     this.history.push(state, what, key, context, beyond);
     this.changed();
   }

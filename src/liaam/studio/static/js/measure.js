@@ -4,7 +4,7 @@
 import { several } from "./annotate-words.js";
 import { createLeftOut, leftOut } from "./left-out.js";
 import { MeasureBuilder } from "./measure-builder.js";
-import { bins, measureText, numberText, summary } from "./measures.js";
+import { bins, decimalsOf, endsOf, measureText, numberText, summary } from "./measures.js";
 import { plotFiles } from "./plot-files.js";
 import { createShapeSpace } from "./shape-space.js";
 import { groupMark, histogram } from "./shape-plots.js";
@@ -253,10 +253,12 @@ export class Tab {
     const groups = leftOut(pictures, data, ofShapes);
     const used = ofShapes && data.space ? data.space.of.length : data.pictures.length;
     const estimated = data.estimated.filter((count) => count > 0).length;
+    const ends = ofShapes ? endsOf(this.measuring.scale).map((i) => this.names[i]) : [];
     const what = ofShapes ? "Shapes" : "Measures";
+    const without = ends.length ? `, without ${ends.join(" and ")}, the ends of the scale` : "";
     const some = used === pictures.length ? `all ${several(used, "picture")}` : `${used} of ${several(pictures.length, "picture")}`;
-    this.#leftOut.show(`${what} of ${some}${estimated ? `, ${estimated} of them with estimated points` : ""}` +
-      `${groups.length ? `. Left out: ${several(groups.reduce((sum, { names }) => sum + names.length, 0), "picture")}` : "."}`, groups);
+    this.#leftOut.show(`${what} of ${some}${without}${estimated ? `, ${estimated} of them with estimated points` : ""}` +
+      `${groups.length ? `. Missing: ${several(groups.reduce((sum, { names }) => sum + names.length, 0), "picture")}` : "."}`, groups);
   }
 
   #drawLegend() {
@@ -336,7 +338,8 @@ export class Tab {
   #drawTable() {
     const sorted = this.#sorted();
     const { groups } = this;
-    const rows = sorted.slice(0, MOST_ROWS).map((i) => this.#row(i, groups));
+    const decimals = this.#data.columns.map(({ values }) => decimalsOf(values));
+    const rows = sorted.slice(0, MOST_ROWS).map((i) => this.#row(i, groups, decimals));
     const table = h("table", { testid: "measure-table" }, h("thead", this.#headRow(groups)), h("tbody", rows));
     const more = sorted.length > MOST_ROWS
       ? h("p.small.muted", `${MOST_ROWS} of ${sorted.length} pictures. The saved table has all.`) : "";
@@ -358,7 +361,7 @@ export class Tab {
     }));
   }
 
-  #row(i, groups) {
+  #row(i, groups, decimals) {
     const data = this.#data;
     const choose = () => this.choose(i);
     const estimated = data.estimated[i] > 0 && h("span.muted.small", ` ${data.estimated[i]} estimated`);
@@ -368,8 +371,8 @@ export class Tab {
     return h("tr", { class: i === this.chosen && "chosen", "data-index": String(i), onclick: choose, ondblclick: () => this.#open() },
       h("th", { scope: "row" }, name, estimated),
       groupCell,
-      data.columns.map(({ values, unit }) => (values[i] === null
-        ? h("td.number.muted.small", data.unscaled.includes(i) && unit !== "°" ? "no scale" : "no point") : h("td.number", numberText(values[i])))));
+      data.columns.map(({ values, unit }, c) => (values[i] === null
+        ? h("td.number.muted.small", data.unscaled.includes(i) && unit !== "°" ? "no scale" : "no point") : h("td.number", numberText(values[i], "", decimals[c])))));
   }
 }
 
@@ -392,6 +395,8 @@ function compared(a, b, down) {
 function summaryText({ values, unit }) {
   const { n, mean, sd, least, most } = summary(values);
   if (!n) return "No picture has all points of this measure, or a scale.";
-  const spread = sd === null ? "" : ` ± ${numberText(sd)} (standard deviation)`;
-  return `${several(n, "picture")}: ${numberText(mean, unit)}${spread}, ${numberText(least)} to ${numberText(most)}`;
+  const decimals = decimalsOf(values);
+  const spread = sd === null ? "" : ` ± ${numberText(sd, "", decimals)} (standard deviation)`;
+  return `${several(n, "picture")}: ${numberText(mean, unit, decimals)}${spread}, ` +
+    `${numberText(least, "", decimals)} to ${numberText(most, "", decimals)}`;
 }

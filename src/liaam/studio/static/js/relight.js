@@ -100,7 +100,7 @@ export class Balance extends EventTarget {
     type: "checkbox", checked: true, testid: "balance", onchange: () => this.dispatchEvent(new Event("change")),
   });
   #found = h("span.muted", { testid: "light-colour" });
-  element = h("label.check.fit-balance", { title: "Take the colour of the light off the whole picture, face and wall alike" },
+  element = h("label.check.fit-balance", { title: "Take the colour of the light off the whole picture, object and background alike" },
     this.#box, h("span.grow", "Correct the colour of the light"), this.#found);
 
   get corrects() { return this.#box.checked; }

@@ -184,7 +184,7 @@ export class ScaleBar extends Editable {
     const length = lengthField(bar.length, "scale-length");
     const unit = unitField(bar.unit, "scale-unit");
     const [anyway, others] = this.forOthers();
-    const kept = "Files .ljson and .tps keep the scale for liaam measure; .pts and .csv do not.";
+    const kept = "Landmark files .ljson and .tps have the scale in them; .pts and .csv cannot.";
     const note = h("p.small.muted", `Measurements of this picture are then in millimetres. ${kept}`);
     const body = h("div.column", h("div.row", length, unit), note, others);
     const share = { label: "Same scale for all", value: "share", checks: true, testid: "scale-share" };
