@@ -196,6 +196,10 @@ def test_groups_have_colours_a_test_and_a_grid_between_their_means(measuring, ar
     page.locator("[data-testid=measure-legend]", has_text="female").wait_for()
     page.locator("[data-testid=measure-view-shapes]").click()
     assert "female – male" in page.locator("[data-testid=shape-tests]").inner_text()
+    page.locator("[data-testid=measure-view-measures]").click()
+    fills = page.locator(".plot-bar").evaluate_all("bars => bars.map((bar) => bar.getAttribute('fill'))")
+    assert {*fills} - {None} == {"#0072b2", "#d55e00"}  # those of the legend
+    page.locator("[data-testid=measure-view-shapes]").click()
     page.locator("[data-testid=shape-change]").select_option("0>1")
     grid = page.locator("[data-testid=shape-grid] svg[aria-label*='from female to male']")
     grid.wait_for()
@@ -204,9 +208,13 @@ def test_groups_have_colours_a_test_and_a_grid_between_their_means(measuring, ar
     ends = [np.array([[float(v) for v in place.split()] for place in arrow.split("L")]) for arrow in arrows]
     assert np.argmax([np.linalg.norm(end[1] - end[0]) for end in ends]) == NAMES.index("tip")
     shoot(page, artefacts, "shapes-groups-1280")
+    page.locator("[data-testid=measure-by]").select_option("table")
+    assert "columns picture and group" in page.locator("dialog[open]").inner_text()
+    with page.expect_file_chooser():
+        page.locator("[data-testid=measure-table-choose]").click()
     table = tmp_path / "groups.csv"
     rows = [f"{sex}_{i:02d},{'a' if i < 6 else 'b'}" for sex in ("male", "female") for i in range(1, 13)]
-    table.write_text("\n".join(["specimen,group", *rows]))
+    table.write_text("\n".join(["picture,group", *rows]))
     page.locator("[data-testid=measure-table-file]").set_input_files(table)
     page.locator("[data-testid=shape-tests]", has_text="a – b").wait_for()
     with page.expect_download() as download:

@@ -182,7 +182,7 @@ export function createAssist(app, commands, onexport) {
     h("p", icon("check"), " All pictures are done. What next?"),
     h("div.row", go("Check", "review", () => app.list.review()),
       go("Measure", "measure", () => app.openTab("measure")), go("Export", "export", onexport),
-      go("Fit", "fit", () => app.openTab("fit")), go("Try live", "live", () => app.openTab("live"))));
+      go("Fit", "fit", () => app.openTab("fit")), go("Live", "live", () => app.openTab("live"))));
   const decline = () => api.delete(api.url("model/face")).then(() => state.refresh());
   const other = button("Use other points…", {
     small: true, hidden: true, testid: "decline-face", onclick: decline, title: "Make a template of your own",

@@ -17,7 +17,10 @@ const VIEWS = [{ value: "measures", label: "Measures" }, { value: "shapes", labe
 const GROUPED_BY = { "": "No groups", folder: "By subfolder", name: "By name", table: "By a table…" };
 const EXPORTS = { csv: "Table (.csv)", svg: "Plots (.svg)" };
 const ABOUT_GROUPS =
-  "By the letters in which names differ, such as male of male_07.jpg, or B of wing16_B.jpg; or by a table with the columns specimen and group";
+  "By the letters in which names differ, such as male of male_07.jpg, or B of wing16_B.jpg; or by a table with the columns picture and group";
+const NO_GROUPS = { name: "No groups: the names have no letters in which pictures differ", table: "No groups: the table names none of these pictures" };
+const TABLE = "A .csv file with the columns picture and group, and a line for each picture, such as:";
+const TABLE_LINES = "picture,group\n63001.jpg,female\n63002.jpg,male";
 const MOST_NUMBERED = 12; // landmarks that are named with their numbers
 const ABOUT_ESTIMATES =
   "By a thin-plate spline from the complete pictures; without, pictures that lack points have no shape";
@@ -178,7 +181,9 @@ export class Tab {
     const needsFile = by === "table" && (!this.#data?.has_table || now === "table");
     if (!needsFile) return this.#group(by);
     this.#groupList.value = now; // until a file is chosen
-    this.#tableFile.click();
+    const choose = { label: "Choose the file…", kind: "primary", value: true, testid: "measure-table-choose" };
+    const body = h("div.column", h("p", TABLE), h("pre.small", TABLE_LINES));
+    if (await this.app.ui.dialog("Groups by a table", body, [{ label: "Cancel", value: null }, choose])) this.#tableFile.click();
     return undefined;
   }
 
@@ -264,7 +269,9 @@ export class Tab {
   #drawLegend() {
     const { names } = this.groups;
     const marks = names.slice(0, MOST_GROUPS).map((name, i) => h("span.row.tight", groupMark(i), name));
-    this.#legend.replaceChildren(...marks, names.length > MOST_GROUPS ? `+ ${names.length - MOST_GROUPS}` : "");
+    const why = names.length ? "" : (NO_GROUPS[this.measuring.by] ?? "");
+    if (why) return this.#legend.replaceChildren(h("span.muted", { title: why }, why));
+    return this.#legend.replaceChildren(...marks, names.length > MOST_GROUPS ? `+ ${names.length - MOST_GROUPS}` : "");
   }
 
   #drawChosen() {
@@ -302,7 +309,7 @@ export class Tab {
       h("p.small.muted", { testid: "measure-facts" }, summaryText(column)),
       place);
     place.append(histogram(bins(column.values), {
-      title: this.#title(column), lit: this.chosen, onbin: (indices) => this.#chooseNextOf(indices), width: place.clientWidth || undefined,
+      title: this.#title(column), lit: this.chosen, groups: this.groups.of, onbin: (indices) => this.#chooseNextOf(indices), width: place.clientWidth || undefined,
     }));
   }
 

@@ -2,7 +2,7 @@
 // Gestures edit it while it is drawn; after that it is part of the marks.
 
 import { CLICK } from "./annotate-words.js";
-import { COLOURS, drawText } from "./drawing.js";
+import { COLOURS, drawText, widthOf } from "./drawing.js";
 import { Editable, placing } from "./gestures.js";
 import { inked, lines } from "./overlays.js";
 import { distance, rounded, sameBar } from "./points.js";
@@ -13,6 +13,7 @@ const KEY = "liaam-studio:scale-bar"; // the last length and unit
 const FIND_KEY = "liaam-studio:find-scale"; // what was looked for last, and its length and unit
 const KINDS = { ruler: "Ruler: the length from one smallest tick to the next", bar: "Scale bar: its length" };
 const CORNER = 24; // css pixels from the corner of the picture
+const MARGIN = 4; // css pixels between its text and the border of the view
 const TICK = 6; // css pixels on each side of the line
 const DRAG = 16; // css pixels from which a press draws the whole bar; less moves the end that it has set
 const LEAST = 1; // pixels between the ends
@@ -207,6 +208,22 @@ export class ScaleBar extends Editable {
     return [[left, low], [left + viewer.scale * distance(...this.bar.ends), low]];
   }
 
+  get #text() { return `${this.bar.length} ${this.bar.unit}${this.isShared ? ", drawn on another picture" : ""}`; }
+
+  /** The middle of the length's text and its width, which does not leave the view: [[x, y, width]]; null without a bar. */
+  label(ctx, viewer) {
+    const ends = this.#places(viewer);
+    if (this.on || !this.bar || !ends.length) return null;
+    const [[x0, y0], [x1, y1]] = [ends[0], ends.at(-1)];
+    const away = Math.hypot(x1 - x0, y1 - y0) || 1;
+    const [nx, ny] = [(TICK * (y1 - y0)) / away, (TICK * (x0 - x1)) / away];
+    const wide = widthOf(ctx, this.#text);
+    const [least, most] = [wide / 2 + MARGIN, viewer.container.clientWidth - wide / 2 - MARGIN];
+    const isSeen = Math.max(x0, x1) > 0 && Math.min(x0, x1) < viewer.container.clientWidth;
+    const x = (x0 + x1) / 2 + 2 * Math.abs(nx);
+    return [[isSeen ? Math.max(least, Math.min(x, most)) : x, (y0 + y1) / 2 - 2 * Math.abs(ny) - 4, wide]];
+  }
+
   draw(ctx, viewer) {
     const ends = this.#places(viewer);
     if (!ends.length) return;
@@ -217,9 +234,7 @@ export class ScaleBar extends Editable {
     lines(ctx, [...ends.map(([x, y]) => [[x - across, y - ny], [x + across, y + ny]]), [[x0, y0], [x1, y1]]]);
     inked(ctx, "rgb(0 0 0 / 75%)", 4.5);
     inked(ctx, COLOURS.placed, 2);
-    if (this.on || !this.bar) return;
-    const text = `${this.bar.length} ${this.bar.unit}${this.isShared ? ", drawn on another picture" : ""}`;
-    drawText(ctx, text, (x0 + x1) / 2 + 2 * Math.abs(nx), (y0 + y1) / 2 - 2 * Math.abs(ny) - 4, { align: "center" });
+    for (const [x, y] of this.label(ctx, viewer) ?? []) drawText(ctx, this.#text, x, y, { align: "center" });
   }
 }
 
