@@ -4,8 +4,8 @@ import { DONE_KEY, percent, several } from "./annotate-words.js";
 import { openIn } from "./strip-filters.js";
 import { button, dialog, h, icon, listOf } from "./ui.js";
 
-const LEAST = 4; // pictures needed for training, and after which the first model is trained automatically
-const FEWEST_DONE = 3; // pictures that make it worth asking what comes next
+const LEAST = 3; // pictures with which training can be asked for
+const AUTO_FIRST = 4; // done pictures after which the first model is trained automatically: the number that the page names
 const FEWEST_PLACED = 3; // points that a picture needs for training, if others are absent
 const AUTO_AGAIN = 3; // pictures completed or changed after which it is trained again
 const SHOWN = 5; // slips that are listed before training
@@ -26,14 +26,14 @@ export function shouldTrain(project, { auto, failedAt = null }) {
   if (!auto || !project.template || training?.state === "running") return false;
   if (model && !["studio", "face"].includes(model.source)) return false; // a model given by the user is replaced only on request
   if (project.checked === false) return false; // possible slips are left out
-  if (forTraining(pictures).length - slipped(pictures).length < LEAST || situation(project) === failedAt) return false;
+  if (forTraining(pictures).length - slipped(pictures).length < AUTO_FIRST || situation(project) === failedAt) return false;
   // One side that is stated may tell those of all pictures.
   return !model || model.sides_changed || model.stale >= AUTO_AGAIN;
 }
 
 /** When the first model places points, as a sentence. @param {Project} project; @param {{auto: boolean, failedAt?: string | null}} when */
 export function whenItHelps(project, when) {
-  const more = LEAST - forTraining(project.pictures).length;
+  const more = AUTO_FIRST - forTraining(project.pictures).length;
   if (more > 0) return `After ${several(more, "more picture")} the model can place points for you.`;
   const begins = shouldTrain({ ...project, checked: true }, when); // once the landmarks have been checked
   return begins || project.training?.state === "running" ? "After training, the model places points for you."
@@ -161,7 +161,7 @@ export function createAssist(app, commands, onexport) {
       refresh();
     },
   });
-  const often = `when ${LEAST} pictures are done, and again after every ${AUTO_AGAIN} more`;
+  const often = `when ${AUTO_FIRST} pictures are done, and again after every ${AUTO_AGAIN} more`;
   const next = button(state.readOnly ? "Next picture" : "Accept and continue", {
     icon: "check", kind: "primary", shortcut: "Enter", testid: "accept-next", onclick: commands.accept,
     title: "Accept these points and open the picture with the star",
@@ -278,10 +278,10 @@ export function createAssist(app, commands, onexport) {
     what.title = doing;
     train.disabled = runs || asking || done < LEAST;
     const stale = model?.stale && `${several(model.stale, "picture")} completed or changed since the last training`;
-    train.title = done < LEAST ? `Needs ${LEAST} done pictures; there ${done === 1 ? "is" : "are"} ${done}`
+    train.title = done < LEAST ? whenItHelps(project, { auto: auto.checked })
       : stale || "Train the model on all done pictures";
     train.classList.toggle("primary", !model && done >= LEAST && !runs && !auto.checked);
-    end.hidden = !pictures.length || done < FEWEST_DONE || nextToTeach(pictures, null) !== null || slipped(pictures).length > 0;
+    end.hidden = !pictures.length || done < LEAST || nextToTeach(pictures, null) !== null || slipped(pictures).length > 0;
     next.disabled = !end.hidden; // there is nothing to accept and no picture to continue with
     explain(project, done);
     if (isOffered) why.textContent = `${OFFERED} ${why.textContent}`;
