@@ -7,6 +7,7 @@ import pytest
 from people import NAMES, annotate, client, drag, open_picture, opened, points_of, saved, wait_for, wait_for_state, wait_until
 
 from liaam.io import Landmarks, write_landmarks
+from liaam.model import load_model
 
 pytestmark = pytest.mark.slow
 
@@ -126,6 +127,12 @@ def test_a_picture_that_the_model_leaves_out_says_so(serve, page, five_marked):
     page.locator(".toast", has_text=f"The model leaves out {NAMES[2]}.").wait_for()
 
 
-def test_a_folder_with_enough_done_pictures_is_trained_on_opening(serve, page, five_marked):
+def test_a_folder_with_enough_done_pictures_is_trained_on_opening(serve, page, five_marked, tmp_path):
     page.goto(serve(five_marked).address)
     wait_for(page, "() => window.liaamStudio?.state.project?.model?.n_images === 5")
+    # The model is saved from its badge, and where landmarks are exported.
+    badge, menu = (page.locator(f"[data-testid={name}]") for name in ("top-model", "export-all"))
+    for ask in (badge.click, lambda: menu.select_option("model")):
+        with page.expect_download() as download:
+            ask()
+        assert load_model(download.value.path().rename(tmp_path / "saved.liaam")).n_points == 5

@@ -4,7 +4,7 @@ import { keyEdit } from "./gestures.js";
 import { placed } from "./points.js";
 
 export const SHORTCUTS = [
-  { keys: "Enter", what: "Accept the points and open the picture that helps the model most" },
+  { keys: "Enter", what: "Accept the points and open the picture with the star: the one that helps the model most, or the first of a list by quality" },
   { keys: "Shift+Enter", what: "After a picture opened from the wall: return, and accept what is in view there" },
   { keys: "N", what: "Open it without accepting" },
   { keys: "Tab Shift+Tab", what: "Next, previous point (Escape, then Tab: leave the picture)" },

@@ -97,7 +97,7 @@ export class Viewer extends EventTarget {
   #viewButtons(mirrors) {
     const tool = (label, icon, shortcut, onclick) =>
       button(label, { icon, shortcut, onclick, iconOnly: true, kind: "ghost", small: true });
-    this.#mirrorButton = button("Mirrored", {
+    this.#mirrorButton = button("Mirror", {
       small: true, pressed: false, hidden: !mirrors, shortcut: "F", testid: "mirrored-view", title: "Show the picture mirrored; points and files stay as they are",
       onclick: () => this.dispatchEvent(new Event("mirror")),
     });
