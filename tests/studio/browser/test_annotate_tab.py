@@ -4,7 +4,19 @@ import re
 
 import numpy as np
 import pytest
-from people import NAMES, annotate, client, drag, open_picture, opened, points_of, saved, wait_for, wait_for_state, wait_until
+from people import (
+    NAMES,
+    annotate,
+    client,
+    drag,
+    open_picture,
+    opened,
+    points_of,
+    saved,
+    wait_for,
+    wait_for_state,
+    wait_until,
+)
 
 from liaam.io import Landmarks, write_landmarks
 from liaam.model import load_model
@@ -43,9 +55,10 @@ def test_enter_on_an_untouched_mean_shape_saves_nothing(blank, marked):
 def test_a_moved_or_a_confirmed_mean_shape_is_saved(blank, marked):
     before = points_of(blank)
     middle = np.mean([client(blank, i) for i in range(5)], axis=0)
+    step = np.array([12, 8])
     for moves in (1, 2):  # by the inside of its frame, which stays after the first move
-        drag(blank, middle, middle + (12, 8))
-        middle += (12, 8)
+        drag(blank, middle, middle + step)
+        middle += step
         wait_for(blank, "moves => window.liaamStudio.annotate.undoSteps() === moves", moves)
     shifts = points_of(blank) - before
     assert np.ptp(shifts, axis=0).max() < 0.02 and shifts.min() > 5

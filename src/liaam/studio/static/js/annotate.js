@@ -230,7 +230,7 @@ export class Tab {
     const step = {
       redo: () => {
         const work = bulk.run("scaled", others, { more, undo: takeBack });
-        changed = work.catch(() => []); // what is wrong is told
+        changed = work.catch(() => []); // the message says why
         return work;
       },
       undo: async () => {
