@@ -30,7 +30,7 @@ from liaam.batch.work import FitJob, _shorts
 from liaam.errors import LiaamError
 from liaam.fitting import FitStatus
 from liaam.io import read_collection, read_landmarks, write_collection, write_image, write_landmarks
-from liaam.io.fit_files import TPS_DECIMALS
+from liaam.io.landmarks.writers import TPS_DECIMALS
 from liaam.model.shape import diagonal_of
 from liaam.morphometry import read_specimens
 from scenes import Head, make_set

@@ -499,7 +499,8 @@ def test_a_missing_end_of_a_scale_bar_is_no_missing_shape(run, tmp_path, rng):
     bar[0] = np.nan
     marks["1.png"] = Landmarks(np.vstack([bar, POINTS]))
     write_collection(tmp_path / "all.csv", marks)
-    code, _, err = run("measure", tmp_path / "all.csv", "-o", tmp_path / "t.csv", "--scale", "1-2=5 mm")
+    code, out, err = run("measure", tmp_path / "all.csv", "-o", tmp_path / "t.csv", "--scale", "1-2=5 mm")
+    assert "landmarks 1 and 2 are the ends of the scale, and no part of the shapes" in " ".join(out.split())
     assert code == 0 and " ".join(err.split()) == "1 of 3 have no scale, so that they have no sizes: 1"
 
 

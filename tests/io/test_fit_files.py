@@ -157,4 +157,4 @@ def test_fits_in_tps_have_three_decimals(tmp_path):
     points = np.array([[10.123456, 20.5], [30.1, 119 - 57.123], [np.nan, np.nan]])
     write_fit(tmp_path / "a.tps", Landmarks(points, image_name="a.png"), {}, (200, 120))
     lines = (tmp_path / "a.tps").read_text().splitlines()
-    assert lines[1:4] == ["10.123 98.5", "30.1 57.123", "NaN NaN"]
+    assert lines[1:4] == ["10.123 98.5", "30.1 57.123", "-1 -1"]

@@ -77,17 +77,18 @@ def test_without_the_image_the_message_says_what_to_do(tmp_path: Path) -> None:
 
 def test_specimens_of_one_image_their_curves_and_missing_points_round_trip(tmp_path: Path) -> None:
     add_image(tmp_path / "a.png", 100, 100)
-    points = np.array([[1, 2], [NAN, NAN], [5, 6], [7, 8], [9, 10], [11, 12], [NAN, NAN]], float)
+    points = np.array([[1, 2.17], [NAN, NAN], [5, 6], [7, 8], [9, 10], [11, 12], [NAN, NAN]], float)
     lines = (Contour((2, 3)), Contour((4, 5, 6)))
     second = Landmarks(points + 40, lines, image_name="a.png", label="left")
     third = Landmarks(points[:2] + 60, image_name="a.png", label="right")
     first = Landmarks(points, lines, image_name="a.png", scale=0.5, label="7", others=(second, third))
     write_landmarks(tmp_path / "one.tps", first)
     write_collection(tmp_path / "all.tps", {"a.png": first})
+    assert (tmp_path / "one.tps").read_text().splitlines()[1:3] == ["1.0 96.83", "-1 -1"]  # not 96.82999999999998
     for name in ("one.tps", "all.tps"):
         read = read_collection(tmp_path / name)["a.png"]
         for written, found in zip((first, second, third), (read, *read.others), strict=True):
-            np.testing.assert_array_equal(found.points, written.points)
+            np.testing.assert_allclose(found.points, written.points, rtol=0, atol=1e-9)
             assert (found.contours, found.label, found.scale) == (written.contours, written.label, written.scale)
 
 
@@ -113,7 +114,7 @@ def test_a_second_reader_reads_collections_curves_and_missing_points(tmp_path: P
     marks = {name: Landmarks(points + i, curves) for i, name in enumerate(("my wing 1.jpg", "b/c.jpg"))}
     write_collection(tmp_path / "all.tps", marks, dict.fromkeys(marks, (100, 50)))
     first, second = second_reader(tmp_path / "all.tps")
-    np.testing.assert_array_equal(first.landmarks, [[1.5, 47], [NAN, NAN]])
+    np.testing.assert_array_equal(first.landmarks, [[1.5, 47], [-1, -1]])  # as tpsDig writes a missing one
     assert [curve.tolist() for curve in first.curves or ()] == [[[5, 43], [7, 41]], [[9, 39], [11, 36.75]]]
     assert (first.specimen_name, second.specimen_name, second.image_path) == ("my wing 1", "c", "b/c.jpg")
     data = (tmp_path / "all.tps").read_bytes()

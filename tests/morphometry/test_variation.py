@@ -181,7 +181,7 @@ def test_groups_are_read_and_found_by_name(tmp_path: Path):
     with pytest.raises(LiaamError, match=r"has no column group: it has Photo, Gruppe; give a \.csv file"):
         read_groups(table)
     table.write_text("name,sex\na,male\n", encoding="utf-8")
-    with pytest.raises(LiaamError, match=r"has no columns specimen \(or image\) and group"):
+    with pytest.raises(LiaamError, match=r"has no columns specimen \(or picture, image\) and group"):
         read_groups(table)
 
 

@@ -17,7 +17,6 @@ from liaam.errors import LandmarkError, LiaamError, installing
 from liaam.fitting.result import USABLE
 from liaam.io import Contour, Landmarks, atomic_path
 from liaam.io.files import json_object
-from liaam.io.fit_files import TPS_DECIMALS
 from liaam.io.landmarks.reading import Source
 from liaam.io.landmarks.tables import INDIVIDUALS, SIDE
 from liaam.io.landmarks.writers import tps_text, upwards
@@ -182,7 +181,7 @@ def _write_tps(path: Path, table: BatchTable) -> None:
             if row["status"] in USABLE:
                 points = np.array(row["landmarks"], dtype=np.float64).reshape(-1, 2)
                 landmarks = Landmarks(points, table.contours, image_name=row["path"], scale=row["scale"])
-                file.write(tps_text(upwards(landmarks, row["size"]), TPS_DECIMALS))
+                file.write(tps_text(upwards(landmarks, row["size"])))
 
 
 TABLE_SUFFIXES = (".parquet", ".csv", ".jsonl")

@@ -21,6 +21,7 @@ from liaam.io.files import count_of, real_path, some_names
 from liaam.io.landmarks.formats import KNOWN_FILES
 from liaam.io.landmarks.reading import Reading
 from liaam.morphometry.asymmetry import MATCHING
+from liaam.morphometry.measures import ScaleBar, parse_scale
 from liaam.morphometry.replicates import BY_COVARIANCES
 from liaam.morphometry.sides import IGNORED
 from liaam.morphometry.symmetry import ERROR, INTERACTION
@@ -272,6 +273,9 @@ def measure(
     write_columns(output, columns)
     what = "specimen" if replicates is None else "record"
     say(f"{output}: {count_of(len(specimens), what)}{_unit_said(columns)}")
+    rule = None if scale is None else parse_scale(scale)
+    if isinstance(rule, ScaleBar):
+        say(f"landmarks {' and '.join(rule.ends)} are the ends of the scale, and no part of the shapes")
     if scale is None or scale in UNITS:  # then nobody gave the length of a pixel
         _say_sources(specimens)
     if stated is not None:

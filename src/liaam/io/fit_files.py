@@ -27,10 +27,6 @@ FARTHEST = 1e6
 """Coordinate beyond which all points are the same."""
 
 
-TPS_DECIMALS = 3
-"""Decimals of pixels of a fit in a ``.tps`` file: a hundredth of the error of a good fit, and easy to read."""
-
-
 def write_fit(path: Path, landmarks: Landmarks, facts: dict, image_size: tuple[int, int]) -> None:
     """Write the landmarks of a fit, in a .json file its further facts, and in a .csv file its side and status.
 
@@ -38,7 +34,7 @@ def write_fit(path: Path, landmarks: Landmarks, facts: dict, image_size: tuple[i
     numbers that are not finite become null.
     """
     if path.suffix.lower() == ".tps":
-        text = tps_text(upwards(landmarks, image_size), TPS_DECIMALS)
+        text = tps_text(upwards(landmarks, image_size))
         return write_text_atomically(path, text, LandmarkError)
     if path.suffix.lower() == ".csv":
         more = {name: str(facts[name]) for name in ("side", "status") if facts.get(name)}

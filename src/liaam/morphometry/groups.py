@@ -37,7 +37,7 @@ def _groups_of_rows(rows: Sequence[NamedRow], path: str) -> dict[str, str]:
     column = naming_column(known, specimens_first=True)
     of_group = next((name for name in known if name.lower() == "group"), None)
     if column is None or of_group is None:
-        absent = [what for what, own in (("specimen (or image)", column), ("group", of_group)) if own is None]
+        absent = [what for what, own in (("specimen (or picture, image)", column), ("group", of_group)) if own is None]
         what = f"column{'s' if len(absent) > 1 else ''} {' and '.join(absent)}"
         remedy = "give a .csv file with one row for each specimen"
         raise LiaamError(f"{path} has no {what}: it has {', '.join(known)}; {remedy}")

@@ -4,9 +4,22 @@ import re
 
 import numpy as np
 import pytest
-from people import NAMES, annotate, client, drag, open_picture, opened, saved, wait_for, wait_for_state, wait_until
+from people import (
+    NAMES,
+    annotate,
+    client,
+    drag,
+    open_picture,
+    opened,
+    points_of,
+    saved,
+    wait_for,
+    wait_for_state,
+    wait_until,
+)
 
 from liaam.io import Landmarks, write_landmarks
+from liaam.model import load_model
 
 pytestmark = pytest.mark.slow
 
@@ -40,11 +53,31 @@ def test_enter_on_an_untouched_mean_shape_saves_nothing(blank, marked):
 
 
 def test_a_moved_or_a_confirmed_mean_shape_is_saved(blank, marked):
-    drag(blank, client(blank, 2), [v + 12 for v in client(blank, 2)])
+    before = points_of(blank)
+    middle = np.mean([client(blank, i) for i in range(5)], axis=0)
+    step = np.array([12, 8])
+    for moves in (1, 2):  # by the inside of its frame, which stays after the first move
+        drag(blank, middle, middle + step)
+        middle += step
+        wait_for(blank, "moves => window.liaamStudio.annotate.undoSteps() === moves", moves)
+    shifts = points_of(blank) - before
+    assert np.ptp(shifts, axis=0).max() < 0.02 and shifts.min() > 5
+    # A click on a button leaves the focus in the picture, so that Enter accepts.
+    blank.locator("[data-testid=point-list] [data-index='2']").click()
+    absent = blank.locator("button[title^=Absent]")
+    absent.click()
+    wait_for(blank, "() => window.liaamStudio.annotate.points()[2] === null")
     blank.keyboard.press("Enter")
     opened(blank, NAMES[2])
     wait_for_state(blank, NAMES[1], "done")
     assert (marked / "portrait-02.ljson").exists()
+    blank.keyboard.press("Control+z")  # returns to the picture that was accepted
+    opened(blank, NAMES[1])
+    steps = annotate(blank, "undoSteps()")
+    blank.keyboard.press("Control+z")  # and takes its last step back
+    wait_for(blank, "steps => window.liaamStudio.annotate.undoSteps() === steps - 1", steps)
+    blank.keyboard.press("Control+y")
+    open_picture(blank, NAMES[2])
     blank.locator("[data-testid=confirm-layout]").click()
     blank.locator("[data-testid=confirm]").click()
     saved(blank)
@@ -107,6 +140,12 @@ def test_a_picture_that_the_model_leaves_out_says_so(serve, page, five_marked):
     page.locator(".toast", has_text=f"The model leaves out {NAMES[2]}.").wait_for()
 
 
-def test_a_folder_with_enough_done_pictures_is_trained_on_opening(serve, page, five_marked):
+def test_a_folder_with_enough_done_pictures_is_trained_on_opening(serve, page, five_marked, tmp_path):
     page.goto(serve(five_marked).address)
     wait_for(page, "() => window.liaamStudio?.state.project?.model?.n_images === 5")
+    # The model is saved from its badge, and where landmarks are exported.
+    badge, menu = (page.locator(f"[data-testid={name}]") for name in ("top-model", "export-all"))
+    for ask in (badge.click, lambda: menu.select_option("model")):
+        with page.expect_download() as download:
+            ask()
+        assert load_model(download.value.path().rename(tmp_path / "saved.liaam")).n_points == 5

@@ -147,6 +147,10 @@ def test_a_picture_that_is_only_looked_at_is_said_to_be(relit, artefacts):
     wait_for(relit, "() => window.liaamStudio.fit.fit?.picture === 'anna.jpg'")
     assert relit.evaluate(CURRENT) == "anna.jpg"
     assert relit.locator("[data-testid=fit-aside]").is_hidden()
+    drop_anywhere(relit, "guest.jpg", FACE.read_bytes() + b"another")
+    wait_for(relit, "() => window.liaamStudio.fit.fit?.upload")
+    relit.locator("[data-testid=fit-place]").click()  # it is added, and opened
+    opened(relit, "guest.jpg")
 
 
 def test_a_fit_that_failed_without_a_connection_is_made_when_it_is_back(relit):

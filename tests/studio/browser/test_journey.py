@@ -69,9 +69,12 @@ def test_a_new_folder_becomes_a_model_and_a_picture_without_its_shading(
     hardest = min(ranks, key=ranks.__getitem__)
     open_picture(page, hardest)
     place_all(page, truths[hardest])
+    starred = page.locator(".strip-item:has(.strip-next)")
+    after = starred.get_attribute("data-name")  # where the star is, Enter leads to
     page.locator("[data-testid=accept-next]").click()
     saved(page)
     wait_for(page, "name => window.liaamStudio.annotate.name() !== name", hardest)
+    assert annotate(page, "name()") == after
     marks = read_landmarks(whole_folder / f"{hardest[:-4]}.ljson")
     assert np.linalg.norm(marks.points - truths[hardest], axis=1).max() < 1.6
     assert len(marks.contours) == 7

@@ -40,7 +40,9 @@ def test_a_mirrored_view_exchanges_left_and_right_and_no_coordinates(serve, page
     assert points_of(page)[2][0] == pytest.approx(points[2][0] - 10 - 30 / scale, abs=0.6)
     shoot(page, artefacts, "mirrored-1280")
     open_picture(page, NAMES[1])
-    assert not page.locator("[data-testid=annotate-viewer] [data-testid=mirrored-view]").is_visible()
+    button = page.locator("[data-testid=annotate-viewer] [data-testid=mirrored-view]")
+    assert button.get_attribute("aria-pressed") == "false"
     open_picture(page, NAMES[0])
-    page.locator("[data-testid=annotate-viewer] [data-testid=mirrored-view]").click()
+    assert button.get_attribute("aria-pressed") == "true"
+    button.click()
     assert client(page, place) == pytest.approx(before, abs=0.5)

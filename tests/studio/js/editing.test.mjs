@@ -138,7 +138,17 @@ test("the frame is around the chosen points, or all of a mean shape", () => {
   assert.deepEqual(made.framed(), []);
   made.select([0, 2]);
   assert.deepEqual(made.framed(), [0, 2]);
-  assert.deepEqual(marking({ source: "layout" }).made.framed(), [0, 1, 2]);
+  const { made: mean } = marking({ source: "layout" });
+  assert.deepEqual(mean.framed(), [0, 1, 2]);
+  const shifted = (points) => points.map(([x, y]) => [x + 5, y]);
+  mean.commit(shifted(mean.points), "move"); // the frame stays, to be turned and scaled
+  assert.deepEqual([mean.state.source, mean.framed()], ["file", [0, 1, 2]]);
+  mean.commit(shifted(mean.points), "scale");
+  assert.deepEqual(mean.framed(), [0, 1, 2]);
+  mean.commit([[1, 1], ...mean.points.slice(1)], "move"); // until a single point is moved
+  assert.deepEqual(mean.framed(), []);
+  mean.travel("undo");
+  assert.deepEqual(mean.framed(), [0, 1, 2]);
 });
 
 test("nothing is edited while no picture is open, or all is hidden", () => {
@@ -259,12 +269,21 @@ test("a scale bar of another picture is known as such until another is drawn", (
 test("with the box, either button sets the scale in all pictures", () => {
   const { made } = marking();
   const shared = [];
-  const ruler = new ScaleBar(made, { onchange() {}, onpreview() {}, onshare: (bar, anyway) => shared.push([bar.length, anyway]) });
+  const done = [];
+  const onshare = (bar, anyway) => {
+    shared.push([bar.length, anyway]);
+    return { redo: () => done.push("redo"), undo: () => done.push("undo") };
+  };
+  const ruler = new ScaleBar(made, { onchange() {}, onpreview() {}, onshare });
   const bar = { ends: [[0, 0], [9, 0]], length: 1, unit: "cm" };
   ruler.settle("save", { ...bar, anyway: false }, "scale bar");
   assert.deepEqual(shared, []);
   ruler.settle("save", { ...bar, length: 2, anyway: true }, "scale bar");
   assert.deepEqual(shared, [[2, true]]);
+  made.travel("undo"); // one action has one undo, here and in the others
+  assert.deepEqual([made.state.bar.length, done], [1, ["redo", "undo"]]);
+  made.travel("redo");
+  assert.deepEqual([made.state.bar.length, done], [2, ["redo", "undo", "redo"]]);
 });
 
 test("an end of a scale bar that is being drawn is undone first, then drawing ends", () => {

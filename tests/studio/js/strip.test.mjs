@@ -8,7 +8,7 @@ import { outcome, whoAmI } from "./modules/bulk.js";
 import { percent } from "./modules/annotate-words.js";
 import { faultIn, meant } from "./modules/hotkeys.js";
 import { leftOut, reasonText } from "./modules/left-out.js";
-import { bins, kindFor, measureOf, measureText, numberText, parsed, summary as summaryOf, valueOf } from "./modules/measures.js";
+import { bins, decimalsOf, kindFor, measureOf, measureText, numberText, parsed, scaleText, summary as summaryOf, valueOf } from "./modules/measures.js";
 import { accuracyText, errorText, sentence } from "./modules/review.js";
 import { faultOfLength, typedNumber } from "./modules/scale-bar.js";
 import { between, describe, FILTERS, foldersOf, matching, meaning, openIn, STATES } from "./modules/strip-filters.js";
@@ -103,6 +103,8 @@ test("the outcome of an action is said with what was refused", () => {
     "1 picture marked as checked. 2 pictures not changed: checked already (b.png, c.png).");
   assert.equal(outcome("deleted", { changed: ["a.png", "b.png"], refused: { "c.png": "no landmarks" } }),
     "Landmarks of 2 pictures deleted. c.png not changed: no landmarks.");
+  assert.equal(outcome("deleted", { changed: ["a.png", "b.png"], refused: {} }, "accepted"),
+    "Points of 2 pictures are proposed again, no longer accepted.");
   assert.equal(outcome("scaled", { changed: [], refused: { "a.png": "has a scale", "b.png": "is small", "c.png": "is small" } }),
     "3 pictures not changed: has a scale (a.png); is small (b.png, c.png).");
 });
@@ -113,7 +115,7 @@ test("history and accuracy are said", () => {
   assert.equal(percent(0.0012), "0.12\u00a0%");
   const versions = [{ error: 0.04, held_out: 1, failed: [], same: false }, { error: 0.02, held_out: 4, failed: ["a.png", "b.png"], same: true }]
     .map((version) => ({ ...version, time: null, pictures: 9 }));
-  assert.match(accuracyText(versions), /Measured on 4 pictures held out.*4 pictures say little.*Pale/);
+  assert.match(accuracyText(versions), /Measured on 4 pictures kept for testing.*4 pictures say little.*Pale/);
   assert.equal(errorText(versions[0]), "4.0\u00a0%, 1 picture");
   assert.equal(errorText(versions[1]), "2.0\u00a0%, median of 2 pictures; a.png, b.png not counted, since the fits failed");
   assert.equal(errorText({ ...versions[0], failed: ["a.png"] }), "4.0\u00a0%, 1 picture, whose fit failed");
@@ -149,6 +151,14 @@ test("measures have the values of liaam measure, in the unit of the scale", () =
   assert.equal(numberText(1234.56, "px"), "1235\u00a0px");
   assert.equal(numberText(0.00001234), "1.234e-5");
   assert.equal(numberText(null, "px"), "–");
+  const column = [5, 4.4, 4.393];
+  assert.deepEqual(column.map((value) => numberText(value, "", decimalsOf(column))), ["5.000", "4.400", "4.393"]);
+  assert.deepEqual([1234.5, 2].map((value) => numberText(value, "", decimalsOf([1234.5, 2]))), ["1235", "2"]);
+  const ends = ["tip", "base"];
+  assert.equal(scaleText("0,5 mm", ends), "1 pixel is 0,5 mm.");
+  assert.equal(scaleText("200 px/mm", ends), "1 mm is 200 pixels.");
+  assert.equal(scaleText("1-2=0.5 mm", ends), "tip to base is 0.5 mm in every picture. These two points are no part of shapes.");
+  assert.equal(scaleText("", ends), "");
 });
 
 test("a histogram holds each known value once", () => {

@@ -14,6 +14,12 @@ from liaam.io.landmarks.base import Landmarks, Size, edges_of
 
 Sizes = Mapping[str, Size]  # width and height of images by file name
 
+TPS_DECIMALS = 3
+"""Decimals of coordinates in ``.tps``, in pixels: a hundredth of the error of a good fit, and easy to read."""
+
+TPS_MISSING = "-1 -1"
+"""A missing landmark in ``.tps``, as tpsDig writes and reads it; geomorph reads it with ``negNA = TRUE``."""
+
 
 def pts_text(landmarks: Landmarks) -> str:
     """Return the text of a ``.pts`` file."""
@@ -77,15 +83,15 @@ def upwards(landmarks: Landmarks, image_size: Size) -> Landmarks:
     return replace(landmarks, points=np.stack([x, image_size[1] - 1 - y], axis=1), others=others)
 
 
-def tps_text(landmarks: Landmarks, decimals: int | None = None) -> str:
-    """Return the text of a record of ``.tps``. y counts upwards; a missing landmark is NaN, which R and Python read.
+def tps_text(landmarks: Landmarks) -> str:
+    """Return the text of a record of ``.tps``. y counts upwards; a missing landmark is :data:`TPS_MISSING`.
 
     Open contours of the last landmarks in order are written as curves, as these are read; others are not. Points have
-    at most so many decimals, or all that they need. Further objects of a named image have records of their own. The
-    label of an object is its ID, or else the name of the image is.
+    at most :data:`TPS_DECIMALS` decimals. Further objects of a named image have records of their own. The label of an
+    object is its ID, or else the name of the image is.
     """
-    points = landmarks.points if decimals is None else np.round(landmarks.points, decimals)
-    lines = ["NaN NaN" if x != x else f"{x!r} {y!r}" for x, y in points.tolist()]
+    points = np.round(landmarks.points, TPS_DECIMALS) + 0.0  # no -0.0
+    lines = [TPS_MISSING if x != x else f"{x!r} {y!r}" for x, y in points.tolist()]
     curves = [contour.indices for contour in landmarks.contours if not contour.closed]
     tail = [index for curve in curves for index in curve]
     first = len(lines) - len(tail)
@@ -101,7 +107,7 @@ def tps_text(landmarks: Landmarks, decimals: int | None = None) -> str:
         text += [f"IMAGE={name}", f"ID={label or PurePosixPath(name).stem}"]
     text += [] if landmarks.scale is None else [f"SCALE={landmarks.scale!r}"]
     others = landmarks.others if landmarks.image_name else ()  # else all records would be of one unnamed image
-    further = "".join(tps_text(replace(other, image_name=landmarks.image_name), decimals) for other in others)
+    further = "".join(tps_text(replace(other, image_name=landmarks.image_name)) for other in others)
     return "\n".join([*text, ""]) + further
 
 

@@ -99,10 +99,15 @@ export function createAdding(app) {
     return add([item]);
   }
 
-  /** Add a picture that is only shown so far. */
-  const keep = (file) => add([{ file, path: file.name }]).catch(complain);
+  /** Add a picture that is only shown so far, and open it for its landmarks to be placed. */
+  async function keep(file) {
+    const names = await add([{ file, path: file.name }]).catch((error) => void complain(error));
+    if (!names?.length || state.picture(names[0])?.state === "broken") return;
+    state.select(names[0]);
+    app.openTab("annotate");
+  }
 
-  /** Add files to the folder: pictures first, since landmarks belong to them. */
+  /** Add files to the folder: pictures first, since landmarks belong to them. Resolves to the names of the pictures. */
   async function add(items) {
     const { formats, limits } = state.project;
     const before = new Set(state.project.pictures.filter(({ placed }) => placed).map(({ name }) => name));
@@ -111,6 +116,7 @@ export function createAdding(app) {
     const queue = [...names.keys()].sort((a, b) => Number(isPicture(b)) - Number(isPicture(a)));
     const result = { pictures: 0, known: 0, landmarks: 0, placed: 0, refused: [] };
     const added = []; // names of new pictures
+    const sent = []; // and with those that are there already
     const send = async () => {
       for (let i = queue.shift(); i !== undefined; i = queue.shift()) {
         state.setAdding({ done: items.length - queue.length, total: items.length });
@@ -118,6 +124,7 @@ export function createAdding(app) {
           if (items[i].file.size > limits.upload_bytes)
             throw new Error(`${names[i]} is larger than ${Math.round(limits.upload_bytes / 1e6)} MB: put it into the folder`);
           const { name, kind, known } = await api.upload(api.url("files", { name: names[i] }), items[i].file, { quiet: true });
+          if (kind === "picture") sent.push(name);
           if (!known && kind === "picture") added.push(name);
           else result[known ? "known" : "landmarks"] += 1;
         } catch (error) {
@@ -136,6 +143,7 @@ export function createAdding(app) {
     toast(`${summary(result)}${where || ""}`, result.refused.length ? "bad" : "good");
     app.list.sortByQuality();
     if (result.pictures && !state.guest) app.openTab("annotate");
+    return sent;
   }
 
   async function openModel(file) {

@@ -16,6 +16,7 @@ export function createCommands(tab) {
   const { app, state, marking, viewer, say } = tab;
   let escaped = false; // whether Tab leaves the picture
   let warned = null; // picture with a warning about missing points
+  let accepted = null; // {name, next}: the picture that was accepted last, and the one that was opened after it
   let closeWarning = () => {};
 
   function reveal(index) {
@@ -35,13 +36,13 @@ export function createCommands(tab) {
   /** Go on once work(name) has marked the picture as it is; false: it has not. */
   async function goOnAfter(work) {
     const { name } = tab;
-    if ((await work(name)) !== false && tab.name === name) goNext();
+    if ((await work(name)) !== false && tab.name === name) goNext(true);
   }
 
   /** The person has checked points that look wrong, and were left as they are. */
   const passSlip = async (name) => (await act(app, "checked", [name])).length > 0;
 
-  async function goNext() {
+  async function goNext(accepts = false) {
     const { name, saver } = tab;
     warned = null;
     closeWarning();
@@ -49,6 +50,7 @@ export function createCommands(tab) {
     const known = state.pictures.filter((picture) => picture.name === name || !saver.isDirty(picture.name));
     const next = nextOf(state, known);
     if (next) {
+      accepted = accepts ? { name, next: next.name } : null;
       state.select(next.name);
       return tab.focus();
     }
@@ -166,9 +168,22 @@ export function createCommands(tab) {
       return index >= 0;
     },
 
+    /** The picture that was accepted before this one, to which undo returns while nothing was changed here; or null. */
+    get cameFrom() {
+      const isBack = !tab.editing && !tab.drawing && accepted?.next === tab.name && !marking.history?.canUndo;
+      return isBack && state.picture(accepted.name) ? accepted.name : null;
+    },
+
     travel(way) {
       tab.tool.cancel();
+      const { cameFrom } = commands;
+      if (way === "undo" && cameFrom) {
+        accepted = null;
+        state.select(cameFrom);
+        return say(`Back to ${cameFrom}, which was accepted`);
+      }
       const what = tab.doc.travel(way);
+      if (what !== null) tab.tool.leave(); // its loupe would stay where the point was
       if (what !== null) say(`${way === "undo" ? "Undone" : "Redone"}: ${what}`);
     },
 
@@ -227,7 +242,7 @@ export function createCommands(tab) {
       const isSlip = state.picture(tab.name)?.slip && marking.isAsOpened;
       marking.accept();
       const left = marking.missing;
-      if (!left.length || warned === tab.name) return void (isSlip ? goOnAfter(passSlip) : goNext());
+      if (!left.length || warned === tab.name) return void (isSlip ? goOnAfter(passSlip) : goNext(true));
       marking.select([left[0]]);
       return warn(missingText(marking.names, left)); // once, since points may be left out on purpose
     },
@@ -236,7 +251,7 @@ export function createCommands(tab) {
       const text = `No point of ${tab.name} was moved from the mean shape. The model will be trained on these points.`;
       if (!(await app.confirm("Are the points right?", text, "Save the points", "primary"))) return;
       marking.accept();
-      goNext();
+      goNext(true);
     },
 
     skip() {

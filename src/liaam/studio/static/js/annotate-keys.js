@@ -4,7 +4,7 @@ import { keyEdit } from "./gestures.js";
 import { placed } from "./points.js";
 
 export const SHORTCUTS = [
-  { keys: "Enter", what: "Accept the points and open the picture that helps the model most" },
+  { keys: "Enter", what: "Accept the points and open the picture with the star: the one that helps the model most, or the first of a list by quality" },
   { keys: "Shift+Enter", what: "After a picture opened from the wall: return, and accept what is in view there" },
   { keys: "N", what: "Open it without accepting" },
   { keys: "Tab Shift+Tab", what: "Next, previous point (Escape, then Tab: leave the picture)" },
@@ -19,7 +19,7 @@ export const SHORTCUTS = [
   { keys: "V", what: "Mark the point as visible or invisible" },
   { keys: "Y", what: "Confirm a proposed point where it is, and go to the next one" },
   { keys: "U", what: "Mark the point as absent: this object does not have it" },
-  { keys: "X M", what: "Move mirrored points together; flip left and right" },
+  { keys: "X M", what: "Move mirrored points together; flip the points left and right" },
   { keys: "B S", what: "Select with a box; draw a scale bar" },
   { keys: "T", what: "Measure the selected points in all pictures; with none selected, show or hide the measures" },
   { keys: "C", what: "Trace a curve by a few clicks; Enter ends it, Backspace removes the last place" },
@@ -28,7 +28,7 @@ export const SHORTCUTS = [
   { keys: "R", what: "Loupe where a click places a point: on, off" },
   { keys: "F", what: "Show this picture mirrored, as a right wing beside left ones; or as it is. Points and files stay as they are" },
   { keys: "H", what: "Hide all points while held" },
-  { keys: "Ctrl+Z Ctrl+Y", what: "Undo, redo" },
+  { keys: "Ctrl+Z Ctrl+Y", what: "Undo, redo; after accepting, Ctrl+Z returns to the accepted picture" },
   { keys: "N C X P", what: "In the template: draw or end a curve, close it, mirror, add a point in the middle" },
 ];
 

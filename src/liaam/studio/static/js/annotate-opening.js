@@ -98,7 +98,7 @@ export function createOpening(tab, { begins, cover = null }) {
     const isChanged = old && old.tag === tag && before.points.length === shown.points.length && [before, shown].some(isSaved);
     if (!same && isChanged) old.history.follow(shown, isSame, "the change elsewhere", old === marking.book ? marking.context : null);
     const book = {
-      history: same || isChanged ? old.history : new History(shown), covariances: marks.covariances ?? null, fitted: marks.fitted ?? [],
+      name, history: same || isChanged ? old.history : new History(shown), covariances: marks.covariances ?? null, fitted: marks.fitted ?? [],
       doubtful: marks.doubtful, nothing: state.picture(name)?.nothing_found ?? false, sharedBar: marks.bar_shared ? marks.bar : null,
       pixel: marks.pixel, key, tag, seen: null,
     };
@@ -184,6 +184,8 @@ export function createOpening(tab, { begins, cover = null }) {
     get name() { return opened; },
     /** Whether a message or the first screen covers the view. */
     get isCovered() { return !cover.hidden; },
+    /** What the page knows of a picture that was opened on it; undefined of another. */
+    bookOf: (name) => books.get(name),
     /** The marks of a picture were changed: others do not begin with the earlier ones. */
     forget: (name) => first.forget(name),
   };

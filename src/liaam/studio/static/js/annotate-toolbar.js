@@ -26,7 +26,9 @@ export function createToolbar(tab) {
   });
   const box = tool("Select with a box", "box", "B", commands.toggleBox, { pressed: false });
   const mirror = tool("Move mirrored points together", "mirror", "X", commands.toggleMirrored, { pressed: false });
-  const flip = tool("Flip left and right", "swap", "M", commands.flip);
+  const flip = tool("Flip the points left and right", "swap", "M", commands.flip, {
+    title: "Flip the points left and right. The picture stays: F shows it mirrored",
+  });
   const ruler = tool("Scale bar", "ruler", "S", commands.ruler, {
     pressed: false, testid: "scale-bar", title: "Scale bar: click both ends of a ruler, or drag along it, and enter its length",
   });
@@ -49,9 +51,10 @@ export function createToolbar(tab) {
     element,
     /** history: for undo, or null; editing: whether the template is edited; marking: whether marks are edited. */
     refresh({ history, editing, marking }) {
-      undo.disabled = !history?.canUndo;
+      const { cameFrom } = commands;
+      undo.disabled = !history?.canUndo && !cameFrom;
       redo.disabled = !history?.canRedo;
-      undo.title = `Undo${history?.undoes ? `: ${history.undoes}` : ""} (Ctrl+Z)`;
+      undo.title = cameFrom ? `Back to ${cameFrom}, which was accepted (Ctrl+Z)` : `Undo${history?.undoes ? `: ${history.undoes}` : ""} (Ctrl+Z)`;
       redo.title = `Redo${history?.redoes ? `: ${history.redoes}` : ""} (Ctrl+Y)`;
       flip.disabled = ruler.disabled = !marking || tab.tracing.on;
       trace.disabled = !marking || !state.project.template?.contours.length;

@@ -16,6 +16,7 @@ import { PointTool } from "./gestures.js";
 import { chosenKeys, meant } from "./hotkeys.js";
 import { Marking } from "./marking.js";
 import { createMeasured } from "./measured.js";
+import { sameBar } from "./points.js";
 import { createPointsPanel } from "./points-panel.js";
 import { createReview } from "./review.js";
 import { ScaleBar } from "./scale-bar.js";
@@ -43,7 +44,7 @@ export class Tab {
   #alternative = h("p.visually-hidden", { id: "annotate-text" });
   #side = h("aside.side.annotate-side", { "aria-label": "Points" });
   #finder; // button of the scale bar
-  viewer = new Viewer(this.#container, { label: "Picture with landmarks" });
+  viewer = new Viewer(this.#container, { label: "Picture with landmarks", mirrors: true });
 
   /** Announce a text to screen readers. */
   say = (text) => { this.#spoken.textContent = text; };
@@ -103,6 +104,7 @@ export class Tab {
     viewer.addLayer((ctx) => this.#draw(ctx));
     root.classList.add("annotate");
     root.append(h("div.workspace", this.toolbar.element, this.#container), this.#side);
+    root.addEventListener("mousedown", (event) => this.#keepFocus(event));
     this.#listen();
     this.#expose();
   }
@@ -125,6 +127,14 @@ export class Tab {
   saved() { return this.saver.flush(); }
   focus() { this.viewer.canvas.focus({ preventScroll: true }); }
 
+  /** The mouse chooses buttons without taking the focus from the picture, so that Enter accepts afterwards. Only those to
+   *  which Tab has led are pressed by Enter. */
+  #keepFocus(event) {
+    if (this.editing || !(event.target instanceof Element) || !event.target.closest("button, summary, label.check, .segmented")) return;
+    event.preventDefault();
+    this.focus();
+  }
+
   /** Run the action of a button. After a click, return the focus to the picture, so that Enter works there. */
   act(event, work) {
     work();
@@ -143,7 +153,7 @@ export class Tab {
     });
     state.addEventListener("online", (/** @type {any} */ { detail }) => detail && this.#online());
     this.viewer.addEventListener("view", () => opening.sharpen());
-    this.viewer.addEventListener("unmirror", () => commands.mirrorView());
+    this.viewer.addEventListener("mirror", () => commands.mirrorView());
     // A gesture in progress is not saved when the page is closed.
     document.addEventListener("visibilitychange", () => document.visibilityState === "hidden" && saver.flush());
     addEventListener("pagehide", () => saver.flush());
@@ -208,12 +218,40 @@ export class Tab {
     }
   }
 
-  /** Set the scale bar of the open picture in all others of the shown folder, also in those that filters hide. */
+  /** The scale bar of the open picture in all others of the shown folder, also in those that filters hide: {redo(), undo()}
+   *  set it and take it back there. The message of redo() offers to take it back everywhere, also here. */
   #shareBar(bar, anyway) {
-    const others = this.state.pictures.map(({ name }) => name).filter((name) => name !== this.name);
+    const { name, marking, opening, saving, app: { list: { bulk } } } = this;
+    const before = marking.state.bar;
+    const others = this.state.pictures.map((picture) => picture.name).filter((other) => other !== name);
     /** @type {Partial<Review>} */
-    const scale = { bar, of: this.name, anyway };
-    this.app.list.bulk.run("scaled", others, scale);
+    const more = { bar, of: name, anyway };
+    let changed = null; // promise of the others that have it; null if it was taken back
+    const step = {
+      redo: () => {
+        const work = bulk.run("scaled", others, { more, undo: takeBack });
+        changed = work.catch(() => []); // the message says why
+        return work;
+      },
+      undo: async () => {
+        const names = await changed;
+        changed = null;
+        if (names?.length) await bulk.run("unscaled", names);
+      },
+    };
+    const takeBack = () => {
+      const { history } = opening.bookOf(name);
+      const isOpen = name === this.name;
+      if (!changed) return undefined;
+      if (isOpen && history.beyond("undo") === step) return this.commands.travel("undo"); // also of the others
+      if (!sameBar(history.state.bar, bar)) return step.undo(); // another was drawn here since
+      if (isOpen) marking.change({ bar: before }, "scale as before", null, { beyond: { undo: step.redo, redo: step.undo } });
+      else if (history.beyond("undo") === step) history.undo();
+      else history.push({ ...history.state, bar: before }, "scale as before");
+      if (!isOpen) saving.change(name, history.state);
+      return step.undo();
+    };
+    return step;
   }
 
   /** Other points were selected. */

@@ -4,9 +4,9 @@ import { DONE_KEY, percent, several } from "./annotate-words.js";
 import { openIn } from "./strip-filters.js";
 import { button, dialog, h, icon, listOf } from "./ui.js";
 
-const LEAST = 3; // pictures needed for training
+const LEAST = 3; // pictures with which training can be asked for
+const AUTO_FIRST = 4; // done pictures after which the first model is trained automatically: the number that the page names
 const FEWEST_PLACED = 3; // points that a picture needs for training, if others are absent
-const AUTO_FIRST = 4; // done pictures after which the first model is trained automatically
 const AUTO_AGAIN = 3; // pictures completed or changed after which it is trained again
 const SHOWN = 5; // slips that are listed before training
 const SLIP = `Move what is wrong, or ${DONE_KEY} if all is right, which marks it as checked.`;
@@ -164,7 +164,7 @@ export function createAssist(app, commands, onexport) {
   const often = `when ${AUTO_FIRST} pictures are done, and again after every ${AUTO_AGAIN} more`;
   const next = button(state.readOnly ? "Next picture" : "Accept and continue", {
     icon: "check", kind: "primary", shortcut: "Enter", testid: "accept-next", onclick: commands.accept,
-    title: "Accept these points and open the picture that helps the model most",
+    title: "Accept these points and open the picture with the star",
   });
   next.append(h("kbd.kbd", { "aria-hidden": "true" }, "⏎"));
   const pass = button("Skip", {
@@ -182,7 +182,7 @@ export function createAssist(app, commands, onexport) {
     h("p", icon("check"), " All pictures are done. What next?"),
     h("div.row", go("Check", "review", () => app.list.review()),
       go("Measure", "measure", () => app.openTab("measure")), go("Export", "export", onexport),
-      go("Fit", "fit", () => app.openTab("fit")), go("Try live", "live", () => app.openTab("live"))));
+      go("Fit", "fit", () => app.openTab("fit")), go("Live", "live", () => app.openTab("live"))));
   const decline = () => api.delete(api.url("model/face")).then(() => state.refresh());
   const other = button("Use other points…", {
     small: true, hidden: true, testid: "decline-face", onclick: decline, title: "Make a template of your own",
@@ -263,7 +263,7 @@ export function createAssist(app, commands, onexport) {
     const usable = pictures.length - countOf(pictures, "broken");
     const left = Object.keys(model?.left_out ?? {}).length;
     count.textContent = `${countOf(pictures, "done") - left} of ${usable} done${left ? `, ${left} left out` : ""}`;
-    count.title = left ? `${count.textContent} of training` : "";
+    count.title = left ? "Left out of training: the notices below say why" : "";
     const done = forTraining(pictures).length;
     element.hidden = !project.template;
     const isOffered = Boolean(project.offered) && model?.source === "face";
@@ -278,7 +278,7 @@ export function createAssist(app, commands, onexport) {
     what.title = doing;
     train.disabled = runs || asking || done < LEAST;
     const stale = model?.stale && `${several(model.stale, "picture")} completed or changed since the last training`;
-    train.title = done < LEAST ? `Needs ${LEAST} done pictures; there ${done === 1 ? "is" : "are"} ${done}`
+    train.title = done < LEAST ? whenItHelps(project, { auto: auto.checked })
       : stale || "Train the model on all done pictures";
     train.classList.toggle("primary", !model && done >= LEAST && !runs && !auto.checked);
     end.hidden = !pictures.length || done < LEAST || nextToTeach(pictures, null) !== null || slipped(pictures).length > 0;

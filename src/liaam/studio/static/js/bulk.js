@@ -33,17 +33,18 @@ export async function askName({ api, state }) {
   return who;
 }
 
-/** By name in the server's log: the label, what was done to so many pictures (in words, and the number), and the action that undoes it. */
+/** By name in the server's log: the label, what was done to so many pictures (in words, and the number), the action that
+ *  undoes it, and what that has done, if it is not what that action does otherwise. */
 const ACTIONS = {
   checked: { label: "Mark as checked", done: (of) => `${of} marked as checked`, undo: "unchecked" },
-  accepted: { label: "Accept proposed points", done: (of, count) => `Points of ${of} accepted: ${count === 1 ? "it is" : "they are"} done`, undo: "deleted" },
+  accepted: { label: "Accept proposed points", done: (of, count) => `Points of ${of} accepted: ${count === 1 ? "it is" : "they are"} done`, undo: "deleted", undone: (of) => `Points of ${of} are proposed again, no longer accepted` },
   unchecked: { label: "Mark as not checked", done: (of) => `${of} marked as not checked`, undo: "checked" },
   discarded: { label: "Discard proposed points", done: (of) => `Proposed points of ${of} discarded`, undo: "restored" },
   "left out": { label: "Leave out of training", done: (of) => `${of} left out of training`, undo: "taken in" },
   "taken in": { label: "Use for training", done: (of) => `${of} used for training`, undo: "left out" },
   deleted: { label: "Delete landmarks", done: (of) => `Landmarks of ${of} deleted`, undo: "undeleted" },
   scaled: { done: (_, count) => `Scale set in this picture and ${several(count, "other")}`, undo: "unscaled" },
-  unscaled: { done: (of) => `Scale of ${of} as before, except where it was drawn`, undo: "" },
+  unscaled: { done: (_, count) => `Scale of ${several(count + 1, "picture")} as before`, undo: "" }, // one is where it was drawn
   restored: { done: (of) => `Proposed points of ${of} restored`, undo: "discarded" },
   undeleted: { done: (of) => `Landmarks of ${of} restored`, undo: "deleted" },
 };
@@ -52,21 +53,25 @@ const pictures = ({ length }) => several(length, "picture");
 /** Some pictures, of many the first three. @param {string[]} names */
 export const some = (names) => `${names.slice(0, 3).join(", ")}${names.length > 3 ? ` and ${names.length - 3} more` : ""}`;
 
-const doneText = (/** @type {string} */ did, /** @type {string[]} */ names) => ACTIONS[did].done(pictures(names), names.length);
+const doneText = (/** @type {string} */ did, /** @type {string[]} */ names, undoes = "") =>
+  (ACTIONS[undoes]?.undone ?? ACTIONS[did].done)(pictures(names), names.length);
 
-/** What an action has done, as a sentence. @param {string} did; @param {Reviewed} answer */
-export function outcome(did, { changed, refused }) {
+/** What an action has done, as a sentence; undoes: the action that it undoes, or "".
+ *  @param {string} did; @param {Reviewed} answer; @param {string} undoes */
+export function outcome(did, { changed, refused }, undoes = "") {
   const names = Object.keys(refused);
   const reasons = [...new Set(Object.values(refused))].slice(0, 3);
   const because = reasons.map((why) => `${why}${names.length > 1 ? ` (${some(names.filter((name) => refused[name] === why))})` : ""}`);
-  const done = changed.length && `${doneText(did, changed)}.`;
+  const done = changed.length && `${doneText(did, changed, undoes)}.`;
   const not = names.length && `${names.length === 1 ? names[0] : pictures(names)} not changed: ${because.join("; ")}.`;
   return [done, not].filter(Boolean).join(" ");
 }
 
-/** Apply an action to pictures, with `more` data; resolves to the names that changed. `undo` is offered with the message.
- *  @param {App} app; @param {string} did; @param {string[]} names; @param {{more?: Partial<Review>, undo?: any}} options */
-export async function act(app, did, names, { more = {}, undo = null } = {}) {
+/** Apply an action to pictures, with `more` data; resolves to the names that changed. `undo` is offered with the message,
+ *  `undoes` is the action that it undoes.
+ *  @param {App} app; @param {string} did; @param {string[]} names;
+ *  @param {{more?: Partial<Review>, undo?: any, undoes?: string}} options */
+export async function act(app, did, names, { more = {}, undo = null, undoes = "" } = {}) {
   const { state, api, toast, saved } = app;
   await saved(); // points that were just moved, or the action would be a change elsewhere to them
   const who = await myName(did === "checked", app);
@@ -74,7 +79,7 @@ export async function act(app, did, names, { more = {}, undo = null } = {}) {
   /** @type {Review} */
   const asked = { pictures: names, did, who };
   const answer = await state.send((folder) => api.post(api.url("review"), { ...asked, ...more, folder }));
-  toast(outcome(did, answer), answer.changed.length ? "good" : "info", answer.changed.length > 0 && undo && { label: "Undo", onclick: () => undo(answer.changed) });
+  toast(outcome(did, answer, undoes), answer.changed.length ? "good" : "info", answer.changed.length > 0 && undo && { label: "Undo", onclick: () => undo(answer.changed) });
   await state.refresh();
   return answer.changed;
 }
@@ -96,13 +101,13 @@ export function createBulk({ app, chosen, onall, onend, ondone }) {
     if (did !== "deleted" || (await mayDelete(chosen()))) await run(did, chosen());
     return undefined;
   }, { "aria-label": "Action on the selected pictures", testid: "bulk-action" });
-  const takeBack = (did) => ACTIONS[did].undo && ((names) => run(ACTIONS[did].undo, names));
+  const takeBack = (did) => ACTIONS[did].undo && ((names) => run(ACTIONS[did].undo, names, { undoes: did }));
   const undo = iconButton("Undo", "undo", () => last.undo(), {
     kind: "", small: true, disabled: true, testid: "bulk-undo",
   });
   const small = (label, onclick, testid) => button(label, { small: true, kind: "ghost", onclick, testid });
   const element = h("div.strip-bulk", { hidden: true },
-    h("div.row", count, small("All", onall, "bulk-all"), small("End", onend, "bulk-end")),
+    h("div.row", count, small("All", onall, "bulk-all"), small("Done", onend, "bulk-end")),
     h("div.row", choice, undo));
 
   function mayDelete(names) {
@@ -111,13 +116,16 @@ export function createBulk({ app, chosen, onall, onend, ondone }) {
     return !some.length || app.confirm("Delete landmarks?", text, "Delete");
   }
 
-  async function run(did, names, more = {}) {
-    const changed = await act(app, did, names, { more, undo: takeBack(did) });
+  /** Apply an action; takesBack(names) undoes it, and `more` and `undoes` are those of `act`. Resolves to the names that changed.
+   *  @param {string} did; @param {string[]} names; @param {{more?: Partial<Review>, undo?: any, undoes?: string}} options */
+  async function run(did, names, { more = {}, undo: takesBack = takeBack(did), undoes = "" } = {}) {
+    const changed = await act(app, did, names, { more, undo: takesBack, undoes });
     ondone();
-    if (!changed.length) return;
-    last = { undo: () => takeBack(did)(changed) };
-    undo.disabled = !ACTIONS[did].undo;
-    undo.title = `Undo: ${doneText(did, changed)}`;
+    if (!changed.length) return changed;
+    last = { undo: () => takesBack(changed) };
+    undo.disabled = !takesBack;
+    undo.title = `Undo: ${doneText(did, changed, undoes)}`;
+    return changed;
   }
 
   /** Remove or rename pictures by work(), which resolves to whether that was done. */

@@ -40,8 +40,16 @@ export function drawPaths(ctx, viewer, points, contours, suggested) {
   drawContours(ctx, viewer, points, contours, { colour, width: 1.3, dash: suggested ? [5, 4] : [] });
 }
 
+const FONT = "600 12px Inter, system-ui, sans-serif";
+
+/** The width of a text, css pixels. */
+export function widthOf(ctx, text) {
+  ctx.font = FONT;
+  return ctx.measureText(text).width;
+}
+
 export function drawText(ctx, text, x, y, { colour = "#fff", align = "left" } = {}) {
-  ctx.font = "600 12px Inter, system-ui, sans-serif";
+  ctx.font = FONT;
   ctx.textAlign = align;
   ctx.textBaseline = "middle";
   ctx.lineJoin = "round";

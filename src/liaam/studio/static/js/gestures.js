@@ -11,6 +11,7 @@ const HANDLE_REACH = { mouse: 11, pen: 15, touch: 24 };
 const SLIP = { mouse: 1, pen: 2, touch: 5 }; // maximum movement of a click on a point, which does not move it
 
 export const CURSORS = { scale: "nwse-resize", turn: "grab", move: "move" }; // by kind of a handle
+const EDGE = 4; // css pixels outside a frame that still belong to it
 const FRAME = 16; // css pixels between the points and their frame
 const KNOB = 26; // css pixels from the frame to the knobs
 const LOUPE_AFTER_KEY = 1200; // milliseconds that the loupe stays
@@ -88,12 +89,14 @@ export class Editable {
   travel(way) {
     const { history } = this;
     const what = way === "undo" ? history?.undoes : history?.redoes;
+    const beyond = history?.beyond(way);
     const isDone = history?.[way](this.context);
     if (!isDone) return null;
     this.setShown(null);
     this.restore(history.context ?? {}); // that to which the step has led
     this.changed();
     this.onselect();
+    beyond?.[way]();
     return what;
   }
 }
@@ -127,6 +130,15 @@ export function handleAt(viewer, doc, event) {
   const frame = frameOf(viewer, doc.points, doc.framed());
   const at = viewer.place(event);
   return frame?.handles.find((handle) => distance(handle.at, at) <= handleReach(event)) ?? null;
+}
+
+/** Whether an event is in the frame or at its edge, where a press places no point. */
+function isInFrame(viewer, doc, event) {
+  const frame = doc.placing ? null : frameOf(viewer, doc.points, doc.framed());
+  if (!frame) return false;
+  const [x, y] = viewer.place(event);
+  const [x0, y0, x1, y1] = frame.box;
+  return x > x0 - EDGE && x < x1 + EDGE && y > y0 - EDGE && y < y1 + EDGE;
 }
 
 /** A gesture that places a point: show(xy) at first and with each move. */
@@ -290,7 +302,14 @@ export class PointTool {
     if (handle?.kind === "move") return dragging(doc, -1, doc.framed(), xy);
     if (handle) return turning(this.#viewer, doc, handle, doc.framed());
     if (adds || this.#boxes) return boxing(doc, xy, adds);
+    if (isInFrame(this.#viewer, doc, event)) return this.#dragFrame(doc, event, xy);
     return doc.adding(xy, this.#viewer.place(event));
+  }
+
+  /** A drag in the frame, or at its edge, moves all that it is around; a click there selects nothing. */
+  #dragFrame(doc, event, xy) {
+    const at = this.#viewer.place(event);
+    return dragging(doc, -1, doc.framed(), xy, (to) => distance(to, at) > CLICK, () => doc.select([], -1));
   }
 
   /** A press on a point selects it, or adds it to the selection or takes it out; then the selected points are dragged. */
@@ -392,6 +411,7 @@ export class PointTool {
     if (this.find(event, xy) >= 0) return "move";
     const handle = handleAt(this.#viewer, doc, event);
     if (handle) return CURSORS[handle.kind];
+    if (!this.#boxes && !event.shiftKey && isInFrame(this.#viewer, doc, event)) return CURSORS.move;
     return doc.placing || this.#boxes || event.shiftKey ? "crosshair" : "";
   }
 }

@@ -30,12 +30,12 @@ export class History {
   get steps() { return this.#past.length; }
 
   /** Add a state. Steps with the same `key` in quick succession (held arrow keys) are merged. context: of the state
-   *  before the step. */
-  push(state, what = "", key = null, context = null) {
+   *  before the step; beyond: {undo(), redo()} of what the step has changed beyond the state, or null. */
+  push(state, what = "", key = null, context = null, beyond = null) {
     if (state === this.#state) return;
     const time = this.#now();
     const joins = key !== null && key === this.#last.key && time - this.#last.time < this.#burst && this.#past.length > 0;
-    if (!joins) this.#past.push({ state: this.#state, what, context });
+    if (!joins) this.#past.push({ state: this.#state, what, context, beyond });
     if (this.#past.length > this.#limit) this.#past.shift();
     this.#state = state;
     this.#future = [];
@@ -47,6 +47,8 @@ export class History {
 
   get undoes() { return this.#past.at(-1)?.what ?? ""; }
   get redoes() { return this.#future.at(-1)?.what ?? ""; }
+  /** What the step that can be undone, or redone, has changed beyond the state; null if nothing. */
+  beyond(way) { return (way === "undo" ? this.#past : this.#future).at(-1)?.beyond ?? null; }
   /** context: of the present state. */
   undo(context = null) { return this.#travel(this.#past, this.#future, context); }
   redo(context = null) { return this.#travel(this.#future, this.#past, context); }
@@ -67,8 +69,8 @@ export class History {
 
   #travel(from, to, now) {
     if (!from.length) return null;
-    const { state, what, context } = from.pop();
-    to.push({ state: this.#state, what, context: now });
+    const { state, what, context, beyond } = from.pop();
+    to.push({ state: this.#state, what, context: now, beyond });
     this.#state = state;
     this.#context = context;
     this.#last = { key: null, time: 0 };

@@ -162,8 +162,11 @@ function openTab(name, options = {}) {
 function keys(event) {
   if (event.defaultPrevented || isTyping(event) || document.querySelector("dialog[open]")) return;
   if (open === "annotate" && !tabs.get(open).tab.editing) translate(event);
-  if (tabs.get(open)?.tab.key?.(event) || (isPlain(event) && commonKey(event))) event.preventDefault();
+  if (tabs.get(open)?.tab.key?.(event) || (isPlain(event) && commonKey(event)) || isUndo(event)) event.preventDefault();
 }
+
+/** Whether a key would undo or redo what was typed in a field that the focus has left, unseen. */
+const isUndo = ({ key, ctrlKey, metaKey }) => (ctrlKey || metaKey) && ["z", "y"].includes(key.toLowerCase());
 
 function commonKey(event) {
   const byNumber = shownTabs().map(({ name }, i) => [i + 1, () => openTab(name)]);
@@ -246,7 +249,8 @@ function waiting() {
 
 function status() {
   const training = h("span.badge.accent", { hidden: true, testid: "top-training" });
-  const model = h("span.badge", { testid: "top-model" });
+  const saveModel = async () => ui.saveFile(...(await api.file(api.url("model/file"))));
+  const model = h("button.badge", { type: "button", testid: "top-model", onclick: saveModel });
   document.getElementById("top-status").append(training, model);
   const show = () => {
     const { training: learning, fitting, model: has } = state.project;
@@ -258,7 +262,9 @@ function status() {
     const guest = state.guest;
     model.textContent = guest ? `Fit only: ${has.name}` : has?.source === "face" ? "Face model" : has ? `Model: ${has.n_images} pictures` : "No model yet";
     model.className = has ? "badge good" : "badge";
-    model.title = has?.sides ? sidesInWords(has.sides) : "";
+    model.disabled = !has || guest; // a file that was dropped is there already
+    const about = has?.sides ? sidesInWords(has.sides) : "";
+    model.title = [about, !model.disabled && "Click to save the model as a file (.liaam)."].filter(Boolean).join(" ");
   };
   let before = null;
   state.addEventListener("training", (/** @type {any} */ { detail }) => {

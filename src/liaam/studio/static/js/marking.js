@@ -19,6 +19,7 @@ export class Marking extends Editable {
   #book = null;
   #invisible = new Set();
   #hidden = false;
+  #whole = null; // the state after all points were moved together, whose frame stays until something else is changed
   #mirrored = false;
   #locked;
   #template;
@@ -75,8 +76,10 @@ export class Marking extends Editable {
 
   framed() {
     if (this.selection.size > 1) return [...this.selection].filter((i) => this.points[i]);
-    return this.state?.source === "layout" ? placed(this.points) : [];
+    return this.#isFramed(this.state) ? placed(this.points) : [];
   }
+
+  #isFramed(state) { return state !== null && (state.source === "layout" || state === this.#whole); }
 
   /** "missing", "absent", "invisible", "proposed", "accepted" or "placed". */
   stateOf(index) {
@@ -101,15 +104,16 @@ export class Marking extends Editable {
   /** Let mirrored points move together, or no longer; return which. */
   toggleMirrored() { return (this.#mirrored = !this.#mirrored); }
 
-  /** @typedef {{alone?: number, fresh?: string, changed?: string | null, accepts?: boolean, context?: any}} Options
-   *  Those of originsAfter, and what the next click depended on before the step, if that is not the present. */
+  /** @typedef {{alone?: number, fresh?: string, changed?: string | null, accepts?: boolean, context?: any, beyond?: any}} Options
+   *  Those of originsAfter, what the next click depended on before the step, if that is not the present, and what the
+   *  step has changed beyond this picture (of History.push). */
 
   /** @param {any} points; @param {string} what; @param {string | null} key; @param {Options} options */
   commit(points, what, key = null, options = {}) { this.change({ points }, what, key, options); }
 
   /** One undo step. It accepts a proposal, unless it changes the scale bar, and the mean shape if a point moves.
    *  @param {any} change; @param {string} what; @param {string | null} key; @param {Options} options */
-  change(change, what, key = null, { context = this.contextBefore, ...options } = {}) {
+  change(change, what, key = null, { context = this.contextBefore, beyond = null, ...options } = {}) {
     if (this.#locked) return;
     const before = this.state;
     const { points, invisible, absent = [], bar = null } = { ...before, ...change };
@@ -127,8 +131,10 @@ export class Marking extends Editable {
     const same = samePoints(points, before.points) && state.invisible.join() === before.invisible.join() &&
       state.absent.join() === (before.absent ?? []).join() && origins.join() === originsOf(before).join() &&
       sameBar(before.bar, bar);
-    if (before.source === source && same) return;
-    this.history.push(state, what, key, context);
+    if (before.source === source && same && !beyond) return;
+    const moved = placed(points).filter((i) => !samePoint(points[i], before.points[i]));
+    if (this.#isFramed(before) && moved.length && moved.length === placed(points).length) this.#whole = state;
+    this.history.push(state, what, key, context, beyond);
     this.changed();
   }
 

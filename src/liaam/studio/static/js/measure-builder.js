@@ -1,7 +1,7 @@
 // The card in which a measure is made by clicking points, with the list of measures and the scale.
 
 import { CLICK } from "./annotate-words.js";
-import { KINDS, measureOf, measureText } from "./measures.js";
+import { KINDS, measureOf, measureText, scaleText } from "./measures.js";
 import { picker } from "./shape-plots.js";
 import { curveText } from "./template.js";
 import { button, complaints, h, iconButton, segmented } from "./ui.js";
@@ -19,7 +19,7 @@ export class MeasureBuilder {
   #tab;
   #shownScale; // the kept one that the field was last given
   // Elements.
-  #add; #curves; #fault; #gone; #hint; #kind; #list; #picker; #scale; #scaleFault;
+  #add; #curves; #fault; #gone; #hint; #kind; #list; #picker; #scale; #scaleFault; #scaleMeans;
 
   /** @param {import("./measure.js").Tab} tab */
   constructor(tab) {
@@ -41,6 +41,7 @@ export class MeasureBuilder {
       onchange: () => this.#changeScale(),
     });
     this.#scaleFault = h("p.small.error-text", { role: "alert", hidden: true, testid: "measure-scale-fault" });
+    this.#scaleMeans = h("p.small.muted", { role: "status", testid: "measure-scale-means" });
     this.#gone = h("div.row.small", { role: "status", hidden: true, testid: "measures-gone" });
     this.element.append(
       h("h2.panel-title", "Measures"),
@@ -52,13 +53,15 @@ export class MeasureBuilder {
       this.#fault,
       this.#gone,
       h("label.field", SCALE, this.#scale),
+      this.#scaleMeans,
       this.#scaleFault);
   }
 
-  /** Add, remove or dismiss measures. @param {SaveMeasuring} change */
+  /** Add, remove or dismiss measures; whether that was done. @param {SaveMeasuring} change */
   async #change(change) {
     const fault = await this.#tab.state.changeMeasuring(change).then(() => null, (error) => error);
     this.#complain(fault && !fault.unreachable ? fault.message : "");
+    return !fault;
   }
 
   /** A scale that is refused stays in the field, with what is wrong below it, to be corrected. */
@@ -109,7 +112,13 @@ export class MeasureBuilder {
     this.#pick([]);
   }
 
-  #remove(measure) { this.#change({ remove: [measure] }); }
+  async #remove(measure) {
+    const { names } = this.#tab.measuring;
+    const called = names[measure];
+    if (!(await this.#change({ remove: [measure] }))) return;
+    const undo = () => this.#change({ add: [`${called ? `${called}=` : ""}${measure}`] });
+    this.#tab.app.toast(`${called || measureText(measure, this.#tab.names)} removed.`, "info", { label: "Undo", onclick: undo });
+  }
 
   /** Where points are drawn to be clicked: the mean shape, the template, or the open picture's points. */
   #layout() {
@@ -128,6 +137,7 @@ export class MeasureBuilder {
     this.#drawGone();
     const isTyped = this.#scale.value !== this.#shownScale; // and not sent yet, or refused
     if (!isTyped) this.#showScale(); // it follows its points
+    this.#scaleMeans.textContent = isTyped ? "" : scaleText(this.#shownScale, this.#tab.names);
   }
 
   #hintText() {

@@ -4,7 +4,7 @@
 import { several } from "./annotate-words.js";
 import { createLeftOut, leftOut } from "./left-out.js";
 import { MeasureBuilder } from "./measure-builder.js";
-import { bins, measureText, numberText, summary } from "./measures.js";
+import { bins, decimalsOf, endsOf, measureText, numberText, summary } from "./measures.js";
 import { plotFiles } from "./plot-files.js";
 import { createShapeSpace } from "./shape-space.js";
 import { groupMark, histogram } from "./shape-plots.js";
@@ -17,7 +17,10 @@ const VIEWS = [{ value: "measures", label: "Measures" }, { value: "shapes", labe
 const GROUPED_BY = { "": "No groups", folder: "By subfolder", name: "By name", table: "By a table…" };
 const EXPORTS = { csv: "Table (.csv)", svg: "Plots (.svg)" };
 const ABOUT_GROUPS =
-  "By the letters in which names differ, such as male of male_07.jpg, or B of wing16_B.jpg; or by a table with the columns specimen and group";
+  "By the letters in which names differ, such as male of male_07.jpg, or B of wing16_B.jpg; or by a table with the columns picture and group";
+const NO_GROUPS = { name: "No groups: the names have no letters in which pictures differ", table: "No groups: the table names none of these pictures" };
+const TABLE = "A .csv file with the columns picture and group, and a line for each picture, such as:";
+const TABLE_LINES = "picture,group\n63001.jpg,female\n63002.jpg,male";
 const MOST_NUMBERED = 12; // landmarks that are named with their numbers
 const ABOUT_ESTIMATES =
   "By a thin-plate spline from the complete pictures; without, pictures that lack points have no shape";
@@ -178,7 +181,9 @@ export class Tab {
     const needsFile = by === "table" && (!this.#data?.has_table || now === "table");
     if (!needsFile) return this.#group(by);
     this.#groupList.value = now; // until a file is chosen
-    this.#tableFile.click();
+    const choose = { label: "Choose the file…", kind: "primary", value: true, testid: "measure-table-choose" };
+    const body = h("div.column", h("p", TABLE), h("pre.small", TABLE_LINES));
+    if (await this.app.ui.dialog("Groups by a table", body, [{ label: "Cancel", value: null }, choose])) this.#tableFile.click();
     return undefined;
   }
 
@@ -253,16 +258,20 @@ export class Tab {
     const groups = leftOut(pictures, data, ofShapes);
     const used = ofShapes && data.space ? data.space.of.length : data.pictures.length;
     const estimated = data.estimated.filter((count) => count > 0).length;
+    const ends = ofShapes ? endsOf(this.measuring.scale).map((i) => this.names[i]) : [];
     const what = ofShapes ? "Shapes" : "Measures";
+    const without = ends.length ? `, without ${ends.join(" and ")}, the ends of the scale` : "";
     const some = used === pictures.length ? `all ${several(used, "picture")}` : `${used} of ${several(pictures.length, "picture")}`;
-    this.#leftOut.show(`${what} of ${some}${estimated ? `, ${estimated} of them with estimated points` : ""}` +
-      `${groups.length ? `. Left out: ${several(groups.reduce((sum, { names }) => sum + names.length, 0), "picture")}` : "."}`, groups);
+    this.#leftOut.show(`${what} of ${some}${without}${estimated ? `, ${estimated} of them with estimated points` : ""}` +
+      `${groups.length ? `. Missing: ${several(groups.reduce((sum, { names }) => sum + names.length, 0), "picture")}` : "."}`, groups);
   }
 
   #drawLegend() {
     const { names } = this.groups;
     const marks = names.slice(0, MOST_GROUPS).map((name, i) => h("span.row.tight", groupMark(i), name));
-    this.#legend.replaceChildren(...marks, names.length > MOST_GROUPS ? `+ ${names.length - MOST_GROUPS}` : "");
+    const why = names.length ? "" : (NO_GROUPS[this.measuring.by] ?? "");
+    if (why) return this.#legend.replaceChildren(h("span.muted", { title: why }, why));
+    return this.#legend.replaceChildren(...marks, names.length > MOST_GROUPS ? `+ ${names.length - MOST_GROUPS}` : "");
   }
 
   #drawChosen() {
@@ -300,7 +309,7 @@ export class Tab {
       h("p.small.muted", { testid: "measure-facts" }, summaryText(column)),
       place);
     place.append(histogram(bins(column.values), {
-      title: this.#title(column), lit: this.chosen, onbin: (indices) => this.#chooseNextOf(indices), width: place.clientWidth || undefined,
+      title: this.#title(column), lit: this.chosen, groups: this.groups.of, onbin: (indices) => this.#chooseNextOf(indices), width: place.clientWidth || undefined,
     }));
   }
 
@@ -336,7 +345,8 @@ export class Tab {
   #drawTable() {
     const sorted = this.#sorted();
     const { groups } = this;
-    const rows = sorted.slice(0, MOST_ROWS).map((i) => this.#row(i, groups));
+    const decimals = this.#data.columns.map(({ values }) => decimalsOf(values));
+    const rows = sorted.slice(0, MOST_ROWS).map((i) => this.#row(i, groups, decimals));
     const table = h("table", { testid: "measure-table" }, h("thead", this.#headRow(groups)), h("tbody", rows));
     const more = sorted.length > MOST_ROWS
       ? h("p.small.muted", `${MOST_ROWS} of ${sorted.length} pictures. The saved table has all.`) : "";
@@ -358,7 +368,7 @@ export class Tab {
     }));
   }
 
-  #row(i, groups) {
+  #row(i, groups, decimals) {
     const data = this.#data;
     const choose = () => this.choose(i);
     const estimated = data.estimated[i] > 0 && h("span.muted.small", ` ${data.estimated[i]} estimated`);
@@ -368,8 +378,8 @@ export class Tab {
     return h("tr", { class: i === this.chosen && "chosen", "data-index": String(i), onclick: choose, ondblclick: () => this.#open() },
       h("th", { scope: "row" }, name, estimated),
       groupCell,
-      data.columns.map(({ values, unit }) => (values[i] === null
-        ? h("td.number.muted.small", data.unscaled.includes(i) && unit !== "°" ? "no scale" : "no point") : h("td.number", numberText(values[i])))));
+      data.columns.map(({ values, unit }, c) => (values[i] === null
+        ? h("td.number.muted.small", data.unscaled.includes(i) && unit !== "°" ? "no scale" : "no point") : h("td.number", numberText(values[i], "", decimals[c])))));
   }
 }
 
@@ -392,6 +402,8 @@ function compared(a, b, down) {
 function summaryText({ values, unit }) {
   const { n, mean, sd, least, most } = summary(values);
   if (!n) return "No picture has all points of this measure, or a scale.";
-  const spread = sd === null ? "" : ` ± ${numberText(sd)} (standard deviation)`;
-  return `${several(n, "picture")}: ${numberText(mean, unit)}${spread}, ${numberText(least)} to ${numberText(most)}`;
+  const decimals = decimalsOf(values);
+  const spread = sd === null ? "" : ` ± ${numberText(sd, "", decimals)} (standard deviation)`;
+  return `${several(n, "picture")}: ${numberText(mean, unit, decimals)}${spread}, ` +
+    `${numberText(least, "", decimals)} to ${numberText(most, "", decimals)}`;
 }

@@ -31,6 +31,18 @@ export function measureText(measure, names) {
   return known ? `${known.kind}: ${known.indices.map((i) => names[i]).join(" – ")}` : measure;
 }
 
+/** The indices of the points at the ends of a scale, such as "3-4=0.5 mm"; none of the length of a pixel. @returns {number[]} */
+export const endsOf = (scale) => (/^(\d+)-(\d+)=/.exec(scale) ?? []).slice(1).map((number) => Number(number) - 1);
+
+/** What a scale means, as a sentence; "" if there is none. */
+export function scaleText(scale, names) {
+  if (!scale) return "";
+  const ends = endsOf(scale).map((i) => names[i] ?? `${i + 1}`);
+  if (ends.length) return `${ends.join(" to ")} is ${scale.split("=")[1].trim()} in every picture. These two points are no part of shapes.`;
+  const [, number, unit] = /^(.*?)\s*(?:px|pixels?)\s*\/\s*(.+)$/.exec(scale) ?? [];
+  return unit ? `1 ${unit} is ${number} pixels.` : `1 pixel is ${scale}.`;
+}
+
 const lengthOf = (points) => points.slice(1).reduce((sum, point, i) => sum + distance(points[i], point), 0);
 
 function angleOf([first, middle, last]) {
@@ -52,11 +64,20 @@ export function valueOf({ kind, indices }, points, pixel = null) {
   return { value: of(own) * (pixel?.length ?? 1) ** power, unit };
 }
 
-/** A number with four significant digits, and its unit. */
-export function numberText(value, unit = "") {
+const DIGITS = 4; // significant ones
+const isPlainSize = (size) => size === 0 || (size >= 1e-4 && size < 1e6);
+
+/** Decimals with which the largest of some values has four significant digits, so that a column has as many in each row. */
+export function decimalsOf(values) {
+  const most = Math.max(0, ...values.filter(Number.isFinite).map(Math.abs));
+  return most && isPlainSize(most) ? Math.max(0, DIGITS - 1 - Math.floor(Math.log10(most))) : null;
+}
+
+/** A number with four significant digits, or with so many decimals, and its unit. @param {number | null} [decimals] */
+export function numberText(value, unit = "", decimals = null) {
   if (value === null || value === undefined || Number.isNaN(value)) return "–";
-  const size = Math.abs(value);
-  const text = size >= 1e6 || (size > 0 && size < 1e-4) ? value.toExponential(3) : String(Number(value.toPrecision(4)));
+  const text = decimals !== null && isPlainSize(Math.abs(value)) ? value.toFixed(decimals)
+    : isPlainSize(Math.abs(value)) ? String(Number(value.toPrecision(DIGITS))) : value.toExponential(DIGITS - 1);
   return unit ? `${text}${unit === "°" ? "" : "\u00a0"}${unit}` : text;
 }
 

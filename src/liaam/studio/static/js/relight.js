@@ -115,7 +115,7 @@ export class Balance extends EventTarget {
     this.#found.textContent = colour === "" ? "neutral" : colour ?? "";
     this.#box.disabled = !colour;
     this.#box.checked = Boolean(colour) && this.#corrects;
-    this.element.title = colour ? "Take the colour of the light off the whole picture, face and wall alike"
+    this.element.title = colour ? "Take the colour of the light off the whole picture, object and background alike"
       : colour === "" ? "The light is neutral, as in the pictures that the model was trained on: there is no colour to correct"
       : "The colour of the light is measured when the shading is removed, or the picture is relit";
   }

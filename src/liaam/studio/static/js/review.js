@@ -14,8 +14,8 @@ const DID = {
   restored: "restored proposed points", deleted: "deleted the landmarks", undeleted: "restored the landmarks",
   scaled: "set the scale, with those of other pictures", unscaled: "took that scale back",
 };
-const EXPORTS = { pts: ".pts files (zip)", coco: "COCO keypoints", tps: "tpsDig (.tps)", csv: "Table (.csv)", sliders: "Sliders (.csv)", measure: "Measurements (opens Measure)" };
-const UNMEASURED = "It is measured on pictures that are held out from a training on four or more. In these, a person must " +
+const EXPORTS = { pts: ".pts files (zip)", coco: "COCO keypoints", tps: "tpsDig (.tps)", csv: "Table (.csv)", sliders: "Sliders (.csv)", measure: "Measurements (opens Measure)", model: "Model (.liaam)" };
+const UNMEASURED = "It is measured on pictures that a training on four or more keeps for testing. In these, a person must " +
   "have placed, moved or confirmed (Y) at least half of the points: accepted ones would confirm the model that made them.";
 export const sentence = (/** @type {HistoryEntry} */ { who, did }) => `${who || "Someone"} ${DID[did]}`;
 
@@ -33,7 +33,7 @@ export function accuracyText(versions) {
   const { held_out: count } = versions.at(-1);
   const others = versions.some(({ same }) => !same) ? " Pale bars: measured on other pictures." : "";
   const what = "Distance of fitted points from those that a person placed, moved or confirmed, in percent of the object's size: " +
-    `the smaller, the better. Measured on ${several(count, "picture")} held out from training.`;
+    `the smaller, the better. Measured on ${several(count, "picture")} kept for testing, on which that model was not trained.`;
   const few = count < 8 ? ` ${count === 1 ? "One picture says" : `${count} pictures say`} little; from 32 pictures on, it is measured on 8.` : "";
   return `${what}${few}${others}`;
 }
@@ -55,8 +55,10 @@ export function createReview(tab) {
   const name = button("", {
     small: true, kind: "ghost", title: "Your name in the history", onclick: () => askName(app).then(show),
   });
-  const save = async (format) =>
-    (format === "measure" ? app.openTab("measure") : saveFile(...(await api.file(api.url("export/{kind}", { kind: format })))));
+  const save = async (format) => {
+    if (format === "measure") return app.openTab("measure");
+    return saveFile(...(await api.file(format === "model" ? api.url("model/file") : api.url("export/{kind}", { kind: format }))));
+  };
   const files = menu("Export all…", EXPORTS, save, {
     class: "small", "aria-label": "Export all landmarks", testid: "export-all",
   });
@@ -93,7 +95,7 @@ export function createReview(tab) {
     const label = `Errors of the models: ${versions.map(said).join("; ")}`;
     const shapes = button("Shapes for statistics…", {
       small: true, kind: "ghost", testid: "model-agreement", onclick: () => showModelAgreement(app),
-      title: "Slope, variance ratio and intraclass correlation of the model's shapes in held-out pictures",
+      title: "Slope, variance ratio and intraclass correlation of the model's shapes in pictures kept for testing",
     });
     return chart.replaceChildren(h("div",
       h("div.version-chart", { role: "img", "aria-label": label }, bars), h("p.muted", accuracyText(versions)), lost, shapes));

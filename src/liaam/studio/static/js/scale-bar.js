@@ -2,7 +2,7 @@
 // Gestures edit it while it is drawn; after that it is part of the marks.
 
 import { CLICK } from "./annotate-words.js";
-import { COLOURS, drawText } from "./drawing.js";
+import { COLOURS, drawText, widthOf } from "./drawing.js";
 import { Editable, placing } from "./gestures.js";
 import { inked, lines } from "./overlays.js";
 import { distance, rounded, sameBar } from "./points.js";
@@ -13,6 +13,7 @@ const KEY = "liaam-studio:scale-bar"; // the last length and unit
 const FIND_KEY = "liaam-studio:find-scale"; // what was looked for last, and its length and unit
 const KINDS = { ruler: "Ruler: the length from one smallest tick to the next", bar: "Scale bar: its length" };
 const CORNER = 24; // css pixels from the corner of the picture
+const MARGIN = 4; // css pixels between its text and the border of the view
 const TICK = 6; // css pixels on each side of the line
 const DRAG = 16; // css pixels from which a press draws the whole bar; less moves the end that it has set
 const LEAST = 1; // pixels between the ends
@@ -25,8 +26,8 @@ export class ScaleBar extends Editable {
   #on = false;
   #ends = [null, null];
 
-  /** handlers: onpreview(): an end moves; onchange(): drawing starts or stops; onshare(bar, anyway): the other pictures
-   *  get it too; alone(): whether there are none; onfind({kind, length, unit}): ask the server for the scale of the
+  /** handlers: onpreview(): an end moves; onchange(): drawing starts or stops; onshare(bar, anyway) ->
+   *  {undo(), redo()}, which gives it to the other pictures too, and takes it back there; alone(): whether there are none; onfind({kind, length, unit}): ask the server for the scale of the
    *  picture, which gives a FoundScale, or null after it has said why not.
    *  @param {import("./marking.js").Marking} marking; @param {any} handlers */
   constructor(marking, handlers) {
@@ -40,7 +41,8 @@ export class ScaleBar extends Editable {
   /** None that could be moved. */
   get points() { return []; }
 
-  onshare(_bar, _anyway) {}
+  /** @returns {{undo: () => any, redo: () => any}} */
+  onshare(_bar, _anyway) { return { undo() {}, redo() {} }; }
   /** @returns {Promise<FoundScale | null>} */
   async onfind(_asked) { return null; }
   alone() { return false; }
@@ -49,6 +51,9 @@ export class ScaleBar extends Editable {
   get bar() { return this.#marking.state?.bar ?? null; }
   get history() { return this.#marking.history; }
   get editable() { return this.#marking.editable; }
+  /** The open picture. While a dialog is open, its marks may be fetched again, as after a training: what is typed and
+   *  confirmed there is for the picture, whichever marks it has by then. */
+  get #picture() { return this.#marking.book?.name ?? null; }
   get placing() { return this.editable; }
   get prompt() {
     if (this.ends[1]) return ""; // it is being asked for its length
@@ -75,10 +80,11 @@ export class ScaleBar extends Editable {
   /** The button: draw a bar, stop drawing, or change the bar that is there. */
   async start() {
     if (this.on || !this.bar) return this.turn(!this.on);
-    const { bar } = this;
+    const [{ bar }, picture] = [this, this.#picture];
     const remove = { label: "Remove", value: "remove", testid: "scale-remove" };
     const find = { label: "Find…", value: "find", testid: "scale-find-again" };
     const [answer, change] = await this.ask(bar, [remove, find, { label: "Draw again", value: "draw" }]);
+    if (this.#picture !== picture) return;
     if (answer === "remove") this.#marking.change({ bar: null }, "remove the scale bar");
     else if (answer === "draw") this.turn(true);
     else if (answer === "find") this.find();
@@ -107,11 +113,10 @@ export class ScaleBar extends Editable {
   }
 
   async finish() {
-    const { ends } = this;
-    const { book } = this.#marking;
+    const [{ ends }, picture] = [this, this.#picture];
     if (distance(ends[0], ends[1]) < LEAST) return this.preview([ends[0], null]);
     const [answer, bar] = await this.ask(known());
-    if (this.#marking.book !== book) return;
+    if (this.#picture !== picture) return;
     this.turn(false);
     if (!answer) return;
     localStorage.setItem(KEY, JSON.stringify({ length: bar.length, unit: bar.unit }));
@@ -120,17 +125,17 @@ export class ScaleBar extends Editable {
 
   /** Ask what is in the picture, let the server find it, show it, and ask whether it is right. */
   async find() {
-    const { book } = this.#marking;
+    const picture = this.#picture;
     const [looks, asked] = await this.askKind(JSON.parse(localStorage.getItem(FIND_KEY) ?? '{"kind": "ruler", "length": 1, "unit": "mm"}'));
-    if (!looks || this.#marking.book !== book) return;
+    if (!looks || this.#picture !== picture) return;
     localStorage.setItem(FIND_KEY, JSON.stringify(asked));
     const found = await this.onfind(asked);
-    if (!found || this.#marking.book !== book) return;
+    if (!found || this.#picture !== picture) return;
     this.#on = true; // so that what was found is drawn
     this.#ends = found.bar.ends;
     this.onchange();
     const [answer, anyway] = await this.offer(found);
-    if (this.#marking.book !== book) return;
+    if (this.#picture !== picture) return;
     this.turn(false);
     if (answer) this.settle(answer, { ...found.bar, anyway }, "scale bar that was found");
   }
@@ -170,15 +175,17 @@ export class ScaleBar extends Editable {
 
   /** With the box, both buttons set the scale in all pictures. */
   settle(answer, { anyway, ...bar }, what) {
-    this.#marking.change({ bar }, what);
-    if (answer === "share" || anyway) this.onshare(bar, anyway);
+    if (answer !== "share" && !anyway) return this.#marking.change({ bar }, what);
+    const others = this.onshare(bar, anyway);
+    this.#marking.change({ bar }, "same scale for all", null, { beyond: others }); // one step with theirs
+    return others.redo();
   }
 
   async ask(bar, more = []) {
     const length = lengthField(bar.length, "scale-length");
     const unit = unitField(bar.unit, "scale-unit");
     const [anyway, others] = this.forOthers();
-    const kept = "Files .ljson and .tps keep the scale for liaam measure; .pts and .csv do not.";
+    const kept = "Landmark files .ljson and .tps have the scale in them; .pts and .csv cannot.";
     const note = h("p.small.muted", `Measurements of this picture are then in millimetres. ${kept}`);
     const body = h("div.column", h("div.row", length, unit), note, others);
     const share = { label: "Same scale for all", value: "share", checks: true, testid: "scale-share" };
@@ -201,6 +208,22 @@ export class ScaleBar extends Editable {
     return [[left, low], [left + viewer.scale * distance(...this.bar.ends), low]];
   }
 
+  get #text() { return `${this.bar.length} ${this.bar.unit}${this.isShared ? ", drawn on another picture" : ""}`; }
+
+  /** The middle of the length's text and its width, which does not leave the view: [[x, y, width]]; null without a bar. */
+  label(ctx, viewer) {
+    const ends = this.#places(viewer);
+    if (this.on || !this.bar || !ends.length) return null;
+    const [[x0, y0], [x1, y1]] = [ends[0], ends.at(-1)];
+    const away = Math.hypot(x1 - x0, y1 - y0) || 1;
+    const [nx, ny] = [(TICK * (y1 - y0)) / away, (TICK * (x0 - x1)) / away];
+    const wide = widthOf(ctx, this.#text);
+    const [least, most] = [wide / 2 + MARGIN, viewer.container.clientWidth - wide / 2 - MARGIN];
+    const isSeen = Math.max(x0, x1) > 0 && Math.min(x0, x1) < viewer.container.clientWidth;
+    const x = (x0 + x1) / 2 + 2 * Math.abs(nx);
+    return [[isSeen ? Math.max(least, Math.min(x, most)) : x, (y0 + y1) / 2 - 2 * Math.abs(ny) - 4, wide]];
+  }
+
   draw(ctx, viewer) {
     const ends = this.#places(viewer);
     if (!ends.length) return;
@@ -211,9 +234,7 @@ export class ScaleBar extends Editable {
     lines(ctx, [...ends.map(([x, y]) => [[x - across, y - ny], [x + across, y + ny]]), [[x0, y0], [x1, y1]]]);
     inked(ctx, "rgb(0 0 0 / 75%)", 4.5);
     inked(ctx, COLOURS.placed, 2);
-    if (this.on || !this.bar) return;
-    const text = `${this.bar.length} ${this.bar.unit}${this.isShared ? ", drawn on another picture" : ""}`;
-    drawText(ctx, text, (x0 + x1) / 2 + 2 * Math.abs(nx), (y0 + y1) / 2 - 2 * Math.abs(ny) - 4, { align: "center" });
+    for (const [x, y] of this.label(ctx, viewer) ?? []) drawText(ctx, this.#text, x, y, { align: "center" });
   }
 }
 

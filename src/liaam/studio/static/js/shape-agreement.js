@@ -33,5 +33,5 @@ export async function showModelAgreement({ api }) {
   const found = await api.get(api.url("agreement/model"));
   const called = (name) => (name === "model" ? "the model" : "people");
   await dialog("Are the model's shapes good enough for statistics?", h("div.column", shapeFacts(found, called, true), shapeNote(),
-    h("p.small.muted", "Of pictures that were held out from a training. For all pictures, and with an interval that is narrower, use liaam evaluate.")), undefined, { wide: true });
+    h("p.small.muted", "Of pictures that a training kept for testing. For all pictures, and with an interval that is narrower, use liaam evaluate.")), undefined, { wide: true });
 }

@@ -138,24 +138,38 @@ export function bentGrid(/** @type {Space} */ space, scores, { contours, label, 
     shape.map(at).map(([x, y]) => svg("circle", { cx: x, cy: y, r: 3.2, class: "plot-mean" })));
 }
 
-/** A histogram: {edges, of}; lit: index of the value that is chosen; onbin(index). */
-export function histogram({ edges, of }, { title, lit, onbin, width = 560, height = 0.34 * width }) {
+/** The values of a bin, one part for each group that has some, in the order of the groups; one without a group if it is empty.
+ *  @param {number[]} values; @param {number[] | null} groups the index of each; -1 for none */
+function byGroup(values, groups) {
+  const groupOf = (i) => groups?.[i] ?? -1;
+  const found = values.length ? [...new Set(values.map(groupOf))].sort((a, b) => a - b) : [-1];
+  return found.map((group) => ({ group, own: values.filter((i) => groupOf(i) === group) }));
+}
+
+/** A histogram: {edges, of}; lit: index of the value that is chosen; groups -> index of the group of each value, of which each
+ *  has its part of a bar; onbin(indices). */
+export function histogram({ edges, of }, { title, lit, groups = null, onbin, width = 560, height = 0.34 * width }) {
   if (!of.length) return plot(width, height, `${title}: no values`, text(width / 2, height / 2, "No values", { "text-anchor": "middle" }));
   const [left, right, top, bottom] = [AXIS, width - PAD, PAD, height - AXIS];
   const most = Math.max(...of.map((each) => each.length));
   const across = (value) => left + ((value - edges[0]) / (edges.at(-1) - edges[0] || 1)) * (right - left);
   const up = (count) => bottom - (count / most) * (bottom - top);
   const isOne = of.length === 1; // of one value, at the left of its bin
-  const bars = of.map((each, i) => {
-    const bar = svg("rect", {
-      x: across(edges[i]) + 0.5, width: Math.max(1, across(edges[i + 1]) - across(edges[i]) - 1), y: up(each.length),
-      height: bottom - up(each.length), class: `plot-bar${each.includes(lit) ? " lit" : ""}`, "data-count": each.length,
+  const bars = of.flatMap((each, i) => {
+    let below = 0; // values of the groups before, on which this one stands
+    return byGroup(each, groups).map(({ group, own }) => {
+      const colour = group < 0 ? {} : { fill: colourOf(group) };
+      const bar = svg("rect", {
+        x: across(edges[i]) + 0.5, width: Math.max(1, across(edges[i + 1]) - across(edges[i]) - 1), y: up(below + own.length),
+        height: up(below) - up(below + own.length), class: `plot-bar${own.includes(lit) ? " lit" : ""}`, "data-count": own.length, ...colour,
+      });
+      below += own.length;
+      const words = svg("title", {});
+      words.textContent = `${own.length} from ${edges[i].toPrecision(4)} to ${edges[i + 1].toPrecision(4)}`;
+      bar.append(words);
+      bar.addEventListener("click", () => own.length && onbin(own));
+      return bar;
     });
-    const words = svg("title", {});
-    words.textContent = `${each.length} from ${edges[i].toPrecision(4)} to ${edges[i + 1].toPrecision(4)}`;
-    bar.append(words);
-    bar.addEventListener("click", () => each.length && onbin(each));
-    return bar;
   });
   return plot(width, height, `Histogram of ${title}`, bars,
     svg("line", { x1: left, x2: right, y1: bottom, y2: bottom, class: "plot-axis" }),

@@ -13,7 +13,7 @@ export const STATES = {
   done: { label: "done", about: "A person has placed or accepted all points. They are measured, and trained on." },
   slip: { label: "possible slip", about: "Done, but points may be misplaced or exchanged." },
   checked: { label: "checked", about: "Done, and then marked as checked by a person." },
-  left: { label: "left out", about: "Not trained on." },
+  left: { label: "left out", about: "Left out of training: the model does not use it." },
   reading: { label: "reading…", about: "The file is still being read." },
   broken: { label: "cannot be read", about: "The file is not a picture that can be read." },
 };

@@ -1,6 +1,7 @@
 // The list of the folder's pictures, with the state of each. Only the visible items exist, so it may be long. Several
 // pictures can be selected, for actions on all of them.
 
+import { nextOf } from "./assist.js";
 import { createBulk } from "./bulk.js";
 import { removePictures, renamePicture } from "./picture-files.js";
 import * as filters from "./strip-filters.js";
@@ -63,6 +64,7 @@ export function mountStrip(root, app) {
       return pictures.slice(first, isLast ? undefined : first + rows * columns);
     },
   });
+  let next = null; // name of the picture that opens next, which has the star
   const count = h("p.small.muted.grow", { "aria-live": "polite" });
   const bulk = createBulk({ app, chosen: () => [...chosen], onend: () => select(false),
     onall: () => mark(state.order), ondone: () => wall.on && list.focus({ preventScroll: true }) });
@@ -88,6 +90,8 @@ export function mountStrip(root, app) {
     bulk.show(selecting || wall.on);
     render();
   }
+
+  const findNext = () => { next = state.project.model ? nextOf(state, state.pictures)?.name ?? null : null; };
 
   /** Pictures keep no places. */
   function sortAnew() {
@@ -182,7 +186,8 @@ export function mountStrip(root, app) {
 
   /** @param {Picture} picture; @param {string | null} why */
   function make(picture, why) {
-    const { name, tag, rank, error, checked, slip, quality, side } = picture;
+    const { name, tag, error, checked, slip, quality, side } = picture;
+    const isNext = name === next;
     const what = [filters.describe(picture, leftOut()), side, quality != null && `${Math.round(100 * quality)} %`].filter(Boolean).join(", ");
     const folder = filters.folderOf(name);
     const face = picture.state === "broken"
@@ -191,10 +196,10 @@ export function mountStrip(root, app) {
     return h("div.strip-item", {
       role: "option", id: `strip-${encodeURIComponent(name)}`,
       title: error ?? slip ?? (why ? `${name}: left out, because ${why}` : checked ? `${name}: checked by ${checked}` : `${name}: ${filters.meaning(picture, leftOut())}`),
-      "aria-label": `${name}, ${what}${rank === 1 ? ", helps the model most" : ""}`,
+      "aria-label": `${name}, ${what}${isNext ? ", opens next" : ""}`,
       dataset: { name, state: picture.state },
     }, h("span.strip-face", face,
-      rank === 1 && h("span.strip-next", { title: "Helps the model most" }, icon("spark", 12)),
+      isNext && h("span.strip-next", { title: state.worstFirst ? "Opens next: the first of those left" : "Opens next: it helps the model most" }, icon("spark", 12)),
       h("span.dot", { class: slip ? "slip" : why ? "left-out" : checked ? "checked" : picture.state })),
     h("span.strip-text", h("span.strip-name", filters.baseOf(name)),
       h("span.strip-state", folder ? `${what} · ${folder}` : what)));
@@ -202,9 +207,9 @@ export function mountStrip(root, app) {
 
   /** The item of a picture, made again if the picture has changed. @param {Picture} picture */
   function itemOf(picture) {
-    const { name, state: progress, placed, proposed, doubtful, nothing_found: nothing, rank, error, tag, checked, slip, quality, absent, side } = picture;
+    const { name, state: progress, placed, proposed, doubtful, nothing_found: nothing, error, tag, checked, slip, quality, absent, side } = picture;
     const why = filters.whyLeftOut(picture, leftOut());
-    const key = [progress, placed, proposed, doubtful, nothing, rank === 1, error, tag, checked, why, slip, quality, absent, side].join("|");
+    const key = [progress, placed, proposed, doubtful, nothing, name === next, error, tag, checked, why, slip, quality, absent, side].join("|");
     const known = items.get(name);
     if (known?.key === key) return known.element;
     known?.element.remove();
@@ -281,6 +286,7 @@ export function mountStrip(root, app) {
     const wanted = { text, filter: filter.value, folder, order: order.value };
     pictures = inPlace(filters.matching(all, wanted, leftOut()));
     state.setOrder(pictures.map(({ name }) => name), { worstFirst: order.value === "quality" });
+    findNext();
     for (const name of chosen) if (!state.picture(name)) chosen.delete(name);
     const usable = all.filter((picture) => picture.state !== "broken");
     const done = usable.filter((picture) => picture.state === "done").length;
@@ -300,7 +306,7 @@ export function mountStrip(root, app) {
   new ResizeObserver(() => { show(); if (!wall.on) reveal(); }).observe(list);
   state.addEventListener("project", show);
   state.addEventListener("fitting", () => state.adding || state.project.fitting || show());
-  state.addEventListener("select", () => { reveal(); render(); });
+  state.addEventListener("select", () => { findNext(); reveal(); render(); });
   app.sources.addEventListener("change", render);
   show();
   reveal();

@@ -45,7 +45,7 @@ export function createTemplatePanel({ drafting, formats, onload, onsliders, ondo
   });
   const sliders = h("label.button.small", {
     for: "template-sliders", title: "Semilandmarks and curves from a table for geomorph: the numbers of the points before, slide and after",
-  }, icon("upload"), "Load sliders…");
+  }, icon("upload"), "Load semilandmarks…");
   const mirror = tool("In pairs", "mirror", () => drafting.toggleMirror(), {
     shortcut: "X", pressed: false, title: "Left and right: with each point, add its mirror image on the other side of a line",
   });

@@ -5,7 +5,7 @@
 // on under the panels.
 
 import { look } from "./look.js";
-import { button, h, perFrame, runKey } from "./ui.js";
+import { button, h, perFrame, press, runKey } from "./ui.js";
 import { attempt } from "./unsaved.js";
 
 const LARGEST = 64; // maximum zoom, css pixels per picture pixel
@@ -48,9 +48,10 @@ export class Viewer extends EventTarget {
   #glow = h("div.viewer-glow"); // shows a tiny copy of the picture, as tones around it
   #zoomText = h("span.number", { "aria-hidden": "true" }, "100 %");
   redraw = perFrame(() => this.#draw());
-  #bar; #unmirrorButton; // elements
+  #bar; #mirrorButton; // elements
 
-  constructor(container, { label = "Picture" } = {}) {
+  /** mirrors: whether there is a button that asks, by an event "mirror", to show the picture mirrored, or as it is. */
+  constructor(container, { label = "Picture", mirrors = false } = {}) {
     super();
     this.container = container;
     this.canvas = h("canvas", {
@@ -63,7 +64,7 @@ export class Viewer extends EventTarget {
       onblur: () => { this.#spaceIsDown = false; },
     });
     container.classList.add("viewer");
-    this.#bar = this.#viewButtons();
+    this.#bar = this.#viewButtons(mirrors);
     container.append(this.#glow, this.canvas, this.#bar);
     look.addEventListener("change", () => this.redraw());
     const watch = new ResizeObserver(() => this.#resize());
@@ -93,15 +94,15 @@ export class Viewer extends EventTarget {
     this.redraw();
   }
 
-  #viewButtons() {
+  #viewButtons(mirrors) {
     const tool = (label, icon, shortcut, onclick) =>
       button(label, { icon, shortcut, onclick, iconOnly: true, kind: "ghost", small: true });
-    this.#unmirrorButton = button("Mirrored", {
-      small: true, pressed: true, hidden: true, shortcut: "F", testid: "mirrored-view", title: "The picture is shown mirrored: show it as it is",
-      onclick: () => this.dispatchEvent(new Event("unmirror")),
+    this.#mirrorButton = button("Mirror", {
+      small: true, pressed: false, hidden: !mirrors, shortcut: "F", testid: "mirrored-view", title: "Show the picture mirrored; points and files stay as they are",
+      onclick: () => this.dispatchEvent(new Event("mirror")),
     });
     return h("div.viewer-zoom", { role: "group", "aria-label": "View" },
-      this.#unmirrorButton,
+      this.#mirrorButton,
       tool("Zoom out", "minus", "-", () => this.zoomBy(1 / ZOOM_STEP)),
       this.#zoomText,
       tool("Zoom in", "plus", "+", () => this.zoomBy(ZOOM_STEP)),
@@ -206,7 +207,7 @@ export class Viewer extends EventTarget {
   mirror(on) {
     if (on === this.#mirrored) return;
     this.#mirrored = on;
-    this.#unmirrorButton.hidden = !on;
+    press(this.#mirrorButton, on);
     this.#changed();
   }
 
