@@ -130,7 +130,8 @@ export class Tab {
   /** The mouse chooses buttons without taking the focus from the picture, so that Enter accepts afterwards. Only those to
    *  which Tab has led are pressed by Enter. */
   #keepFocus(event) {
-    if (this.editing || !(event.target instanceof Element) || !event.target.closest("button, summary, label.check, .segmented")) return;
+    if (this.editing || !(event.target instanceof Element) || event.target.closest("details")) return; // Escape closes those
+    if (!event.target.closest("button, summary, label.check, .segmented")) return;
     event.preventDefault();
     this.focus();
   }
