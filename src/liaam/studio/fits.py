@@ -247,8 +247,8 @@ class Fits:
                 if layers.why_not_flat(fitter, image, result) is None:
                     layers.taken_apart(fitter, image, result, (image.shape[1], image.shape[0]))
 
-        # It is no daemon, also if the thread that starts it is one: a daemon that is in compiled code when the interpreter
-        # ends aborts the process.
+        # It is no daemon, also if the thread that starts it is one: a daemon that is in compiled code when the
+        # interpreter ends aborts the process.
         thread = threading.Thread(target=warm_up, name="warm-up", daemon=False)
         thread.start()
         return thread
