@@ -3,8 +3,8 @@
 from pathlib import Path
 
 from liaam.errors import LiaamError
-from liaam.io.landmarks.tables import IMAGES, SIDE, SPECIMENS
-from liaam.io.table_reader import read_named_rows
+from liaam.io.landmarks.tables import SIDE
+from liaam.io.table_reader import naming_column, read_named_rows
 
 SUFFIX = ".csv"
 
@@ -20,8 +20,9 @@ def sides_in_table(file: Path) -> dict[str, str]:
         rows = read_named_rows(file, "table of sides")
     except LiaamError:
         return {}
-    columns = {} if not rows else {title.lower(): title for title in rows[0][1]}
-    name = next((title for lower, title in columns.items() if lower in IMAGES | SPECIMENS), None)
-    if name is None or SIDE not in columns:
+    columns = [] if not rows else [*rows[0][1]]
+    name = naming_column(columns)
+    side = next((title for title in columns if title.lower() == SIDE), None)
+    if name is None or side is None:
         return {}
-    return {row[name].strip(): row[columns[SIDE]].strip() for _, row in rows if row[name].strip()}
+    return {row[name].strip(): row[side].strip() for _, row in rows if row[name].strip()}
