@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given, strategies as st
 
 from liaam import _core, image_reference
-from liaam.model.sampling import AveragedImage, block_size, count_orientations, make_patch, sample_texture
+from liaam.model.sampling import AveragedImage, BrightnessPatch, block_size, make_patch, sample_texture
 from liaam.model.shape import Similarity
 
 BOX = np.array([[60.0, 50.0], [110.0, 50.0], [110.0, 100.0], [60.0, 100.0]])
@@ -44,28 +44,31 @@ def test_reduction_is_never_coarser_than_the_model(scale, size):
 @pytest.mark.parametrize("scale", [0.5, 3.0, 1000.0])
 def test_a_shape_outside_the_image_still_gives_a_patch(shift, scale):
     patch = make_patch(ramp(), BOX + shift, at_scale(scale), encoding="log", response="srgb", blur=1.0, margin=0.5)
-    counts = count_orientations(ramp(), BOX + shift, at_scale(scale), response="srgb", blur=1.0, margin=0.5)
-    for each in (patch, counts):
-        assert min(each.channels.shape[:2]) >= 2
-        assert np.isfinite(each.channels).all()
+    counts = BrightnessPatch.around(
+        ramp(), BOX + shift, at_scale(scale), response="srgb", blur=1.0, margin=0.5
+    ).count_orientations()
+    for each in (patch.channels, counts):
+        assert min(each.shape[:2]) >= 2
+        assert np.isfinite(each).all()
 
 
 def test_orientations_are_counted_in_some_of_the_pixels_of_large_images(rng):
     image = rng.integers(0, 256, (160, 200, 3), dtype=np.uint8)
     options: dict[str, Any] = {"response": "srgb", "blur": 1.0, "margin": 0.2}
-    expected = count_orientations(image, BOX, at_scale(4.2), **options)
+    expected = BrightnessPatch.around(image, BOX, at_scale(4.2), **options)
     three_times = image.repeat(3, axis=0).repeat(3, axis=1)
     enlarged = Similarity(3.0 * np.eye(2), np.ones(2))
-    found = count_orientations(three_times, enlarged(BOX), at_scale(12.6), **options)
-    np.testing.assert_allclose(found.channels, expected.channels, atol=1e-6)
+    found = BrightnessPatch.around(three_times, enlarged(BOX), at_scale(12.6), **options)
+    np.testing.assert_allclose(found.count_orientations(), expected.count_orientations(), atol=1e-6)
     np.testing.assert_allclose(found.from_image(enlarged(BOX)), expected.from_image(BOX), atol=1e-9)
 
 
 def test_orientations_of_grey_images_are_counted_alike(rng):
     grey = rng.integers(0, 256, (160, 200, 1), dtype=np.uint8).repeat(3, axis=2)
     options: dict[str, Any] = {"response": "srgb", "blur": 1.0, "margin": 0.2}
-    found, expected = (count_orientations(grey, BOX, at_scale(2.2), grey=known, **options) for known in (True, False))
-    np.testing.assert_allclose(found.channels, expected.channels, atol=1e-5)
+    patches = [BrightnessPatch.around(grey, BOX, at_scale(2.2), grey=known, **options) for known in (True, False)]
+    found, expected = (patch.count_orientations() for patch in patches)
+    np.testing.assert_allclose(found, expected, atol=1e-5)
 
 
 @pytest.mark.parametrize("scale", [2.0, 3.3])

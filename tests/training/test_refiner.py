@@ -266,7 +266,7 @@ def test_the_mirror_image_of_a_model_refines_mirror_images_alike(shields, refine
 
 
 def test_a_model_file_holds_the_refiner(shields, refined, tmp_path, run):
-    model = replace(refined, refiner=replace(refiner_of(refined), share=0.7))
+    model = replace(refined, refiner=replace(refiner_of(refined), share=0.7, sharpness=0.8))
     model.save(tmp_path / "shield.liaam")
     loaded = load_model(tmp_path / "shield.liaam")
     image, truth = shields[43]
@@ -277,7 +277,19 @@ def test_a_model_file_holds_the_refiner(shields, refined, tmp_path, run):
     assert "fits are moved 70% of the way to landmarks by regression" in out
 
 
-@pytest.mark.parametrize("name", ["weights", "offsets", "variances", "shape.modes", "errors", "share"])
+def test_a_refiner_of_an_older_file_sees_what_it_learnt_from(refined, tmp_path):
+    path = tmp_path / "older.liaam"
+    refined.save(path)
+    with safe_open(path, "np") as file:
+        header = file.metadata()
+        tensors = {key: file.get_tensor(key) for key in file.keys()}  # noqa: SIM118
+    del tensors["refiner.share"], tensors["refiner.sharpness"]
+    path.write_bytes(save(tensors, header))
+    refiner = refiner_of(load_model(path))
+    assert (refiner.share, refiner.sharpness) == (0.5, 1.0)
+
+
+@pytest.mark.parametrize("name", ["weights", "offsets", "variances", "shape.modes", "errors", "share", "sharpness"])
 def test_a_forged_refiner_is_refused(refined, tmp_path, name):
     path = tmp_path / "forged.liaam"
     refined.save(path)

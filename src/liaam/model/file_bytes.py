@@ -143,6 +143,7 @@ def _tensors(model: "AAM") -> dict[str, np.ndarray]:
         tensors |= _named("refiner.", _regressor_tensors(model.refiner))
         tensors |= _named("refiner.shape.", _stored_fields(model.refiner.shape_model, "shape"))
         tensors["refiner.share"] = np.array(model.refiner.share)
+        tensors["refiner.sharpness"] = np.array(model.refiner.sharpness)
     if model.relief is not None:
         tensors["relief"] = np.rint(file_format.RELIEF_STEPS * model.relief).astype(np.int8)
     if model.features is not None:

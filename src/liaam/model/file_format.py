@@ -60,6 +60,10 @@ STORED = {
 RELIEF_STEPS = 127  # Stored value of a component of 1 of a relief's normal
 MOST_POSES = 100  # Largest number of shapes that fits start from
 MOST_STEPS = 10  # Largest number of steps of a regressor
+# Limits on the blur of what a refiner sees, pixels of an object with a diagonal of 120, and that of older files
+LEAST_SHARPNESS = 0.25
+MOST_SHARPNESS = 4.0
+OLDER_SHARPNESS = 1.0
 MOST_WEIGHT = 1e6  # Largest weight of another landmarker's point
 # How objects are turned in training images: about upright, or in any direction
 UPRIGHT = "upright"

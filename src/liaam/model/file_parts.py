@@ -24,6 +24,7 @@ from liaam.model.file_format import (
     LARGEST_UNIT,
     LEAST_FREEDOM,
     LEAST_SHARE,
+    LEAST_SHARPNESS,
     LEAST_UNIT,
     MAX_BLUR,
     MAX_DIAGONAL,
@@ -37,8 +38,10 @@ from liaam.model.file_format import (
     MAX_VARIANCE,
     MOST_EXPANSION,
     MOST_POSES,
+    MOST_SHARPNESS,
     MOST_STEPS,
     MOST_WEIGHT,
+    OLDER_SHARPNESS,
     RELIEF_STEPS,
     ROOMY,
     STORED,
@@ -48,7 +51,7 @@ from liaam.model.light_basis import SIDE, LightBasis
 from liaam.model.mesh import signed_areas
 from liaam.model.point_map import LEAST_NOISE, PointErrors, PointMap
 from liaam.model.presence import Presence
-from liaam.model.regressor import N_FEATURES, SIZE, LandmarkRegressor, RegressionStep
+from liaam.model.regressor import N_FEATURES, SIZE, USUAL_SHARE, LandmarkRegressor, RegressionStep
 from liaam.model.rounding import decoded
 from liaam.model.shape import ShapeModel, diagonal_of, similarity_modes
 from liaam.model.views import MESH, N_QUALITY_FEATURES, VIEWS, Level, Reliability, View
@@ -159,12 +162,15 @@ def read_refiner(tensors: dict[str, np.ndarray], mean: np.ndarray) -> LandmarkRe
     if "refiner.weights" not in tensors:
         return None
     refiner = read_regressor(tensors, "refiner", _shape_model({}, tensors_below(tensors, "refiner."), mean))
-    if refiner is None or "refiner.share" not in tensors:  # older files have none
-        return refiner
-    share = float(checked_tensor(tensors, "refiner.share", np.float64, (1,))[0])
+    if refiner is None:
+        return None
+    share = _number_or(USUAL_SHARE, tensors, "refiner.share")
     if not 0.0 <= share <= 1.0:
         raise ValueError("refiner.share is not from 0 to 1")
-    return replace(refiner, share=share)
+    sharpness = _number_or(OLDER_SHARPNESS, tensors, "refiner.sharpness")
+    if not LEAST_SHARPNESS <= sharpness <= MOST_SHARPNESS:
+        raise ValueError(f"refiner.sharpness is not from {LEAST_SHARPNESS:g} to {MOST_SHARPNESS:g}")
+    return replace(refiner, share=share, sharpness=sharpness)
 
 
 def read_poses(tensors: dict[str, np.ndarray], n: int) -> np.ndarray | None:
@@ -347,15 +353,15 @@ def _reliability(tensors: dict[str, np.ndarray], prefix: str, n: int) -> Reliabi
     typical = number_of(tensors, f"{prefix}.typical")
     if not 0.0 <= typical <= 1.0:
         raise ValueError(f"{prefix}.typical is not a probability")
-    prior = _number_or_one(tensors, f"{prefix}.prior")
+    prior = _number_or(1.0, tensors, f"{prefix}.prior")
     if not prior > 0.0:
         raise ValueError(f"{prefix}.prior is not positive")
     if not 1.0 / MAX_FACTOR <= prior <= MAX_FACTOR:
         raise ValueError(f"{prefix}.prior {prior:g} is not between {1.0 / MAX_FACTOR:g} and {MAX_FACTOR:g}")
-    final_prior = _number_or_one(tensors, f"{prefix}.final_prior")
+    final_prior = _number_or(1.0, tensors, f"{prefix}.final_prior")
     if not 0.0 <= final_prior <= 1.0:
         raise ValueError(f"{prefix}.final_prior is not between 0 and 1")
-    expansion = _number_or_one(tensors, f"{prefix}.expansion")
+    expansion = _number_or(1.0, tensors, f"{prefix}.expansion")
     if not 1.0 <= expansion <= MOST_EXPANSION:
         raise ValueError(f"{prefix}.expansion {expansion:g} is not between 1 and {MOST_EXPANSION:g}")
 
@@ -379,9 +385,9 @@ def _reliability(tensors: dict[str, np.ndarray], prefix: str, n: int) -> Reliabi
     )
 
 
-def _number_or_one(tensors: dict[str, np.ndarray], name: str) -> float:
-    """Return a number, or 1 if the file is older than it."""
-    return number_of(tensors, name) if name in tensors else 1.0
+def _number_or(older: float, tensors: dict[str, np.ndarray], name: str) -> float:
+    """Return a number, or that which was used when files did not hold it."""
+    return number_of(tensors, name) if name in tensors else older
 
 
 def _presence(tensors: dict[str, np.ndarray], prefix: str, n: int) -> Presence | None:

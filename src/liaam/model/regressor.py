@@ -15,7 +15,7 @@ A regressor that is learnt from starts as near as fits are to the landmarks refi
 nearer than either, as they see different things. Left-out images say how far to go from the fit.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache
 from typing import NamedTuple
 
@@ -25,7 +25,7 @@ import numpy as np
 from liaam import _core
 from liaam.formatting import short_repr
 from liaam.model.point_map import PointErrors
-from liaam.model.sampling import count_orientations
+from liaam.model.sampling import BrightnessPatch
 from liaam.model.shape import LEAST_NOISE, ShapeModel, Similarity, align, similarity_modes
 from liaam.photometry import Response
 from liaam.workers import one_numpy_thread
@@ -67,7 +67,7 @@ class Sight(NamedTuple):
 
 
 OF_STARTS = Sight(margin=0.5, sharpness=0.6)
-OF_FITS = Sight(margin=0.15, sharpness=1.0)  # in a third of the time
+OF_FITS = Sight(margin=0.15, sharpness=0.5)  # with twice the blur, errors are 2 % larger, and 0.2 ms of 0.8 are saved
 
 
 class OrientationHistograms:
@@ -82,17 +82,21 @@ class OrientationHistograms:
         sight: Sight = OF_STARTS,
         *,
         grey: bool = False,
+        keep_counts: bool = True,
     ) -> None:
         """Encode an image around a shape (n, 2); the pose is that of the mean shape with a diagonal of SIZE.
 
-        If the image is known to be ``grey``, that takes less time.
+        If the image is known to be ``grey``, that takes less time. Unless counts of orientations are kept, an eighth of
+        the memory suffices, and orientations are counted for each shape.
         """
         self.pose = pose
-        patch = count_orientations(
+        self._patch = BrightnessPatch.around(
             image, shape, pose, response=response, blur=sight.sharpness, margin=sight.margin, grey=grey
         )
-        self._from_image = patch.from_image
-        self._counts = _Counts(patch.channels)
+        self._kept = self._counted() if keep_counts else None
+
+    def _counted(self) -> "_Counts":
+        return _Counts(self._patch.count_orientations())
 
     def suits(self, pose: Similarity) -> bool:
         """Return whether scale and rotation of a pose of the mean shape are about those of the encoded image."""
@@ -104,10 +108,12 @@ class OrientationHistograms:
 
         Cells are ``spacing`` pixels of SIZE apart, along the axes of the mean shape, whose pose in the image is given.
         """
-        to_patch = self._from_image.scale
+        from_image = self._patch.from_image
+        to_patch = from_image.scale
         cells = _cells(spacing) @ (to_patch * pose.matrix.T)
-        points = (self._from_image(shape)[:, None] + cells).reshape(-1, 2)
-        counts = self._counts.blurred_at(points, blur=0.5 * spacing * self.pose.scale * to_patch)
+        points = (from_image(shape)[:, None] + cells).reshape(-1, 2)
+        counted = self._kept or self._counted()
+        counts = counted.blurred_at(points, blur=0.5 * spacing * self.pose.scale * to_patch)
         counts = _turned(counts, _between(pose.angle, self.pose.angle)).reshape(len(shape), -1)
         length = np.sqrt(np.einsum("nf,nf->n", counts, counts))
         return np.minimum(counts / (length[:, None] + np.float32(LEAST_CONTRAST)), np.float32(MOST_OF_A_BIN))
@@ -227,12 +233,15 @@ class LandmarkRegressor:
     share : float
         Of a regressor that refines fits, how far refined landmarks are from the fit, as a fraction of the way to where
         the regressor leads.
+    sharpness : float
+        Of a regressor that refines fits, the sharpness of its :class:`Sight`.
     """
 
     shape_model: ShapeModel
     steps: tuple[RegressionStep, ...]
     left_out: PointErrors
     share: float = USUAL_SHARE
+    sharpness: float = OF_FITS.sharpness
 
     __repr__ = short_repr
 
@@ -280,7 +289,8 @@ class LandmarkRegressor:
 
         ``absent`` and ``grey`` are as of a call.
         """
-        led_to = self(image, response, shape, OF_FITS, absent=absent, grey=grey)
+        sight = OF_FITS._replace(sharpness=self.sharpness)
+        led_to = self(image, response, shape, sight, absent=absent, grey=grey)
         return shape + self.share * (led_to - shape)
 
     def mirrored(self, shapes: ShapeModel, order: np.ndarray) -> "LandmarkRegressor":
@@ -301,7 +311,8 @@ class LandmarkRegressor:
         ]
         errors = self.left_out.errors
         rows = (errors.reshape(len(errors), -1, 2) * across)[:, order].reshape(errors.shape)
-        return LandmarkRegressor(shapes, tuple(steps), PointErrors(rows, self.left_out.noise), self.share)
+        left_out = PointErrors(rows, self.left_out.noise)
+        return replace(self, shape_model=shapes, steps=tuple(steps), left_out=left_out)
 
     @cached_property
     def _gains(self) -> list[np.ndarray]:

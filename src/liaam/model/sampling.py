@@ -163,35 +163,69 @@ def make_patch(
     return Patch(channels, _from_image(first, size), width_of(encoding))
 
 
-def count_orientations(
-    image: np.ndarray,
-    shape: np.ndarray,
-    pose: Similarity,
-    *,
-    response: Response,
-    blur: float,
-    margin: float,
-    grey: bool = False,
-) -> Patch:
-    """Cut the surroundings of a shape (n, 2) out of an image, and count the orientations of gradients there.
+@dataclass(frozen=True, eq=False)
+class BrightnessPatch:
+    """The brightness of the surroundings of a shape, in which orientations of gradients can be counted.
 
-    The gradients are those of the encoding ``soft``; for the parameters see :func:`make_patch`. The length of the
-    gradient at each pixel is split between the two nearest of eight orientations, each of which is a channel. Of large
-    images, some rows and columns are decoded. If the image is known to be ``grey``, that takes less time.
+    It takes an eighth of the memory of the counts.
+
+    Attributes
+    ----------
+    brightness : (h, w) float32
+    finite : (h, w) float32 or None
+        Share of each pixel that is finite, unless all are.
+    from_image : Similarity
+        From image pixels to these: a shift and a reduction, without rotation.
+    blur, pixel : float
+        Blur before gradients are taken, in these pixels, and their size in those of the pose.
+    turn : tuple of float
+        Rotation to the axes of the mean shape.
     """
-    size = block_size("soft", pose.scale, blur)
-    stride = stride_for(image, size)
-    sparse = every(image, stride)
-    shape = (shape - stride // 2) / stride
-    size /= stride
-    low, high = corners_around(sparse, shape, margin, size)
-    size = _limited(size, low, high)
-    first, crop, start = _blocked(sparse, low, high, size)
-    brightness, finite = block_brightness(crop, response, size, start, grey=grey)
-    turn = tuple((pose.matrix.T / pose.scale).ravel().tolist())
-    pixel = size * stride / pose.scale
-    counts = _core.count_orientations(brightness, finite, _further_blur(blur, pixel) / pixel, turn, pixel)
-    return Patch(counts, after_every(_from_image(first, size), stride), counts.shape[2])
+
+    brightness: np.ndarray
+    finite: np.ndarray | None
+    from_image: Similarity
+    blur: float
+    pixel: float
+    turn: tuple[float, ...]
+
+    @classmethod
+    def around(
+        cls,
+        image: np.ndarray,
+        shape: np.ndarray,
+        pose: Similarity,
+        *,
+        response: Response,
+        blur: float,
+        margin: float,
+        grey: bool = False,
+    ) -> "BrightnessPatch":
+        """Cut the surroundings of a shape (n, 2) out of an image.
+
+        For the parameters see :func:`make_patch`. Of large images, some rows and columns are decoded. If the image is
+        known to be ``grey``, that takes less time.
+        """
+        size = block_size("soft", pose.scale, blur)
+        stride = stride_for(image, size)
+        sparse = every(image, stride)
+        shape = (shape - stride // 2) / stride
+        size /= stride
+        low, high = corners_around(sparse, shape, margin, size)
+        size = _limited(size, low, high)
+        first, crop, start = _blocked(sparse, low, high, size)
+        brightness, finite = block_brightness(crop, response, size, start, grey=grey)
+        turn = tuple((pose.matrix.T / pose.scale).ravel().tolist())
+        pixel = size * stride / pose.scale
+        from_image = after_every(_from_image(first, size), stride)
+        return cls(brightness, finite, from_image, _further_blur(blur, pixel) / pixel, pixel, turn)
+
+    def count_orientations(self) -> np.ndarray:
+        """Return the counts of orientations of the gradients of the encoding ``soft`` at each pixel, (h, w, 8) float32.
+
+        The length of the gradient is split between the two nearest of eight orientations.
+        """
+        return _core.count_orientations(self.brightness, self.finite, self.blur, self.turn, self.pixel)
 
 
 # Samples of a block along each axis that suffice, as for the search: in a photograph of 24 megapixels, decoding all of

@@ -22,9 +22,8 @@ from liaam.training.objects import groups_of
 from liaam.training.regressor import LEAST_OBJECTS, RIDGE, Samples, learn_steps
 from liaam.training.shrinkage import evidence_of
 
-# Distances of the histograms around a landmark in each step, pixels of SIZE. A third step changes no error; with 3
-# pixels instead of 2 at the end, those of wings are 2 % larger.
-SPACINGS = (5.0, 2.0)
+# Distances of the histograms around a landmark in each step, pixels of SIZE. A third step changes no error.
+SPACINGS = (4.0, 1.5)
 # Largest number of starts of an image. With 5 instead of 2, the errors of 40 shells and cephalograms are 1 % smaller;
 # 10 gain as much as nothing more.
 STARTS = 5
@@ -38,7 +37,7 @@ SCALE = 0.02
 TURN = 1.5
 SHAPE = 0.35
 VARIANCE = 0.99  # Fraction of the variance of shapes that their modes explain
-MOST_SEEN = 200  # Largest number of images and copies to learn from: each takes half a megabyte
+MOST_SEEN = 200  # Largest number of images and copies to learn from: each takes up to half a megabyte
 # Standard errors by which the mean of the logarithms of the errors of left-out fits must be smaller if few objects were
 # learnt from; none if there were many. With 10 wings, refined fits are worse by 9 %, with 20 the same, with 40 better.
 STANDARD_ERRORS = 1.0
@@ -67,7 +66,7 @@ class RefinerLearner:
         """Add an image in colour and its landmarks (n, 2), of which some may be ``known`` (n,) and others estimates."""
         sight = OF_FITS._replace(margin=MARGIN)
         pose = align(self._at_size, points)
-        self._histograms.append(OrientationHistograms(image, self.response, points, pose, sight))
+        self._histograms.append(OrientationHistograms(image, self.response, points, pose, sight, keep_counts=False))
         self._truths.append(points)
         self._known.append(np.ones(len(points), bool) if known is None else known)
 
