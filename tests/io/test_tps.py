@@ -80,7 +80,7 @@ def test_specimens_of_one_image_their_curves_and_missing_points_round_trip(tmp_p
     points = np.array([[1, 2.17], [NAN, NAN], [5, 6], [7, 8], [9, 10], [11, 12], [NAN, NAN]], float)
     lines = (Contour((2, 3)), Contour((4, 5, 6)))
     second = Landmarks(points + 40, lines, image_name="a.png", label="left")
-    third = Landmarks(points[:2] + 60, image_name="a.png", label="right")
+    third = Landmarks(points[:2] + 60, image_name="a.png", label="right", side="right")
     first = Landmarks(points, lines, image_name="a.png", scale=0.5, label="7", others=(second, third))
     write_landmarks(tmp_path / "one.tps", first)
     write_collection(tmp_path / "all.tps", {"a.png": first})
@@ -90,6 +90,7 @@ def test_specimens_of_one_image_their_curves_and_missing_points_round_trip(tmp_p
         for written, found in zip((first, second, third), (read, *read.others), strict=True):
             np.testing.assert_allclose(found.points, written.points, rtol=0, atol=1e-9)
             assert (found.contours, found.label, found.scale) == (written.contours, written.label, written.scale)
+            assert found.side == written.side
 
 
 # A second reader ------------------------------------------------------------------------------------

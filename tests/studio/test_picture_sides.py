@@ -2,6 +2,7 @@
 
 import csv
 import io
+import re
 
 import numpy as np
 import pytest
@@ -70,6 +71,15 @@ def test_sides_are_said_withdrawn_and_follow_the_picture(sided):
     assert changed == {"wing-0.png"}  # so that a model is trained again
     project.save_sides({"sides": {"wing-0.png": ""}})
     assert project.overview().done == trained_on
+
+
+def test_exported_files_say_which_pictures_are_mirrored(sided):
+    project = Project(sided)
+    sides = re.findall("COMMENT=side=(.*)", project.export("tps")[1].decode())
+    assert sides == ["mirrored"] * 4 + ["original"] * 6
+    project.save_sides({"sides": {"wing-0.png": "left"}})
+    sides = re.findall("COMMENT=side=(.*)", project.export("tps")[1].decode())
+    assert sides == ["left"] * 4 + ["right"] * 6
 
 
 def test_a_side_that_is_stated_or_withdrawn_after_a_training_is_told(sided, head_model):

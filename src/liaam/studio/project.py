@@ -36,7 +36,7 @@ from liaam.studio.pictures import PictureSource, source_of
 from liaam.studio.refusal import Refusal
 from liaam.studio.review import Done, PictureStates, ReviewLog, parse_who
 from liaam.studio.settings import StudioSettings
-from liaam.studio.sides import completed, parse_sides
+from liaam.studio.sides import completed, for_measuring, parse_sides
 from liaam.studio.store import Store, StoredTable
 from liaam.studio.template import (
     Template,
@@ -407,7 +407,11 @@ class Project:
                 for picture in pictures:
                     archive.writestr(f"{picture.file.stem}.pts", text_of(picture.landmarks, ".pts"))
             return name, stream.getvalue()
-        collection = {picture.file.name: picture.landmarks for picture in pictures}
+        sides = _sides_found(pictures) if kind == "tps" else [picture.landmarks.side for picture in pictures]
+        collection = {
+            picture.file.name: replace(picture.landmarks, side=side)
+            for picture, side in zip(pictures, sides, strict=True)
+        }
         sizes = {picture.file.name: picture.size for picture in pictures}
         text = collection_text(name, collection, sizes)
         if kind == "csv":
@@ -749,6 +753,13 @@ def _sides_of(pictures: Sequence[Placed]) -> list[str]:
     shapes = np.array([picture.landmarks.points for picture in pictures])
     sides = completed(stated, [picture.file.stem for picture in pictures], shapes)
     return sides if any(sides) else stated
+
+
+def _sides_found(pictures: Sequence[Placed]) -> list[str]:
+    """Return the side of each picture for those who read it, such as ``mirrored`` if none is stated."""
+    stated = [picture.landmarks.side for picture in pictures]
+    shapes = np.array([picture.landmarks.points for picture in pictures])
+    return for_measuring(stated, [picture.file.stem for picture in pictures], shapes)
 
 
 def _with_column(text: str, title: str, values: Sequence[str]) -> str:

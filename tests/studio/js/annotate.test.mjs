@@ -86,6 +86,14 @@ test("the mean layout lies as the shapes do in pictures of another size", () => 
   assert.equal(points.meanLayout([{ ...shape(1), points: [null, ...FACE.slice(1)] }], 80, 120), null);
 });
 
+test("the mean layout is of the side of most shapes", () => {
+  const lopsided = points.move(FACE, [3], 9, 5);
+  const right = { points: lopsided, width: 40, height: 60 };
+  const left = { ...right, points: lopsided.map(([x, y]) => [40 - x, y]) };
+  for (const shapes of [[right, right, left], [left, right, right]])
+    points.meanLayout(shapes, 40, 60).forEach((p, i) => close(p, lopsided[i], 0.05));
+});
+
 test("a layout from elsewhere is put into the middle of the picture", () => {
   const box = points.bounds(points.fitInto(FACE, 200, 100, 0.6));
   close([(box[0] + box[2]) / 2, (box[1] + box[3]) / 2], [100, 50]);

@@ -20,6 +20,7 @@ from liaam.io.landmarks import reading as rd
 from liaam.io.landmarks.base import Contour, Landmarks, Placing, chain_edges, contour_of, edges_from
 from liaam.io.landmarks.matching import names_picture
 from liaam.io.landmarks.reading import Source
+from liaam.io.sides import OTHER_SIDE, side_of_text
 
 _COUNT = re.compile(r"n_?points\s*(?:[:=]\s*)?(\S+)", re.IGNORECASE)  # \s*[:=]?\s* would backtrack
 _COMMENT = re.compile(r"(#|//|%).*")
@@ -248,7 +249,7 @@ def parse_tps(source: Source) -> list[Landmarks]:
 
     A record starts with ``LM=`` and its points; ``IMAGE=`` names the image, or else ``ID=`` without its extension.
     ``SCALE=`` is the length of a pixel. The points of ``CURVES=`` follow the landmarks, and each curve becomes a
-    contour. Outlines, radii, variables and comments are skipped. A missing landmark is ``NA NA`` (geomorph),
+    contour. Outlines, radii, variables and comments are skipped, but for ``COMMENT=side=left`` or ``right``. A missing landmark is ``NA NA`` (geomorph),
     ``NaN NaN``, or ``-1 -1`` (tpsDig). Records without points, of images not digitised yet, are skipped.
     """
     records: list[list[_Block]] = []
@@ -305,7 +306,15 @@ def _specimen(source: Source, record: list[_Block], only: bool) -> Landmarks | N
         source.notes.repair("there is no scale, because SCALE= is not a positive number", name or source.path.name)
     label = facts.get("ID", "")
     length = scale if scale > 0 else None
-    return Landmarks(points, tuple(curves), image_name=name, scale=length, label=label, placing=_UPWARDS)
+    side = _side_in(facts.get("COMMENT", ""))
+    return Landmarks(points, tuple(curves), image_name=name, scale=length, label=label, side=side, placing=_UPWARDS)
+
+
+def _side_in(comment: str) -> str:
+    """Return the side that a comment such as ``side=left`` states; empty if it states none."""
+    match = _KEY.fullmatch(comment)
+    side = side_of_text(match[2]) if match is not None and match[1].lower() == "side" else ""
+    return side if side in OTHER_SIDE else ""
 
 
 def _points(block: _Block) -> list[tuple[float, float]]:

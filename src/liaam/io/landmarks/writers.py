@@ -88,7 +88,8 @@ def tps_text(landmarks: Landmarks) -> str:
 
     Open contours of the last landmarks in order are written as curves, as these are read; others are not. Points have
     at most :data:`TPS_DECIMALS` decimals. Further objects of a named image have records of their own. The label of an
-    object is its ID, or else the name of the image is.
+    object is its ID, or else the name of the image is. Its side is a comment, such as ``COMMENT=side=left``, which
+    other programs skip.
     """
     points = np.round(landmarks.points, TPS_DECIMALS) + 0.0  # no -0.0
     lines = [TPS_MISSING if x != x else f"{x!r} {y!r}" for x, y in points.tolist()]
@@ -106,6 +107,7 @@ def tps_text(landmarks: Landmarks) -> str:
         label = " ".join(landmarks.label.split())
         text += [f"IMAGE={name}", f"ID={label or PurePosixPath(name).stem}"]
     text += [] if landmarks.scale is None else [f"SCALE={landmarks.scale!r}"]
+    text += [f"COMMENT=side={landmarks.side}"] if landmarks.side else []
     others = landmarks.others if landmarks.image_name else ()  # else all records would be of one unnamed image
     further = "".join(tps_text(replace(other, image_name=landmarks.image_name)) for other in others)
     return "\n".join([*text, ""]) + further

@@ -125,9 +125,10 @@ export function layoutIn(layout, width, height, slack = 0) {
 const spread = (points, centre) => Math.sqrt(mean(points.map((point) => distance(point, centre) ** 2)));
 
 /** The mean of complete shapes, aligned so that rotations do not blur it, in a picture at their mean relative position.
+ *  Shapes of mirrored objects are reflected to the side of most.
  *  @param {{points: number[][], width: number, height: number}[]} shapes */
 export function meanLayout(shapes, width, height) {
-  const whole = shapes.filter((shape) => shape.points.length > 0 && shape.points.every(isPlaced));
+  const whole = ofOneSide(shapes.filter((shape) => shape.points.length > 0 && shape.points.every(isPlaced)));
   if (whole.length === 0) return null;
   const first = whole[0].points;
   const aligned = whole.map((shape) => expected(shape.points, first));
@@ -141,6 +142,17 @@ export function meanLayout(shapes, width, height) {
   const factor = (size * Math.hypot(width, height)) / Math.max(spread(shape, middle), 1e-9);
   const turned = turn(shape, indicesOf(shape), middle, Math.atan2(sin, cos), factor);
   return move(turned, indicesOf(turned), x * width - middle[0], y * height - middle[1]);
+}
+
+/** Complete shapes, of which those that are nearer to the others as mirror images are reflected in their pictures. */
+function ofOneSide(shapes) {
+  if (shapes.length < 2) return shapes;
+  const reflected = shapes.map(({ points, ...rest }) => ({ ...rest, points: points.map(([x, y]) => [rest.width - x, y]) }));
+  const first = shapes[0].points;
+  const away = ({ points }) => mean(expected(points, first).map((point, i) => distance(point, first[i]) ** 2));
+  const isOther = shapes.map((shape, k) => away(reflected[k]) < away(shape));
+  const isFirstOfFew = 2 * isOther.filter(Boolean).length > shapes.length;
+  return shapes.map((shape, k) => (isOther[k] === isFirstOfFew ? shape : reflected[k]));
 }
 
 /** Unit normal of the object's axis of symmetry, from placed twins (mirrored points); horizontal without any. */
