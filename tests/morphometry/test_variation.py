@@ -178,7 +178,12 @@ def test_groups_are_read_and_found_by_name(tmp_path: Path):
     table.write_text("Photo,Group\na.jpg,male\n", encoding="utf-8")
     assert read_groups(table) == {"a.jpg": "male"}
     table.write_text("Photo,Gruppe\na.jpg,male\n", encoding="utf-8")
-    with pytest.raises(LiaamError, match=r"has no column group: it has Photo, Gruppe; give a \.csv file"):
+    assert read_groups(table) == {"a.jpg": "male"}  # no other column can be meant
+    table.write_text("Photo,Gruppe,Alter\na.jpg,male,3\n", encoding="utf-8")
+    with pytest.raises(LiaamError, match="has no column group: it has Photo, Gruppe, Alter; call the columns so"):
+        read_groups(table)
+    table.write_text("Photo\na.jpg\n", encoding="utf-8")
+    with pytest.raises(LiaamError, match="has no column group: it has Photo; add it, with one row"):
         read_groups(table)
     table.write_text("name,sex\na,male\n", encoding="utf-8")
     with pytest.raises(LiaamError, match=r"has no columns specimen \(or picture, image\) and group"):

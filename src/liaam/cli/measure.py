@@ -173,9 +173,10 @@ def measure(
     groups: Annotated[
         str | None,
         typer.Option(
-            help="Table .csv with the columns specimen (or image, photo, file) and group, or a column of --specimens "
-            "such as sex: as --scores, and test the differences between the groups' mean shapes, which are written "
-            "with standard errors. Individuals are compared, not their records."
+            help="Table .csv with the columns specimen (or image, photo, file) and group (which may have another name "
+            "if there is no further column), or a column of --specimens such as sex: as --scores, and test the "
+            "differences between the groups' mean shapes, which are written with standard errors. Individuals are "
+            "compared, not their records."
         ),
     ] = None,
     compare: Annotated[

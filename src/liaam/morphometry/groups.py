@@ -17,6 +17,8 @@ FEWEST_OF_GROUP = 2
 def read_groups(path: AnyPath) -> dict[str, str]:
     """Read a table ``.csv`` with the columns ``specimen`` (or image) and ``group``: the group of each specimen.
 
+    The group may have another name, such as ``sex``, if it is the only other column.
+
     Raises
     ------
     LiaamError
@@ -35,11 +37,12 @@ def _groups_of_rows(rows: Sequence[NamedRow], path: str) -> dict[str, str]:
         raise LiaamError(f"{path} has no rows below its header: give one row for each specimen")
     known = [*rows[0][1]]
     column = naming_column(known, specimens_first=True)
-    of_group = next((name for name in known if name.lower() == "group"), None)
+    others = [name for name in known if name != column]
+    of_group = next((name for name in known if name.lower() == "group"), others[0] if len(others) == 1 else None)
     if column is None or of_group is None:
         absent = [what for what, own in (("specimen (or picture, image)", column), ("group", of_group)) if own is None]
         what = f"column{'s' if len(absent) > 1 else ''} {' and '.join(absent)}"
-        remedy = "give a .csv file with one row for each specimen"
+        remedy = "call the columns so" if column is None or others else "add it, with one row for each specimen"
         raise LiaamError(f"{path} has no {what}: it has {', '.join(known)}; {remedy}")
     groups: dict[str, str] = {}
     for number, row in rows:

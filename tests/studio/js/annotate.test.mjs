@@ -155,7 +155,7 @@ test("all is done only if the model was trained on all pictures", () => {
   assert.equal(assist.unfinished(project(["done", "unchecked"])), "1 picture is not done.");
   assert.equal(assist.unfinished(project(["done", "done"], { "1.png": "grey" })), "The model leaves out 1.png.");
   const both = project(["new", "broken", "done", "done"], { "2.png": "grey", "3.png": "grey" });
-  assert.equal(assist.unfinished(both), "2 pictures are not done, and the model leaves out 2 pictures.");
+  assert.equal(assist.unfinished(both), "1 picture is not done, and 1 picture cannot be read, and the model leaves out 2 pictures.");
   assert.equal(assist.unfinished({ ...project(["done"]), model: null }), "");
 });
 

@@ -44,9 +44,9 @@ test("pictures are found by folder, name and state, and sorted by uncertainty", 
 test("pictures are sorted by quality, slips and doubtful ones first", () => {
   const made = (name, more) => ({ name, doubtful: false, quality: null, slip: null, ...more });
   const all = [made("done"), made("good", { quality: 0.9 }), made("bad", { quality: 0.6 }), made("slip", { slip: "?" }),
-    made("doubtful", { quality: 0.8, doubtful: true })];
+    made("nothing", { quality: 0.3, doubtful: true, nothing_found: true }), made("doubtful", { quality: 0.8, doubtful: true })];
   const order = matching(all, { ...ALL, order: "quality" }, {}).map(({ name }) => name);
-  assert.deepEqual(order, ["slip", "doubtful", "bad", "good", "done"]);
+  assert.deepEqual(order, ["slip", "doubtful", "nothing", "bad", "good", "done"]);
 });
 
 test("added files keep their names, or get those of their folders where two would clash", () => {
@@ -118,7 +118,7 @@ test("history and accuracy are said", () => {
   assert.match(accuracyText(versions), /Measured on 4 pictures kept for testing.*4 pictures say little.*Pale/);
   assert.equal(errorText(versions[0]), "4.0\u00a0%, 1 picture");
   assert.equal(errorText(versions[1]), "2.0\u00a0%, median of 2 pictures; a.png, b.png not counted, since the fits failed");
-  assert.equal(errorText({ ...versions[0], failed: ["a.png"] }), "4.0\u00a0%, 1 picture, whose fit failed");
+  assert.equal(errorText({ ...versions[0], failed: ["a.png"] }), "not measured, since the fit to the picture kept for testing failed");
   assert.doesNotMatch(accuracyText(versions.slice(1)), /Pale/);
 });
 

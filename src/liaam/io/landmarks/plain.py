@@ -249,8 +249,9 @@ def parse_tps(source: Source) -> list[Landmarks]:
 
     A record starts with ``LM=`` and its points; ``IMAGE=`` names the image, or else ``ID=`` without its extension.
     ``SCALE=`` is the length of a pixel. The points of ``CURVES=`` follow the landmarks, and each curve becomes a
-    contour. Outlines, radii, variables and comments are skipped, but for ``COMMENT=side=left`` or ``right``. A missing landmark is ``NA NA`` (geomorph),
-    ``NaN NaN``, or ``-1 -1`` (tpsDig). Records without points, of images not digitised yet, are skipped.
+    contour. Outlines, radii, variables and comments are skipped, but for ``COMMENT=side=left`` or ``right``. A missing
+    landmark is ``NA NA`` (geomorph), ``NaN NaN``, or ``-1 -1`` (tpsDig). Records without points, of images not
+    digitised yet, are skipped.
     """
     records: list[list[_Block]] = []
     for block in _blocks(source):

@@ -47,11 +47,13 @@ export const situation = (/** @type {Project} */ { model, pictures }) =>
 /** What is not done yet, as a sentence; "" if all shown pictures are done without a possible slip, and the model was trained
  *  on all of them. @param {Pick<Project, "pictures" | "model">} shown */
 export function unfinished({ pictures, model }) {
-  const open = pictures.length - countOf(pictures, "done");
+  const broken = countOf(pictures, "broken");
+  const open = pictures.length - countOf(pictures, "done") - broken;
   const left = pictures.map(({ name }) => name).filter((name) => name in (model?.left_out ?? {}));
   const slips = slipped(pictures).length;
   const parts = [
     open && `${several(open, "picture")} ${open === 1 ? "is" : "are"} not done`,
+    broken && `${several(broken, "picture")} cannot be read`,
     slips && `${several(slips, "picture")} ${slips === 1 ? "has" : "have"} a possible slip`,
     left.length && `the model leaves out ${left.length === 1 ? left[0] : several(left.length, "picture")}`,
   ].filter(Boolean);
@@ -66,8 +68,7 @@ export function nextOf(state, pictures) {
   if (!state.worstFirst) return nextToTeach(pictures, state.current);
   const known = new Set(pictures.map(({ name }) => name));
   const listed = state.order.filter((name) => known.has(name) && name !== state.current);
-  const open = openIn(listed.map((name) => state.picture(name)));
-  return open.find(({ nothing_found: nothing }) => !nothing) ?? open[0] ?? null;
+  return openIn(listed.map((name) => state.picture(name)))[0] ?? null;
 }
 
 /** The picture that helps the model most: by rank, then by position after `current`; null if all are done. Those in which

@@ -24,7 +24,7 @@ const INCOMPLETE = [
   ["are not finished: points are missing", () => true],
 ];
 
-/** The pictures that measures, or else shapes, leave out: [{why, names}].
+/** The pictures that measures, or else shapes, leave out: [{why, names}], of which measures without a scale have lacksScale.
  *  @param {Picture[]} pictures; @param {Pick<Shapes, "pictures" | "space" | "unscaled">} data; @param {boolean} ofShapes */
 export function leftOut(pictures, { pictures: measured, space, unscaled }, ofShapes) {
   const position = new Map(measured.map((name, i) => [name, i]));
@@ -32,7 +32,7 @@ export function leftOut(pictures, { pictures: measured, space, unscaled }, ofSha
   const unmeasured = grouped(pictures.filter(({ name }) => !position.has(name)), UNMEASURED);
   if (ofShapes) return [...unmeasured, ...grouped(pictures.filter(({ name }) => position.has(name) && !shaped.has(position.get(name))), INCOMPLETE)];
   const bare = unscaled.map((i) => measured[i]);
-  return bare.length ? [...unmeasured, { why: "have no scale, and so no lengths and areas: draw a scale bar (S)", names: bare }] : unmeasured;
+  return bare.length ? [...unmeasured, { why: "have no scale, and so no lengths and areas: draw a scale bar (S)", names: bare, lacksScale: true }] : unmeasured;
 }
 
 function grouped(pictures, reasons) {

@@ -104,8 +104,8 @@ export class Marking extends Editable {
   /** Let mirrored points move together, or no longer; return which. */
   toggleMirrored() { return (this.#mirrored = !this.#mirrored); }
 
-  /** @typedef {{alone?: number, fresh?: string, changed?: string | null, accepts?: boolean, context?: any, beyond?: any}} Options
-   *  Those of originsAfter, what the next click depended on before the step, if that is not the present, and what the
+  /** @typedef {{alone?: number, fresh?: string, changed?: string | null, accepts?: boolean, keepsLayout?: boolean, context?: any, beyond?: any}} Options
+   *  Those of originsAfter, whether a mean shape stays one although its points move, what the next click depended on before the step, if that is not the present, and what the
    *  step has changed beyond this picture (of History.push). */
 
   /** @param {any} points; @param {string} what; @param {string | null} key; @param {Options} options */
@@ -123,7 +123,7 @@ export class Marking extends Editable {
     const origins = change.origins ?? originsAfter(before, points, { alone, ...options });
     const isTouched = options.accepts || "origins" in change ||
       !points.every((point, i) => !point || samePoint(point, before.points[i]));
-    const stays = "bar" in change || (before.source === "layout" && !isTouched);
+    const stays = "bar" in change || (before.source === "layout" && (!isTouched || options.keepsLayout));
     const source = stays ? before.source : "file";
     const state = {
       points, invisible: invisible.filter((i) => points[i]), absent: absent.filter((i) => !points[i]), origins, source, bar,
@@ -182,7 +182,7 @@ export class Marking extends Editable {
     const points = flip(this.points, mirror);
     const origins = points.map((point, i) => (point ? this.origins[mirror ? mirror[i] : i] : null));
     const [invisible, absent] = [this.state.invisible, this.absent].map((some) => flipIndices(some, mirror));
-    this.change({ points, invisible, absent, origins }, "flip");
+    this.change({ points, invisible, absent, origins }, "flip", null, { keepsLayout: true });
   }
 
   /** Say that the specimen lacks the selected points, or that they are there but missing. Return whether it lacks them

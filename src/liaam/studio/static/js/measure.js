@@ -263,7 +263,7 @@ export class Tab {
     const without = ends.length ? `, without ${ends.join(" and ")}, the ends of the scale` : "";
     const some = used === pictures.length ? `all ${several(used, "picture")}` : `${used} of ${several(pictures.length, "picture")}`;
     this.#leftOut.show(`${what} of ${some}${without}${estimated ? `, ${estimated} of them with estimated points` : ""}` +
-      `${groups.length ? `. Missing: ${several(groups.reduce((sum, { names }) => sum + names.length, 0), "picture")}` : "."}`, groups);
+      `${groups.length ? `. ${missing(groups)}` : "."}`, groups);
   }
 
   #drawLegend() {
@@ -286,7 +286,7 @@ export class Tab {
     const shape = space ? space.of.indexOf(chosen) : -1;
     if (shape < 0) return space ? "has no shape, since points are missing" : "";
     const distance = space.distances[shape];
-    return `${numberText(distance)} from the mean shape${distance > space.limit ? ", unusual" : ""}`;
+    return `Procrustes distance from the mean shape: ${numberText(distance)}${distance > space.limit ? ", unusual" : ""}`;
   }
 
   /** Title of a column for people. @param {Column} column */
@@ -307,10 +307,18 @@ export class Tab {
     this.#chart.replaceChildren(
       h("h2.panel-title", this.#title(column)),
       h("p.small.muted", { testid: "measure-facts" }, summaryText(column)),
+      this.#factsOfGroups(column),
       place);
     place.append(histogram(bins(column.values), {
       title: this.#title(column), lit: this.chosen, groups: this.groups.of, onbin: (indices) => this.#chooseNextOf(indices), width: place.clientWidth || undefined,
     }));
+  }
+
+  /** Number, mean, standard deviation and range of each group; null without groups. @param {Column} column */
+  #factsOfGroups(column) {
+    const { names, of } = this.groups;
+    const line = (name, k) => h("li", groupMark(k), ` ${name}: ${summaryText(column, column.values.filter((_, i) => of[i] === k))}`);
+    return names.length > 1 && h("ul.measure-groups.small.muted", { testid: "measure-groups" }, names.slice(0, MOST_GROUPS).map(line));
   }
 
   /** Select the picture of a bin that follows the selected one, or else its first. */
@@ -398,9 +406,17 @@ function compared(a, b, down) {
   return a < b === down ? 1 : -1;
 }
 
-/** Number, mean, standard deviation and range of a column in words. @param {Column} column */
-function summaryText({ values, unit }) {
-  const { n, mean, sd, least, most } = summary(values);
+/** How many pictures are left out, or lack a scale only. */
+function missing(groups) {
+  const count = (some) => some.reduce((sum, { names }) => sum + names.length, 0);
+  const [unscaled, others] = [true, false].map((is) => count(groups.filter(({ lacksScale = false }) => lacksScale === is)));
+  return [others && `Missing: ${several(others, "picture")}`, unscaled && `Without a scale: ${several(unscaled, "picture")}`]
+    .filter(Boolean).join(". ");
+}
+
+/** Number, mean, standard deviation and range of a column in words, and of some of its values as of all. @param {Column} column */
+function summaryText({ values, unit }, some = values) {
+  const { n, mean, sd, least, most } = summary(some);
   if (!n) return "No picture has all points of this measure, or a scale.";
   const decimals = decimalsOf(values);
   const spread = sd === null ? "" : ` ± ${numberText(sd, "", decimals)} (standard deviation)`;

@@ -15,17 +15,22 @@ const DID = {
   scaled: "set the scale, with those of other pictures", unscaled: "took that scale back",
 };
 const EXPORTS = { pts: ".pts files (zip)", coco: "COCO keypoints", tps: "tpsDig (.tps)", csv: "Table (.csv)", sliders: "Sliders (.csv)", measure: "Measurements (opens Measure)", model: "Model (.liaam)" };
+const IN_MEASURES = "The measurements say which these are.";
+const ABOUT_SIDES = { pts: IN_MEASURES, coco: IN_MEASURES, csv: IN_MEASURES, tps: "A comment of each record says which these are." };
 const UNMEASURED = "It is measured on pictures that a training on four or more keeps for testing. In these, a person must " +
   "have placed, moved or confirmed (Y) at least half of the points: accepted ones would confirm the model that made them.";
 export const sentence = (/** @type {HistoryEntry} */ { who, did }) => `${who || "Someone"} ${DID[did]}`;
 
+/** Whether a fit counts; otherwise all have failed, and said so. @param {Version} version */
+const isMeasured = ({ held_out: count, failed }) => failed.length < count;
+
 /** The error of a model, and of how many pictures it is the median. @param {Version} version */
 export function errorText({ error, held_out: count, failed }) {
-  const used = count - failed.length || count;
+  const used = count - failed.length;
+  if (!used) return `not measured, since ${count === 1 ? "the fit to the picture" : `the fits to all ${count} pictures`} kept for testing failed`;
   const median = used === 1 ? "1 picture" : `median of ${used} pictures`;
   const not = failed.length && `${some(failed)} not counted, since the ${failed.length === 1 ? "fit" : "fits"} failed`;
-  const all = failed.length === count ? `, whose ${count === 1 ? "fit" : "fits"} failed` : not ? `; ${not}` : "";
-  return `${percent(error)}, ${median}${all}`;
+  return `${percent(error)}, ${median}${not ? `; ${not}` : ""}`;
 }
 
 /** What the errors of models are. @param {Version[]} versions */
@@ -34,7 +39,7 @@ export function accuracyText(versions) {
   const others = versions.some(({ same }) => !same) ? " Pale bars: measured on other pictures." : "";
   const what = "Distance of fitted points from those that a person placed, moved or confirmed, in percent of the object's size: " +
     `the smaller, the better. Measured on ${several(count, "picture")} kept for testing, on which that model was not trained.`;
-  const few = count < 8 ? ` ${count === 1 ? "One picture says" : `${count} pictures say`} little; from 32 pictures on, it is measured on 8.` : "";
+  const few = count < 8 ? ` ${count === 1 ? "One picture says" : `${count} pictures say`} little; from 32 such pictures on, it is measured on 8.` : "";
   return `${what}${few}${others}`;
 }
 
@@ -57,7 +62,9 @@ export function createReview(tab) {
   });
   const save = async (format) => {
     if (format === "measure") return app.openTab("measure");
-    return saveFile(...(await api.file(format === "model" ? api.url("model/file") : api.url("export/{kind}", { kind: format }))));
+    const [blob, file] = await api.file(format === "model" ? api.url("model/file") : api.url("export/{kind}", { kind: format }));
+    const mirrored = format in ABOUT_SIDES && state.project.model?.sides?.n_other;
+    return saveFile(blob, file, mirrored ? `. Mirrored specimens are saved as they lie in the pictures. ${ABOUT_SIDES[format]}` : "");
   };
   const files = menu("Export all…", EXPORTS, save, {
     class: "small", "aria-label": "Export all landmarks", testid: "export-all",
@@ -82,13 +89,15 @@ export function createReview(tab) {
       accuracy.firstChild.textContent = "Error of the models: not measured yet";
       return chart.replaceChildren(h("p.muted", UNMEASURED));
     }
-    const most = Math.max(...versions.map(({ error }) => error));
+    const most = Math.max(...versions.filter(isMeasured).map(({ error }) => error));
     const said = (version) => `${errorText(version)}, trained on ${version.pictures} pictures`;
     const { error, held_out: held, failed } = versions.at(-1);
-    accuracy.firstChild.textContent = `Error of the models: ${percent(error)} (${failed.length ? `${held - failed.length} of ${held}` : several(held, "picture")})`;
+    const fits = `${failed.length ? `${held - failed.length} of ${held}` : several(held, "picture")}`;
+    accuracy.firstChild.textContent = isMeasured(versions.at(-1)) ? `Error of the models: ${percent(error)} (${fits})`
+      : `Error of the models: not measured, ${failed.length === 1 ? "the fit" : `all ${failed.length} fits`} failed`;
     accuracy.firstChild.title = errorText(versions.at(-1));
     const bars = versions.map((version) => h("span", {
-      class: version.same && "same", title: said(version), style: { height: `${(100 * version.error) / most}%` },
+      class: version.same && "same", title: said(version), style: { height: isMeasured(version) ? `${(100 * version.error) / most}%` : "0" },
     }));
     const lost = failed.length > 0 && h("p.muted", { testid: "not-counted" }, "Not counted, since the fit failed and said so: ",
       pictureLinks(failed, (picture) => state.select(picture), "fit-failed"));

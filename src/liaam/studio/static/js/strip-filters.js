@@ -82,10 +82,11 @@ export function foldersOf(pictures) {
 
 /** Keys to sort by, smallest first. @type {Record<string, (picture: Picture) => number>} */
 const KEYS = {
-  // Where nothing is found, there is nothing to correct.
+  // Where nothing is found, there may be nothing to correct: doubtful ones come before.
   quality: ({ quality, doubtful, slip, nothing_found: nothing }) => {
     if (slip) return -2;
-    return quality == null || nothing ? 2 : quality - (doubtful ? 1 : 0);
+    if (nothing) return 0;
+    return quality == null ? 2 : quality - (doubtful ? 1 : 0);
   },
   uncertainty: ({ uncertainty, doubtful }) => -(uncertainty ?? -1) - (doubtful ? 1e6 : 0),
 };
