@@ -220,5 +220,5 @@ def test_the_scale_is_found_in_the_picture(marked, serve, open_page, artefacts, 
     page.locator("[data-testid=scale-find-again]").click()
     page.locator("[data-testid=find-kind]").select_option("bar")
     page.locator("[data-testid=find-go]").click()
-    page.get_by_text("Click both ends of a known length instead").wait_for()
+    page.get_by_text("or else click both ends of a known length").wait_for()
     assert scale_of(marked, "portrait-01.png") == pytest.approx(1 / 9, rel=1e-3)

@@ -298,7 +298,7 @@ export function createAssist(app, commands, onexport) {
     const without = model?.left_out?.[here?.name];
     // What to do comes first: the place is small.
     const slip = here?.slip && `${SLIP} Possible slip${without ? ", left out of training" : ""}: ${here.slip}.`;
-    const fault = slip || (without ? `The model leaves this picture out, because ${without}.` : here?.error);
+    const fault = slip || (without ? `The model leaves this picture out, because ${without}.` : here?.state !== "broken" && here?.error); // the place of the picture says that
     pass.disabled = !then;
     why.classList.toggle("warn-text", Boolean(fault));
     const isOpen = here && here.state !== "done" && (here.uncertainty != null || here.nothing_found) && model;

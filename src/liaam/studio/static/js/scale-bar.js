@@ -203,7 +203,7 @@ export class ScaleBar extends Editable {
   /** The ends of the bar on the screen. One of another picture is drawn level, in the lower left corner of this one. */
   #places(viewer) {
     if (this.on || !this.isShared) return (this.on ? this.ends : (this.bar?.ends ?? [])).filter(Boolean).map((end) => viewer.toScreen(end));
-    const [x, y] = viewer.toScreen([0, viewer.height - 1]);
+    const [x, y] = viewer.toScreen([viewer.mirrored ? viewer.width - 1 : 0, viewer.height - 1]);
     const [left, low] = [Math.max(x, 0) + CORNER, Math.min(y, viewer.container.clientHeight) - CORNER];
     return [[left, low], [left + viewer.scale * distance(...this.bar.ends), low]];
   }

@@ -109,9 +109,15 @@ export function createWall({ app, shown, accept, onchange, onworst, turn }) {
     const { name, placed, state: progress } = picture;
     if (!placed && progress !== "proposed") return;
     const key = keyOf(picture);
-    if (outlines.get(name)?.key !== key) outlines.set(name, { key, drawn: draw(name).catch(() => null) });
+    const retried = () => { outlines.delete(name); return null; };
+    if (outlines.get(name)?.key !== key) outlines.set(name, { key, drawn: draw(name).catch(retried) });
     const drawn = await outlines.get(name).drawn;
-    if (drawn && !face.querySelector(".wall-points")) face.append(drawn.cloneNode(true));
+    const before = face.querySelector(".wall-points");
+    if (!drawn || before?.dataset.key === key) return;
+    before?.remove();
+    const own = drawn.cloneNode(true);
+    own.dataset.key = key;
+    face.append(own);
   }
 
   async function draw(name) {
