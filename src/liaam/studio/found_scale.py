@@ -42,8 +42,8 @@ def found_scale(pixels: np.ndarray, size: tuple[int, int], asked: contract.Scale
         other = "a scale bar" if kind == "ruler" else "a ruler"
         raise Refusal(
             422,
-            f"{why[0].upper()}{why[1:]}. If the picture shows {other}, choose that in the list; or else click both ends "
-            "of a known length.",
+            f"{why[0].upper()}{why[1:]}. If the picture shows {other}, choose that in the list; or else click both "
+            "ends of a known length.",
         ) from fault
     times = np.divide(size, pixels.shape[1::-1])
     ends = (found.ends + 0.5) * times - 0.5

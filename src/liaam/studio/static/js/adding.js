@@ -139,7 +139,7 @@ export function createAdding(app) {
     result.pictures = added.length - unreadable.length;
     result.refused.push(...unreadable.map(({ name, error }) => (error?.includes(name) ? error : `${name}: ${error ?? "it cannot be read"}`)));
     result.placed = state.project.pictures.filter(({ name, placed }) => placed && !before.has(name)).length;
-    const where = result.pictures && ` The added ${result.pictures === 1 ? "picture is" : "pictures are"} copied into the folder ${state.project.folder}.`;
+    const where = result.pictures && ` The added ${result.pictures === 1 ? "picture is" : "pictures are"} copied into ${state.project.folder}.`;
     toast(`${summary(result)}${where || ""}`, result.refused.length ? "bad" : "good");
     app.list.sortByQuality();
     if (result.pictures && !state.guest) app.openTab("annotate");
