@@ -2,6 +2,7 @@
 
 from dataclasses import replace
 
+import cv2
 import numpy as np
 import pytest
 
@@ -413,6 +414,16 @@ def test_a_wall_that_edges_cut_off_gets_no_halo():
     belongs = Surroundings.of(inside, own, 5.0).belongs
     assert belongs[40, 62] > 0.9
     assert belongs[40, 76:].max() < 0.1
+
+
+def test_a_wall_of_nearly_the_colour_of_skin_gets_no_halo():
+    """The rest of the wall tells its colour, and the object its own."""
+    inside = known_in((160, 160), slice(60, 100), slice(60, 100))
+    own = np.full((160, 160, 3), [-1.98, -2.06, -1.96], np.float32)
+    own[60:140, 60:100] = [-1.75, -2.05, -2.2]  # the object, and its neck below the mesh
+    belongs = Surroundings.of(inside, cv2.GaussianBlur(own, (0, 0), 3.0), 5.0).belongs  # without a sharp edge
+    assert belongs[80, 105:].max() < 0.06
+    assert belongs[105:120, 80].min() > 0.2
 
 
 @pytest.mark.parametrize("colour", [(0.4, -0.1, -0.3), (0.0, 0.0, 0.0)])

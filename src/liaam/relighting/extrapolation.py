@@ -30,6 +30,15 @@ BACKGROUND = 8.0  # Distance beyond the mesh from which an image is background
 BORDER = 1.0  # Down to this depth inside the mesh, another colour is background, because the fit is not exact
 # Without the differences of colour, light of the object shines on walls.
 ANOTHER_COLOUR = 0.5  # Difference of log-chromaticity from the object's mean from which a pixel is rather background
+# Whether a colour is rather that of the background: the share of the object's pixels from which there are enough of the
+# background, the least standard deviation of log-chromaticity in each, and squared distances, in standard deviations:
+# beyond the first a colour is unlike both, and by the other the background must be nearer, since skin in the shade is
+# often a little nearer to a wall.
+ENOUGH_BACKGROUND = 0.02
+LEAST_DEVIATION = 0.08
+UNLIKE = 16.0
+CLEARLY = 9.0
+MAD_TO_SD = 1.4826  # Of a normal distribution
 # What is brighter than the object is a wall or gloss where its saturation, relative to that mean, is at most PALE, and
 # not where it is at least VIVID; in between it is so by degrees.
 PALE = 0.5
@@ -85,9 +94,10 @@ class Surroundings:
         # A pixel belongs to the object if the object is nearer than the background, and if it looks like the object:
         # it has about the object's colour, and is not brighter, or it is gloss.
         away = distance_transform(~inside)[..., None]  # distances from the mesh, pixels
-        nearer = np.where(in_mesh, np.float32(1.0), _nearer_to_object(inside, away, seen, reach))
+        background = _background(inside, away, reach)
+        nearer = np.where(in_mesh, np.float32(1.0), _nearer_to_object(inside, background, seen, reach))
         brightness, colours = _brightness_and_colours(log_image, reach)
-        alike = _alike_in_colour(inside, colours)
+        alike = _alike_in_colour(inside, colours) * _rather_of_object(inside, background, colours)
         bright = _brighter_or_paler(inside, brightness, colours)
         # What is bright is gloss if the object is all around it; else it is a wall behind.
         is_object = (bright <= A_LITTLE) & (nearer >= 0.5)
@@ -135,14 +145,16 @@ def _extent(mask: np.ndarray) -> tuple[slice, slice]:
     return slice(rows[0], rows[-1] + 1), slice(columns[0], columns[-1] + 1)
 
 
-def _nearer_to_object(inside: np.ndarray, away: np.ndarray, seen: np.ndarray, reach: float) -> np.ndarray:
-    """Return how much nearer pixels are to the mask than to the background, (h, w, 1) from 0 to 1, within edges.
-
-    Background is what is far ``away`` (h, w, 1) from the mask, but not what is below it, such as a neck or a stem.
-    """
-    background = (away > BACKGROUND * reach).astype(np.float32)
+def _background(inside: np.ndarray, away: np.ndarray, reach: float) -> np.ndarray:
+    """Return the mask (h, w) of what is far ``away`` (h, w, 1) from a mask, but not below it, as a neck is."""
+    background = away[..., 0] > BACKGROUND * reach
     rows, columns = _extent(inside)
-    background[rows.stop - 1 :, columns] = 0.0  # below the mesh
+    background[rows.stop - 1 :, columns] = False
+    return background
+
+
+def _nearer_to_object(inside: np.ndarray, background: np.ndarray, seen: np.ndarray, reach: float) -> np.ndarray:
+    """Return how much nearer pixels are to the mask than to the background, (h, w, 1) from 0 to 1, within edges."""
     both = averaged(np.dstack([inside, background]), seen, max(1.0, ACROSS * reach))
     near, far = np.dsplit(np.square(both), 2)  # squared, for a steeper division
     return near / np.maximum(near + far, 1e-12)
@@ -170,6 +182,31 @@ def _alike_in_colour(inside: np.ndarray, colours: np.ndarray) -> np.ndarray:
     mean = colours[inside].mean(axis=0)
     squares = 3.0 * mean_of(np.square(colours - mean))[..., None]  # sums over the three channels
     return np.exp(-0.5 * np.maximum(squares / ANOTHER_COLOUR**2 - 1.0, 0.0))
+
+
+def _rather_of_object(inside: np.ndarray, background: np.ndarray, colours: np.ndarray) -> np.ndarray:
+    """Return how much colours (h, w, 3) are rather the object's than the background's, (h, w, 1) from 0 to 1.
+
+    Inside the mesh all are. A wall whose colour is not far from that of skin is told by this only. What is unlike both,
+    such as hair, may be part of the object.
+    """
+    if background.sum() < ENOUGH_BACKGROUND * inside.sum():
+        return np.float32(1.0)
+    nearer_to_object = _squared_deviations(background, colours) - _squared_deviations(inside, colours)
+    of_object = 1.0 / (1.0 + np.exp(-0.5 * (nearer_to_object + CLEARLY)))
+    return np.where(inside[..., None], np.float32(1.0), of_object)
+
+
+def _squared_deviations(mask: np.ndarray, colours: np.ndarray) -> np.ndarray:
+    """Return the squared distances of colours (h, w, 3) from the usual ones in a mask, in robust standard deviations.
+
+    They are at most :data:`UNLIKE`, (h, w, 1).
+    """
+    own = colours[mask]
+    usual = np.median(own, axis=0)
+    deviation = MAD_TO_SD * np.median(np.abs(own - usual), axis=0)
+    squares = np.square(colours - usual) / (np.square(deviation) + LEAST_DEVIATION**2)
+    return np.minimum(3.0 * mean_of(squares)[..., None], UNLIKE)
 
 
 def _brighter_or_paler(inside: np.ndarray, brightness: np.ndarray, colours: np.ndarray) -> np.ndarray:
