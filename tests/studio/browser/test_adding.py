@@ -136,7 +136,7 @@ def test_faces_are_fitted_as_they_arrive_worst_first(serve, page, empty, faces, 
     wait_for(page, "() => document.querySelectorAll('.strip-item').length === 3")
     shown = page.evaluate(NAMES)
     order = [
-        (picture["nothing_found"], picture["quality"] - picture["doubtful"])  # where nothing is, comes last
+        0.0 if picture["nothing_found"] else picture["quality"] - picture["doubtful"]
         for picture in map(qualities.get, shown)
     ]
     assert order == sorted(order), order

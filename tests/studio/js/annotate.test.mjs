@@ -909,6 +909,10 @@ test("the first model comes with four pictures, the next after three more", () =
   assert.ok(!assist.shouldTrain(project(four, { model: { stale: 2, source: "studio" } }), auto));
   assert.ok(assist.shouldTrain(project(four, { model: { stale: 3, source: "studio" } }), auto));
   assert.ok(!assist.shouldTrain(project(four, { model: { stale: 3, source: "file" } }), auto));
+  const face = project(four, { model: { stale: 4, source: "face" } });
+  assert.ok(assist.shouldTrain(face, auto));
+  face.pictures.forEach((picture) => Object.assign(picture, { placed: 9, unconfirmed: 9 }));
+  assert.ok(!assist.shouldTrain(face, auto)); // accepted points of the face model are no reason to replace it
   // One side that is stated may tell those of all.
   assert.ok(assist.shouldTrain(project(four, { model: { stale: 1, sides_changed: true, source: "studio" } }), auto));
 });

@@ -19,6 +19,9 @@ const forTraining = (/** @type {Picture[]} */ pictures) => pictures.filter(({ st
   state === "done" && !who && !(absent && placed < FEWEST_PLACED));
 const slipped = (pictures) => forTraining(pictures).filter(({ slip }) => slip);
 
+/** Whether a person placed, moved or confirmed at least half of the points, as for the error of models. */
+const isOwn = (/** @type {Picture} */ { placed = 0, unconfirmed = 0 }) => 2 * unconfirmed <= placed;
+
 /** Whether to train automatically. `failedAt`: the `situation` in which training last failed or was stopped.
  *  @param {Project} project; @param {{auto: boolean, failedAt?: string | null}} when */
 export function shouldTrain(project, { auto, failedAt = null }) {
@@ -26,7 +29,9 @@ export function shouldTrain(project, { auto, failedAt = null }) {
   if (!auto || !project.template || training?.state === "running") return false;
   if (model && !["studio", "face"].includes(model.source)) return false; // a model given by the user is replaced only on request
   if (project.checked === false) return false; // possible slips are left out
-  if (forTraining(pictures).length - slipped(pictures).length < AUTO_FIRST || situation(project) === failedAt) return false;
+  // Points of the face model that were only accepted would put a model of these few faces in its place.
+  const taught = forTraining(pictures).filter((picture) => !picture.slip && (model?.source !== "face" || isOwn(picture)));
+  if (taught.length < AUTO_FIRST || situation(project) === failedAt) return false;
   // One side that is stated may tell those of all pictures.
   return !model || model.sides_changed || model.stale >= AUTO_AGAIN;
 }

@@ -39,6 +39,9 @@ export class Divider {
     this.#set(0.5);
   }
 
+  /** Put the line in the middle. */
+  centre() { this.#set(0.5); }
+
   /** Position of the line in the container, css pixels. */
   get x() { return this.#share * this.#viewer.container.clientWidth; }
 

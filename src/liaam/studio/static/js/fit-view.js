@@ -126,6 +126,8 @@ export class FitView {
     this.viewer.setPicture(source?.image ?? null, source?.width ?? 0, source?.height ?? 0, source?.tiles ?? null);
     if (!another) return;
     if (source) this.viewer.fit();
+    for (const view of LIKE_PICTURES) this.#opacity[view] = 1; // the strength that was chosen for another picture
+    this.#divider.centre();
     this.invariant.clear();
     this.setFit(null);
   }

@@ -46,8 +46,10 @@ export function directionInWords([x, y, z]) {
   return `from the ${{ upper: "top", lower: "bottom" }[side] ?? side}, ${angle}° from the front`;
 }
 
+const SOFTNESS = 0.4; // of a new lamp: hard ones show each fault of the fit as an edge
+
 /** A lamp at [x, y] over the object, from -1 to 1. */
-function lampAt(/** @type {any} */ [x, y], colour = "#ffffff", strength = 1, softness = 0) {
+function lampAt(/** @type {any} */ [x, y], colour = "#ffffff", strength = 1, softness = SOFTNESS) {
   return { direction: directionAt([x, y]), colour, strength, softness };
 }
 
