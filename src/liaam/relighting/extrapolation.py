@@ -31,13 +31,15 @@ BORDER = 1.0  # Down to this depth inside the mesh, another colour is background
 # Without the differences of colour, light of the object shines on walls.
 ANOTHER_COLOUR = 0.5  # Difference of log-chromaticity from the object's mean from which a pixel is rather background
 # Whether a colour is rather that of the background: the share of the object's pixels from which there are enough of the
-# background, the least standard deviation of log-chromaticity in each, and squared distances, in standard deviations:
+# background, the least standard deviations of log-chromaticity in each and of the logarithm of the background's
+# brightness, and squared distances, in standard deviations:
 # beyond the first a colour is unlike both, and by the other the background must be nearer, since skin in the shade is
 # often a little nearer to a wall.
 ENOUGH_BACKGROUND = 0.02
 LEAST_DEVIATION = 0.08
+LEAST_CHANGE = 0.1
 UNLIKE = 16.0
-CLEARLY = 9.0
+CLEARLY = 12.0
 MAD_TO_SD = 1.4826  # Of a normal distribution
 # What is brighter than the object is a wall or gloss where its saturation, relative to that mean, is at most PALE, and
 # not where it is at least VIVID; in between it is so by degrees.
@@ -97,7 +99,7 @@ class Surroundings:
         background = _background(inside, away, reach)
         nearer = np.where(in_mesh, np.float32(1.0), _nearer_to_object(inside, background, seen, reach))
         brightness, colours = _brightness_and_colours(log_image, reach)
-        alike = _alike_in_colour(inside, colours) * _rather_of_object(inside, background, colours)
+        alike = _alike_in_colour(inside, colours) * _rather_of_object(inside, background, brightness, colours)
         bright = _brighter_or_paler(inside, brightness, colours)
         # What is bright is gloss if the object is all around it; else it is a wall behind.
         is_object = (bright <= A_LITTLE) & (nearer >= 0.5)
@@ -184,29 +186,33 @@ def _alike_in_colour(inside: np.ndarray, colours: np.ndarray) -> np.ndarray:
     return np.exp(-0.5 * np.maximum(squares / ANOTHER_COLOUR**2 - 1.0, 0.0))
 
 
-def _rather_of_object(inside: np.ndarray, background: np.ndarray, colours: np.ndarray) -> np.ndarray:
-    """Return how much colours (h, w, 3) are rather the object's than the background's, (h, w, 1) from 0 to 1.
+def _rather_of_object(
+    inside: np.ndarray, background: np.ndarray, brightness: np.ndarray, colours: np.ndarray
+) -> np.ndarray:
+    """Return how much pixels are rather of the object than of the background by colour, (h, w, 1) from 0 to 1.
 
-    Inside the mesh all are. A wall whose colour is not far from that of skin is told by this only. What is unlike both,
-    such as hair, may be part of the object.
+    Only this recognises a wall whose colour is not far from that of skin. It is about as bright as the rest of the
+    background, while an ear in the shade, whose colour is uncertain, is darker. Pixels inside the mesh are of the
+    object, and what is unlike both, such as hair, may be.
     """
     if background.sum() < ENOUGH_BACKGROUND * inside.sum():
         return np.float32(1.0)
-    nearer_to_object = _squared_deviations(background, colours) - _squared_deviations(inside, colours)
+    from_background = _squares(background, colours, LEAST_DEVIATION) + _squares(background, brightness, LEAST_CHANGE)
+    from_object = _squares(inside, colours, LEAST_DEVIATION)
+    nearer_to_object = np.minimum(from_background, UNLIKE) - np.minimum(from_object, UNLIKE)
     of_object = 1.0 / (1.0 + np.exp(-0.5 * (nearer_to_object + CLEARLY)))
     return np.where(inside[..., None], np.float32(1.0), of_object)
 
 
-def _squared_deviations(mask: np.ndarray, colours: np.ndarray) -> np.ndarray:
-    """Return the squared distances of colours (h, w, 3) from the usual ones in a mask, in robust standard deviations.
+def _squares(mask: np.ndarray, values: np.ndarray, least: float) -> np.ndarray:
+    """Return the sums (h, w, 1) of squared differences of values (h, w, c) from the usual ones in a mask.
 
-    They are at most :data:`UNLIKE`, (h, w, 1).
+    They are in robust standard deviations, which are at least about ``least``.
     """
-    own = colours[mask]
+    own = values[mask]
     usual = np.median(own, axis=0)
     deviation = MAD_TO_SD * np.median(np.abs(own - usual), axis=0)
-    squares = np.square(colours - usual) / (np.square(deviation) + LEAST_DEVIATION**2)
-    return np.minimum(3.0 * mean_of(squares)[..., None], UNLIKE)
+    return (np.square(values - usual) / (np.square(deviation) + least**2)).sum(axis=2, keepdims=True)
 
 
 def _brighter_or_paler(inside: np.ndarray, brightness: np.ndarray, colours: np.ndarray) -> np.ndarray:
