@@ -196,7 +196,7 @@ def _rather_of_object(
     object, and what is unlike both, such as hair, may be.
     """
     if background.sum() < ENOUGH_BACKGROUND * inside.sum():
-        return np.float32(1.0)
+        return np.ones_like(brightness)
     from_background = _squares(background, colours, LEAST_DEVIATION) + _squares(background, brightness, LEAST_CHANGE)
     from_object = _squares(inside, colours, LEAST_DEVIATION)
     nearer_to_object = np.minimum(from_background, UNLIKE) - np.minimum(from_object, UNLIKE)
