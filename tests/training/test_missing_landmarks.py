@@ -240,26 +240,36 @@ def test_pixels_far_from_missing_landmarks_are_known(holed_model, view):
 @pytest.mark.slow
 @pytest.mark.parametrize(("name", "n", "share"), [("wings", 30, 1 / 12), ("ceph", 40, 1 / 5)])
 def test_real_images_that_lack_landmarks_are_learnt_from_nearly_as_well(shared_data, name, n, share):
-    """The bar is 1.05 of the error with all landmarks; experiments/notes/missing-landmarks.md has more draws."""
+    """The bar is 1.05 of the error with all landmarks, as a mean of three draws.
+
+    Medians of 50 images vary by as much from draw to draw, also if complete images are left out instead:
+    experiments/notes/missing-landmarks.md has more.
+    """
     samples = liaam.load_folder(shared_data / name).samples
-    rng = np.random.default_rng(1)
-    order = rng.permutation(len(samples))
-    training = [samples[i] for i in order[:n]]
-    tests = [samples[i] for i in order[n : n + 50]]
-    shapes = np.array([sample.landmarks.points for sample in training])
-    holed = np.where((rng.uniform(size=shapes.shape[:2]) < share)[..., None], np.nan, shapes)
-    medians = []
-    for points in (shapes, holed):
-        model = train_as_users_do([(sample.image, own) for sample, own in zip(training, points, strict=True)])
-        assert model.n_images == n
-        fitter = Fitter(model)
-        errors = []
-        for sample in tests:
-            truth = sample.landmarks.points
-            fit = fitter.fit(sample.image, np.concatenate([truth.min(axis=0), truth.max(axis=0)]))
-            errors.append(point_error(fit.landmarks, truth) / diagonal_of(truth))
-        medians.append(np.median(errors))
-    assert medians[1] < 1.05 * medians[0]
+    ratios = []
+    for draw in range(3):
+        rng = np.random.default_rng(draw)
+        order = rng.permutation(len(samples))
+        training = [samples[i] for i in order[:n]]
+        tests = [samples[i] for i in order[n : n + 50]]
+        shapes = np.array([sample.landmarks.points for sample in training])
+        holed = np.where((rng.uniform(size=shapes.shape[:2]) < share)[..., None], np.nan, shapes)
+        complete, incomplete = (_median_error(training, points, tests) for points in (shapes, holed))
+        ratios.append(incomplete / complete)
+    assert np.mean(ratios) < 1.05, ratios
+
+
+def _median_error(training, shapes, tests):
+    """Return the median error of fits from the true box, after training on images with some landmarks."""
+    model = train_as_users_do([(sample.image, own) for sample, own in zip(training, shapes, strict=True)])
+    assert model.n_images == len(training)
+    fitter = Fitter(model)
+    errors = []
+    for sample in tests:
+        truth = sample.landmarks.points
+        fit = fitter.fit(sample.image, np.concatenate([truth.min(axis=0), truth.max(axis=0)]))
+        errors.append(point_error(fit.landmarks, truth) / diagonal_of(truth))
+    return np.median(errors)
 
 
 def test_landmarks_outside_are_counted_of_those_that_are_known():
