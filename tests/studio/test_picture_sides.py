@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from small_projects import put
 
+from liaam.datasets import load_folder
 from liaam.datasets.sides import sides_of_shapes
 from liaam.io import Landmarks, write_image, write_landmarks
 from liaam.studio.background import slips_in
@@ -76,7 +77,16 @@ def test_sides_are_said_withdrawn_and_follow_the_picture(sided):
 def test_exported_files_say_which_pictures_are_mirrored(sided):
     project = Project(sided)
     sides = re.findall("COMMENT=side=(.*)", project.export("tps")[1].decode())
-    assert sides == ["mirrored"] * 4 + ["original"] * 6
+    assert sides == ["mirrored"] * 4 + ["original"] * 6 and project.has_both_sides()
+    table = project.export("csv")[1].decode()
+    assert [row["side"] for row in csv.DictReader(io.StringIO(table))][::8] == sides
+    (sided / "table").mkdir()
+    (sided / "table" / "all.csv").write_text(table)
+    for path in sided.glob("*.png"):
+        write_image(sided / "table" / path.name, np.zeros((120, 180, 3), np.uint8))
+    read = Project(sided / "table")  # what shapes told is not stated, and they tell it again
+    assert {each["side"] for each in read.overview().pictures} == {""} and read.export("csv")[1].decode() == table
+    assert {sample.side for sample in load_folder(sided / "table")} == {""}
     project.save_sides({"sides": {"wing-0.png": "left"}})
     sides = re.findall("COMMENT=side=(.*)", project.export("tps")[1].decode())
     assert sides == ["left"] * 4 + ["right"] * 6
@@ -114,8 +124,6 @@ def test_other_sides_are_refused(sides):
 
 def test_the_side_of_a_table_stays_when_points_are_moved(sided):
     project = Project(sided)
-    table = project.export("csv")[1].decode()
-    assert "side" not in table.partition("\n")[0]
     project.save_sides({"sides": {f"wing-{i}.png": "left" if i < 4 else "right" for i in range(10)}})
     table = project.export("csv")[1].decode()
     rows = list(csv.DictReader(io.StringIO(table)))

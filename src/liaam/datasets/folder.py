@@ -29,7 +29,7 @@ from liaam.io.landmarks.matching import ImageNames
 from liaam.io.landmarks.reading import USUAL, Notes, Reading, UnrecognisedError
 from liaam.io.landmarks.yolo import in_images, labels_of
 from liaam.io.overlays import is_overlay
-from liaam.io.sides import side_of_folder, side_of_text, sides_by_place_or_name
+from liaam.io.sides import side_of_folder, sides_by_place_or_name, stated_side
 from liaam.progress import progress_bar
 
 _BARE = "the image has no landmarks"
@@ -430,7 +430,7 @@ def _in_one_order(samples: list[Sample], notes: Notes) -> tuple[list[Sample], li
 
 def _with_sides(samples: list[Sample], root: Path) -> list[Sample]:
     """Return samples with the sides that a table states, that folders or names of all images say, or that of root."""
-    stated = [side_of_text(sample.landmarks.side) for sample in samples]
+    stated = [stated_side(sample.landmarks.side) for sample in samples]
     if not any(stated):
         stated = sides_by_place_or_name([sample.name for sample in samples])
     if not any(stated):

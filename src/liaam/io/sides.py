@@ -12,6 +12,10 @@ RIGHT = "right"
 
 OTHER_SIDE = {LEFT: RIGHT, RIGHT: LEFT}
 
+# Names of sides that are not stated: that of most training images, and its mirror image
+ORIGINAL = "original"
+MIRRORED = "mirrored"
+
 WORD = re.compile(r"[A-Z]?[a-z]+|[A-Z]+(?![a-z])|[^A-Za-z]+")
 """Words of a name, such as ``left``, ``_`` and ``eye`` of ``left_eye`` or ``Left`` and ``Eye`` of ``LeftEye``."""
 
@@ -38,6 +42,12 @@ class Named(NamedTuple):
 def side_of_text(text: str) -> str:
     """Return ``left`` or ``right`` for texts such as ``Left``, ``L`` or ``links``, and other texts as they are."""
     return _VALUES.get(text.strip().casefold(), text.strip())
+
+
+def stated_side(text: str) -> str:
+    """Return the side that a text states; nothing for ``original`` and ``mirrored``, which shapes have told."""
+    side = side_of_text(text)
+    return "" if side in (ORIGINAL, MIRRORED) else side
 
 
 def contradiction(stated: str, found: str, by: str) -> str:

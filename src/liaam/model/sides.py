@@ -4,11 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from liaam.io.sides import OTHER_SIDE
-
-# Names of sides that are not stated: that of most training images, and its mirror image
-ORIGINAL = "original"
-MIRRORED = "mirrored"
+from liaam.io.sides import MIRRORED, ORIGINAL, OTHER_SIDE
 
 OTHER = OTHER_SIDE | {ORIGINAL: MIRRORED, MIRRORED: ORIGINAL}
 """The other side of each."""

@@ -314,7 +314,11 @@ class Studio:
         return answer
 
     def _export_landmarks(self, request: Request) -> Response:
-        return attachment(*self.project.export(request.path_params["kind"]))
+        kind = request.path_params["kind"]
+        answer = attachment(*self.project.export(kind))
+        if kind != "sliders" and self.project.has_both_sides():
+            answer.headers["x-both-sides"] = "true"
+        return answer
 
     def _measurements(self, request: Request, asked: contract.ShapesQuery) -> Response:
         return attachment(*shapes.table(self.project, asked))

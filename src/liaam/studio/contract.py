@@ -903,6 +903,7 @@ ROUTES = {
     "POST sets": Endpoint(MadeSet, body=MakeSet),
     "GET agreement": Endpoint(Agreement),
     "GET agreement/model": Endpoint(ShapeAgreement),
+    # The header x-both-sides is there if specimens of two sides are in the file, as they lie in the pictures.
     "GET export/{kind}": Endpoint(bytes),
     "GET measurements": Endpoint(bytes, ShapesQuery),
     "GET shapes": Endpoint(Shapes, ShapesQuery),

@@ -25,6 +25,7 @@ import numpy as np
 from liaam.errors import ImageError, LiaamError
 from liaam.io.images import PICTURE_SUFFIXES
 from liaam.io.landmarks import Landmarks, collection_text, parse_landmark_data
+from liaam.io.sides import stated_side
 from liaam.morphometry.scale_tables import images_of
 from liaam.studio import contract
 from liaam.studio.contract import OMITTED
@@ -36,7 +37,7 @@ from liaam.studio.pictures import PictureSource, source_of
 from liaam.studio.refusal import Refusal
 from liaam.studio.review import Done, PictureStates, ReviewLog, parse_who
 from liaam.studio.settings import StudioSettings
-from liaam.studio.sides import completed, for_measuring, parse_sides
+from liaam.studio.sides import for_measuring, parse_sides
 from liaam.studio.store import Store, StoredTable
 from liaam.studio.template import (
     Template,
@@ -407,7 +408,7 @@ class Project:
                 for picture in pictures:
                     archive.writestr(f"{picture.file.stem}.pts", text_of(picture.landmarks, ".pts"))
             return name, stream.getvalue()
-        sides = _sides_found(pictures) if kind == "tps" else [picture.landmarks.side for picture in pictures]
+        sides = _sides_of(pictures)
         collection = {
             picture.file.name: replace(picture.landmarks, side=side)
             for picture, side in zip(pictures, sides, strict=True)
@@ -416,11 +417,14 @@ class Project:
         text = collection_text(name, collection, sizes)
         if kind == "csv":
             text = _with_column(text, "origin", [origin or "" for picture in pictures for origin in picture.origins])
-            sides = _sides_of(pictures)
             if any(sides):
                 of_points = [side for picture, side in zip(pictures, sides, strict=True) for _ in picture.origins]
                 text = _with_column(text, "side", of_points)
         return name, text.encode()
+
+    def has_both_sides(self) -> bool:
+        """Return whether specimens of two sides have landmarks, which an export holds as they lie in the pictures."""
+        return len({*_sides_of(self.placed())} - {""}) > 1
 
     def placed(self, to: str = "export") -> list[Placed]:
         """Return the usable pictures with landmarks for the current template; ``to`` is what they are needed for."""
@@ -434,7 +438,7 @@ class Project:
                 if template and marks.landmarks and marks.fits(template) and not isinstance(size, str):
                     scale = self._landmarks.scale_of(file)
                     unit = self._landmarks.unit_of(file) if scale else ""
-                    side = self._landmarks.side_of(file) or marks.landmarks.side
+                    side = self._landmarks.side_of(file) or stated_side(marks.landmarks.side)
                     landmarks = replace(marks.landmarks, scale=scale, unit=unit, names=template.names, side=side)
                     pictures.append(Placed(file, landmarks, [*self._states.origins_of(file, marks)], size))
         if not pictures:
@@ -746,20 +750,11 @@ class Project:
 
 
 def _sides_of(pictures: Sequence[Placed]) -> list[str]:
-    """Return the side of each picture for a table: those that are stated, and those that they tell of the others."""
-    stated = [picture.landmarks.side for picture in pictures]
-    if not any(stated):
-        return stated
-    shapes = np.array([picture.landmarks.points for picture in pictures])
-    sides = completed(stated, [picture.file.stem for picture in pictures], shapes)
-    return sides if any(sides) else stated
-
-
-def _sides_found(pictures: Sequence[Placed]) -> list[str]:
     """Return the side of each picture for those who read it, such as ``mirrored`` if none is stated."""
     stated = [picture.landmarks.side for picture in pictures]
     shapes = np.array([picture.landmarks.points for picture in pictures])
-    return for_measuring(stated, [picture.file.stem for picture in pictures], shapes)
+    sides = for_measuring(stated, [picture.file.stem for picture in pictures], shapes)
+    return sides if any(sides) else stated
 
 
 def _with_column(text: str, title: str, values: Sequence[str]) -> str:

@@ -18,7 +18,7 @@ from liaam.io.files import count_of, some_names
 from liaam.io.images import as_pixels
 from liaam.io.landmarks.base import Contour, contour_of
 from liaam.io.landmarks.formats import needs_image
-from liaam.io.sides import side_of_text
+from liaam.io.sides import stated_side
 from liaam.model.file import MAX_POINTS
 from liaam.model.mesh import FOLD_TOLERANCE, folded_share
 from liaam.model.missing import Missing
@@ -315,7 +315,7 @@ def _read_sample(item: Any, i: int, order: tuple[str, ...]) -> _Sample:
         points=points,
         known=None if is_known.all() else is_known,
         pixel=length_of(landmarks) if isinstance(landmarks, Landmarks) else None,
-        side=getattr(item, "side", "") or side_of_text(getattr(landmarks, "side", "")),
+        side=getattr(item, "side", "") or stated_side(getattr(landmarks, "side", "")),
         read_width=partial(_width_of_file, image) if isinstance(image, str | os.PathLike) else None,
         file=Path(image) if isinstance(image, str | os.PathLike) else None,
     )

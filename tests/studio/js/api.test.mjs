@@ -32,6 +32,14 @@ test("an address has what varies in its route, and the rest as its query", () =>
   assert.equal(url("project", { stamp: undefined }), "/api/project");
 });
 
+test("landmarks are saved under the server's name, and it is known whether they are of both sides", async (t) => {
+  const headers = { "content-disposition": "attachment; filename*=UTF-8''w.tps" };
+  served(t, () => new Response("a", { headers: { ...headers, "x-both-sides": "true" } }), () => new Response("b", { headers }));
+  const { file: [blob, name], hasBothSides } = await api.landmarks("tps");
+  assert.deepEqual([await blob.text(), name, hasBothSides], ["a", "w.tps", true]);
+  assert.equal((await api.landmarks("tps")).hasBothSides, false);
+});
+
 test("a busy server is asked again after the time that it says", async (t) => {
   const { asked, waits } = served(t, busy, busy, good);
   assert.deepEqual(await api.upload("/api/uploads", "bytes"), { id: 7 });

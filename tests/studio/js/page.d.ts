@@ -41,6 +41,7 @@ interface Api {
   blob: (address: Address<Filing<"GET"> | Filing<"POST">>, options?: Options) => Promise<Blob>;
   layer: (address: Address<Filing<"GET">>) => Promise<{ image: ImageBitmap; scale: Partial<ColourScale & LayerChange & LayerPlace> | null }>;
   file: (address: string, options?: Options) => Promise<[Blob, string]>;
+  landmarks: (kind: string) => Promise<{ file: [Blob, string], hasBothSides: boolean }>;
 }
 
 /** What the tabs get from main.js. */

@@ -100,6 +100,9 @@ export function fileNameIn(disposition) {
   return encoded ? decodeURIComponent(encoded) : "file";
 }
 
+/** A file to save: [blob, name]. @param {Response} answer; @returns {Promise<[Blob, string]>} */
+const attached = async (answer) => [await answer.blob(), fileNameIn(answer.headers.get("content-disposition"))];
+
 function withBody(method) {
   return (address, body = {}, options = {}) =>
     json(address, { method, headers: { "Content-Type": "application/json" }, body: JSON.stringify(body), ...options });
@@ -120,8 +123,10 @@ export const api = {
     return { image: await createImageBitmap(await answer.blob()), scale: JSON.parse(answer.headers.get("x-scale")) };
   },
   /** A file to save: [blob, name]. */
-  file: async (address, options = {}) => {
-    const answer = await send(address, options);
-    return [await answer.blob(), fileNameIn(answer.headers.get("content-disposition"))];
+  file: async (address, options = {}) => attached(await send(address, options)),
+  /** A file with the landmarks of all pictures, and whether specimens of two sides are in it. */
+  landmarks: async (kind) => {
+    const answer = await send(url("export/{kind}", { kind }));
+    return { file: await attached(answer), hasBothSides: answer.headers.has("x-both-sides") };
   },
 };

@@ -15,8 +15,8 @@ const DID = {
   scaled: "set the scale, with those of other pictures", unscaled: "took that scale back",
 };
 const EXPORTS = { pts: ".pts files (zip)", coco: "COCO keypoints", tps: "tpsDig (.tps)", csv: "Table (.csv)", sliders: "Sliders (.csv)", measure: "Measurements (opens Measure)", model: "Model (.liaam)" };
-const IN_MEASURES = "The measurements say which these are.";
-const ABOUT_SIDES = { pts: IN_MEASURES, coco: IN_MEASURES, csv: IN_MEASURES, tps: "A comment of each record says which these are." };
+const IN_OTHERS = "The .csv and .tps files say which is which";
+const ABOUT_SIDES = { pts: IN_OTHERS, coco: IN_OTHERS, csv: "Its column side says which is which", tps: "A comment of each record says which is which" };
 const UNMEASURED = "It is measured on pictures that a training on four or more keeps for testing. In these, a person must " +
   "have placed, moved or confirmed (Y) at least half of the points: accepted ones would confirm the model that made them.";
 export const sentence = (/** @type {HistoryEntry} */ { who, did }) => `${who || "Someone"} ${DID[did]}`;
@@ -62,9 +62,9 @@ export function createReview(tab) {
   });
   const save = async (format) => {
     if (format === "measure") return app.openTab("measure");
-    const [blob, file] = await api.file(format === "model" ? api.url("model/file") : api.url("export/{kind}", { kind: format }));
-    const mirrored = format in ABOUT_SIDES && state.project.model?.sides?.n_other;
-    return saveFile(blob, file, mirrored ? `. Mirrored specimens are saved as they lie in the pictures. ${ABOUT_SIDES[format]}` : "");
+    if (format === "model") return saveFile(...(await api.file(api.url("model/file"))));
+    const { file: [blob, name], hasBothSides } = await api.landmarks(format);
+    return saveFile(blob, name, hasBothSides ? `. Specimens of both sides are saved as they lie in the pictures, none reflected. ${ABOUT_SIDES[format]}` : "");
   };
   const files = menu("Export all…", EXPORTS, save, {
     class: "small", "aria-label": "Export all landmarks", testid: "export-all",
