@@ -133,6 +133,8 @@ def test_two_observers_files_of_the_same_images(run, tmp_path) -> None:
     assert len(pd.read_csv(table)) == 16
     assert found.loc["shape", "specimens"] == 8
     expected = errors_of(specimens, "image")
+    units = found.pop("unit").fillna("").tolist()
+    assert units == expected.pop("unit").tolist() == ["centroid size", "", "", *["px"] * (len(found) - 3)]
     np.testing.assert_allclose(found.loc["shape"].astype(float), expected.loc["shape"].astype(float), rtol=1e-6)
     assert "repeatability" in out
     assert "least repeatable, in % of centroid size: landmark 5 (sd" in out

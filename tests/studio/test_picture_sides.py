@@ -74,6 +74,21 @@ def test_sides_are_said_withdrawn_and_follow_the_picture(sided):
     assert project.overview().done == trained_on
 
 
+def test_the_side_of_a_picture_is_found_before_anybody_says_it(sided):
+    project = Project(sided)
+    found = [project.found_side(f"wing-{i}.png") for i in range(10)]
+    assert [each["side"] for each in found] == ["mirrored"] * 4 + ["original"] * 6 and all(
+        each["both"] for each in found
+    )
+    project.save_sides({"sides": {"wing-9.png": "left"}})
+    assert project.found_side("wing-0.png")["side"] == "right"
+    write_image(sided / "new.png", np.zeros((120, 180, 3), np.uint8))
+    assert project.found_side("new.png") == {"side": "", "both": True}  # it has no landmarks
+    for path in sided.glob("*.ljson"):
+        path.unlink()
+    assert project.found_side("new.png") == {"side": "", "both": False}
+
+
 def test_exported_files_say_which_pictures_are_mirrored(sided):
     project = Project(sided)
     sides = re.findall("COMMENT=side=(.*)", project.export("tps")[1].decode())

@@ -141,6 +141,21 @@ def test_one_bar_for_all_is_written_exported_and_taken_back(small):
     assert share(small, did="unscaled")["changed"] == []
 
 
+def test_new_pictures_are_offered_the_scale_that_all_others_share(small):
+    nothing = {"bar": None, "of": "", "without": []}
+    put(small, "p1.png", bar=BAR)
+    assert small.shared_scale() == nothing  # it was not shared
+    small.review({"pictures": ["p2.png"], "did": "scaled", "bar": BAR, "of": "p1.png"})
+    height, width = 60, 40
+    write_image(small.root / "new.png", np.full((height, width, 3), 99, np.uint8))
+    assert small.shared_scale()["without"] == ["p10.png", "q.jpg"]
+    write_image(small.root / "q.jpg", np.full((50, 70, 3), 99, np.uint8))
+    (small.root / "broken.png").write_bytes(b"?")
+    assert small.shared_scale() == {"bar": BAR, "of": "p1.png", "without": ["p10.png"]}
+    put(small, "p10.png", bar=CM)
+    assert small.shared_scale() == nothing  # there are two
+
+
 @pytest.mark.parametrize("part", [{"bar": None}, {"of": None}, {"of": 3}])
 def test_a_bar_for_all_needs_the_bar_and_its_picture(small, part):
     assert "send the scale bar" in str(refused(lambda: share(small, **part)))

@@ -56,10 +56,11 @@ def measurement_error(specimens: Sequence[Specimen], columns: Columns, by: str, 
     -------
     dict of str to list
         Rows: ``shape``, the measures, ``centroid_size``, and landmarks, without mean squares. ``sd`` is the standard
-        deviation of replicates from their specimen's mean (of landmarks in pixels, x and y together), ``sd_percent``
-        that in percent of the mean value or centroid size. NaN where there are too few replicates. If standard errors
-        of the replicates are known, ``sd_by_covariances`` is the root mean square of these. Fits to several images of
-        a specimen repeat each other's errors, so that ``sd`` is then smaller (:func:`replicates_repeat_errors`).
+        deviation of replicates from their specimen's mean (of landmarks in pixels, x and y together), in ``unit``,
+        which is empty for measures, as their names have it. ``sd_percent`` is that in percent of the mean value or
+        centroid size. NaN where there are too few replicates. If standard errors of the replicates are known,
+        ``sd_by_covariances`` is the root mean square of these. Fits to several images of a specimen repeat each other's
+        errors, so that ``sd`` is then smaller (:func:`replicates_repeat_errors`).
 
     Raises
     ------
@@ -98,14 +99,18 @@ def measurement_error(specimens: Sequence[Specimen], columns: Columns, by: str, 
         return {BY_COVARIANCES: float(np.sqrt(np.square(known).mean())) if len(known) else math.nan}
 
     rows: list[dict[str, Any]] = [
-        {"measure": "shape"} | anova(observed(flat), groups, np.ones(1), freedom) | stated(_joint(errors))
+        {"measure": "shape", "unit": "centroid size"}
+        | anova(observed(flat), groups, np.ones(1), freedom)
+        | stated(_joint(errors))
     ]
 
     for name in _measures_in(columns):
         values = comparable(columns, name)
         unknown = np.full(len(specimens), math.nan)
         of_measure = comparable(columns, f"{name}_se") if f"{name}_se" in columns else unknown
-        rows.append({"measure": name} | anova(observed(values[:, None]), groups, values) | stated(of_measure))
+        rows.append(
+            {"measure": name, "unit": ""} | anova(observed(values[:, None]), groups, values) | stated(of_measure)
+        )
 
     sizes_px = _sizes_in_pixels(columns)
     names = next((specimen.names for specimen in specimens if specimen.names), ())
@@ -115,7 +120,7 @@ def measurement_error(specimens: Sequence[Specimen], columns: Columns, by: str, 
         if by == "image" and not slid:  # records of one image share its coordinates
             points = _positions(specimens, number)
             of_landmark = np.array([_error_of_landmark(specimen, number) for specimen in specimens])
-        row = {"measure": f"landmark {names[number - 1] if names else number}"}
+        row = {"measure": f"landmark {names[number - 1] if names else number}", "unit": "px"}
         row |= anova(observed(points), groups, sizes_px)
         row |= dict.fromkeys(_COMPARING, math.nan)  # positions in different images do not compare
         rows.append(row | stated(of_landmark))

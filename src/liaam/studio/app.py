@@ -168,6 +168,8 @@ class Studio:
             route("GET", of_picture + "landmarks", self._landmarks),
             route("PUT", of_picture + "landmarks", self._save_landmarks, read_json),
             route("GET", of_picture + "history", self._history),
+            route("GET", of_picture + "side", self._found_side),
+            route("GET", "/api/scale", self._shared_scale),
             route("POST", "/api/review", self._review, read_json),
             route("PUT", "/api/sides", self._save_sides, read_json),
             route("POST", "/api/removed", self._remove, read_json),
@@ -273,6 +275,9 @@ class Studio:
         with self.pictures.at_work(source) as pixels:
             return found_scale(pixels, source.size, asked)
 
+    def _shared_scale(self, request: Request) -> contract.SharedScale:
+        return self.project.shared_scale()
+
     def _review(self, request: Request, data: Any) -> contract.Reviewed:
         done = self.project.review(data)
         # One event, because a page that falls behind is disconnected. "" means that there is no file any more.
@@ -283,6 +288,9 @@ class Studio:
         self.background.woken.set()
         self.events.publish("project", {})
         return {"changed": done["changed"], "refused": done["refused"]}
+
+    def _found_side(self, request: Request) -> contract.FoundSide:
+        return self.project.found_side(request.path_params["name"])
 
     def _save_sides(self, request: Request, data: Any) -> contract.SidesBefore:
         answer = self.project.save_sides(data)

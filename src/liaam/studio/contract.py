@@ -131,6 +131,14 @@ class FoundScale(TypedDict):
     ticks: Annotated[int | None, "Number of ticks; null of a scale bar."]
 
 
+class SharedScale(TypedDict):
+    """The scale bar of all pictures that have a scale, if these are several and it is one."""
+
+    bar: Bar | None
+    of: Annotated[str, "A picture that has it; empty without one."]
+    without: Annotated[list[str], "The pictures of its size that have no scale."]
+
+
 class Pixel(TypedDict):
     """The length of a pixel."""
 
@@ -220,6 +228,13 @@ class SaveSides(Request):
     """A request to say the sides of the objects in pictures."""
 
     sides: Annotated[dict[str, str], "left, right, or empty to withdraw what was said, by picture."]
+
+
+class FoundSide(TypedDict):
+    """The side of the object in a picture, and whether all pictures show the same."""
+
+    side: Annotated[str, "left, right, original or mirrored, as stated, by its name or its shape; empty if not known."]
+    both: Annotated[bool, "Whether the pictures show two sides, as far as is known."]
 
 
 class SidesBefore(TypedDict):
@@ -890,8 +905,10 @@ ROUTES = {
     "GET pictures/{name}/landmarks": Endpoint(Marks),
     "PUT pictures/{name}/landmarks": Endpoint(Saved, body=SaveMarks),
     "GET pictures/{name}/history": Endpoint(list[HistoryEntry]),
+    "GET pictures/{name}/side": Endpoint(FoundSide),
     "GET pictures/{name}/scale": Endpoint(FoundScale, ScaleQuery),
     "GET pictures/{name}/others": Endpoint(dict[str, list[Point]]),
+    "GET scale": Endpoint(SharedScale),
     "POST review": Endpoint(Reviewed, body=Review),
     "PUT sides": Endpoint(SidesBefore, body=SaveSides),
     "POST files": Endpoint(Added, FileQuery, bytes),

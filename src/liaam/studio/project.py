@@ -68,6 +68,8 @@ EXPORTS = {
 """Ends of the names of exported files, by kind."""
 
 FEWEST_PLACED = 3  # fewest points of a picture that training uses; others may be absent
+MOST_COMPARED = 300  # pictures that the side of one is found by
+FEWEST_SCALED = 2  # fewest pictures with a scale bar that new ones are offered
 UNKNOWN_SIZE = (640, 480)  # width and height that a template is read for where no picture can be read
 
 
@@ -589,6 +591,24 @@ class Project:
             unit = self._landmarks.unit_of(file)
         return (scale, unit) if scale and unit else None
 
+    def shared_scale(self) -> contract.SharedScale:
+        """Return the scale bar that all pictures with a scale have, and those of the same size that lack one."""
+        with self._lock:
+            self._rescan()
+            files = self._listing.pictures
+            scaled = [file for file in files if self._landmarks.scale_of(file)]
+            bars = [self._landmarks.scale_bar(file)["bar"] for file in scaled]
+            if len(bars) < FEWEST_SCALED or bars[0] is None or any(bar != bars[0] for bar in bars):
+                return {"bar": None, "of": "", "without": []}
+            sizes = {file: self._listing.size_of(file) for file in files}
+            size = sizes[scaled[0]]
+            alike = [file for file in files if sorted(sizes[file]) == sorted(size)]  # also those that were turned
+            return {
+                "bar": bars[0],
+                "of": scaled[0].name,
+                "without": [file.name for file in alike if not self._landmarks.scale_of(file)],
+            }
+
     def marks(self, name: str) -> contract.Marks:
         """Return the landmarks of a picture as JSON for the page: from its file, from a proposal, or none."""
         with self._lock:
@@ -679,6 +699,20 @@ class Project:
             of_any_size = asked.anyway is True
             size = self._listing.usable_size(self._find(asked.of))
             return self._states.apply(files, "scaled", who, bar, like=None if of_any_size else size)
+
+    def found_side(self, name: str) -> contract.FoundSide:
+        """Return the side of the object in a picture: of itself, if it has landmarks, and by comparison with others."""
+        with self._lock:
+            file = self._find(name)
+        try:
+            placed = self.placed()
+        except Refusal:
+            return {"side": "", "both": False}
+        own = [picture for picture in placed if picture.file.name == file.name]
+        others = [picture for picture in placed if picture.file.name != file.name]
+        step = max(1, math.ceil(len(others) / MOST_COMPARED))
+        sides = _sides_of([*own, *others[::step]])
+        return {"side": sides[0] if own else "", "both": len({*sides} - {""}) > 1}
 
     def save_sides(self, data: Any) -> contract.SidesBefore:
         """Say the ``sides`` of the objects in pictures, by name (:func:`liaam.studio.sides.parse_sides`)."""

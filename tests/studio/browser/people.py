@@ -1,5 +1,6 @@
 """What a person does with the studio, by mouse and keyboard."""
 
+import base64
 import os
 import time
 from collections.abc import Callable, Iterator, Sequence
@@ -19,6 +20,19 @@ NAMES = [f"portrait-{i + 1:02d}.png" for i in range(3)]
 
 PATHS = [(7, False), (4, True), (4, True), (3, False), (3, False), (4, True), (4, False)]
 """How many of them make a curve, and whether it is closed."""
+
+
+DROP = """(files) => {
+  const transfer = new DataTransfer();
+  for (const [name, data] of files)
+    transfer.items.add(new File([Uint8Array.from(atob(data), (letter) => letter.charCodeAt(0))], name));
+  document.body.dispatchEvent(new DragEvent("drop", { dataTransfer: transfer, bubbles: true, cancelable: true }));
+}"""
+
+
+def drop(page, *paths: Path) -> None:
+    """Drop files on the page, as from a file manager."""
+    page.evaluate(DROP, [[path.name, base64.b64encode(path.read_bytes()).decode()] for path in paths])
 
 
 def client(page, where) -> list[float]:

@@ -1,12 +1,11 @@
 """Bring pictures, folders and landmark files in, see them fitted, and see slips, in a real browser."""
 
-import base64
 import shutil
 from pathlib import Path
 
 import numpy as np
 import pytest
-from people import annotate, shoot, untrained, violations, wait_for, wait_for_state, wait_until
+from people import annotate, drop, shoot, untrained, violations, wait_for, wait_for_state, wait_until
 from test_layout import CLIPPED
 
 from liaam import datasets
@@ -17,21 +16,9 @@ pytestmark = pytest.mark.slow
 
 FACE = Path(datasets.__file__).with_name("pictures") / "face" / "lisa.jpg"
 
-DROP = """(files) => {
-  const transfer = new DataTransfer();
-  for (const [name, data] of files)
-    transfer.items.add(new File([Uint8Array.from(atob(data), (letter) => letter.charCodeAt(0))], name));
-  document.body.dispatchEvent(new DragEvent("drop", { dataTransfer: transfer, bubbles: true, cancelable: true }));
-}"""
-
 READY = "() => document.querySelector('[role=tab][aria-selected=true]')"
 
 NAMES = "() => [...document.querySelectorAll('.strip-item')].map((item) => item.dataset.name)"
-
-
-def drop(page, *paths: Path) -> None:
-    """Drop files on the page, as from a file manager."""
-    page.evaluate(DROP, [[path.name, base64.b64encode(path.read_bytes()).decode()] for path in paths])
 
 
 def pictures_of(page) -> list[dict]:

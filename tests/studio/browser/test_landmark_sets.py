@@ -117,6 +117,7 @@ def test_a_second_observer_places_the_same_points_blind(marked, serve, open_page
     page.locator("[data-testid=show-others]").click()
     wait_for(page, "() => document.querySelector('[data-testid=show-others]').getAttribute('aria-pressed') === 'true'")
     shoot(page, artefacts, f"set-others-{size[0]}")
+    page.locator("[data-testid=show-others]").click()  # no longer
     assert violations(page) == {}
 
     page.locator("[data-testid=agreement]").click()
@@ -127,6 +128,9 @@ def test_a_second_observer_places_the_same_points_blind(marked, serve, open_page
         page.evaluate("theme => { document.documentElement.dataset.theme = theme; }", theme)
         shoot(page, artefacts, f"set-agreement-{size[0]}-{theme}")
         assert violations(page) == {}
+    page.locator("[data-testid=agreement-picture]", has_text=NAMES[0]).click()
+    wait_for(page, "() => document.querySelector('[data-testid=show-others]').getAttribute('aria-pressed') === 'true'")
+    page.locator("[data-testid=agreement]").click()
     with page.expect_download() as waited:
         page.locator("[data-testid=agreement-save]").click()
     assert "repeatability" in waited.value.path().read_text()

@@ -1,8 +1,24 @@
 """A scale bar drawn on the picture: two clicks along a ruler, and a length with its unit."""
 
+import shutil
+
 import numpy as np
 import pytest
-from people import NAMES, annotate, client, drag, open_picture, opened, saved, shoot, violations, wait_for, wait_until
+from people import (
+    NAMES,
+    annotate,
+    client,
+    drag,
+    drop,
+    open_picture,
+    opened,
+    saved,
+    shoot,
+    untrained,
+    violations,
+    wait_for,
+    wait_until,
+)
 
 from liaam.io import read_landmarks, write_image
 from scenes.ruler import draw as draw_ruler
@@ -102,7 +118,7 @@ def test_one_scale_for_all_pictures_and_its_undo(marked, serve, open_page, artef
         )
     page.wait_for_timeout(100)
     page.locator("[data-testid=scale-share]").click()
-    page.get_by_text("Scale set in this picture and 2 others.").wait_for()
+    page.get_by_text("Scale set in 2 further pictures.").wait_for()
     shoot(page, artefacts, f"scale-share-{size[0]}")
     assert violations(page) == {}
     scales = [scale_of(marked, name) for name in NAMES]
@@ -113,13 +129,13 @@ def test_one_scale_for_all_pictures_and_its_undo(marked, serve, open_page, artef
 
     page.locator("[data-testid=toast-action]").click()  # Undo
     wait_until(page, lambda: all(scale_of(marked, name) is None for name in NAMES))  # one action has one undo
-    page.get_by_text("Scale of 3 pictures as before.").wait_for()
+    page.get_by_text("Scale of 2 further pictures as before.").wait_for()
     assert annotate(page, "bar()") is None
     for key, length in (("y", 0.125), ("z", None), ("y", 0.125)):
         page.keyboard.press(f"Control+{key}")
         expected = None if length is None else pytest.approx(length, rel=0.02)
         wait_until(page, lambda expected=expected: all(scale_of(marked, name) == expected for name in NAMES))
-    page.get_by_text("Scale set in this picture and 2 others.").wait_for()
+    page.get_by_text("Scale set in 2 further pictures.").wait_for()
     open_picture(page, NAMES[1])
     page.locator("[data-testid=toast-action]").last.click()  # takes it back from another picture, too
     wait_until(page, lambda: all(scale_of(marked, name) is None for name in NAMES))
@@ -132,6 +148,21 @@ def test_one_scale_for_all_pictures_and_its_undo(marked, serve, open_page, artef
     page.keyboard.press("ArrowRight")  # a point is moved, and the scale stays
     saved(page)
     assert scale_of(marked, NAMES[1]) == pytest.approx(20 / 160, rel=0.02)
+
+
+def test_new_pictures_are_offered_the_scale_of_the_others(marked, serve, page, tmp_path):
+    untrained(page)
+    page.goto(serve(marked).address)
+    opened(page, NAMES[0])
+    draw(page, "2", "cm", page.mouse.click)
+    page.locator("[data-testid=scale-share]").click()
+    page.get_by_text("Scale set in 2 further pictures.").wait_for()
+    drop(page, shutil.copy(marked / NAMES[0], tmp_path / "new.png"))
+    told = page.locator(".toast", has_text="One has no scale, and all others have the same.")
+    told.get_by_text("Use that scale").click()
+    page.get_by_text("Scale set in 1 further picture.").wait_for()
+    open_picture(page, "new.png")
+    wait_for(page, "() => window.liaamStudio.annotate.bar()?.length === 2")
 
 
 def test_a_length_that_makes_no_sense_is_not_taken(marked, serve, page, artefacts):

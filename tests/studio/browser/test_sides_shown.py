@@ -12,6 +12,12 @@ def test_the_side_of_pictures_is_said_and_taken_back(serve, page, marked, artefa
     opened(page, NAMES[0])
     panel = page.locator("[data-testid=picture-side]")
     assert not panel.is_visible()  # objects that have no sides need none
+    page.route("**/side", lambda route: route.fulfill(json={"side": "mirrored", "both": True}))
+    page.locator(f"[data-testid=strip] [data-name='{NAMES[1]}']").click()
+    panel.filter(has_text="by name or shape: mirrored").wait_for()  # before anybody has said it
+    page.unroute_all(behavior="wait")
+    page.locator(f"[data-testid=strip] [data-name='{NAMES[0]}']").click()
+    wait_for(page, "() => !document.querySelector('[data-testid=picture-side]').checkVisibility()")
     page.locator("[data-testid=strip-several]").click()
     page.locator("[data-testid=bulk-all]").click()
     page.locator("[data-testid=bulk-action]").select_option("left")

@@ -94,6 +94,15 @@ interface FoundScale {
   ticks: number | null;
 }
 
+/** The scale bar of all pictures that have a scale, if these are several and it is one. */
+interface SharedScale {
+  bar: Bar | null;
+  /** A picture that has it; empty without one. */
+  of: string;
+  /** The pictures of its size that have no scale. */
+  without: string[];
+}
+
 /** The length of a pixel. */
 interface Pixel {
   length: number;
@@ -193,6 +202,14 @@ interface SaveSides {
   folder?: string;
   /** left, right, or empty to withdraw what was said, by picture. */
   sides: Record<string, string>;
+}
+
+/** The side of the object in a picture, and whether all pictures show the same. */
+interface FoundSide {
+  /** left, right, original or mirrored, as stated, by its name or its shape; empty if not known. */
+  side: string;
+  /** Whether the pictures show two sides, as far as is known. */
+  both: boolean;
 }
 
 /** The answer to a request that says the sides of pictures. */
@@ -961,6 +978,10 @@ interface Routes {
     fields: { name: string | number };
     GET: { answer: HistoryEntry[] };
   };
+  "pictures/{name}/side": {
+    fields: { name: string | number };
+    GET: { answer: FoundSide };
+  };
   "pictures/{name}/scale": {
     fields: { name: string | number } & ScaleQuery;
     GET: { answer: FoundScale };
@@ -968,6 +989,10 @@ interface Routes {
   "pictures/{name}/others": {
     fields: { name: string | number };
     GET: { answer: Record<string, (number[] | null)[]> };
+  };
+  "scale": {
+    fields: {};
+    GET: { answer: SharedScale };
   };
   "review": {
     fields: {};

@@ -140,10 +140,24 @@ export function createAdding(app) {
     result.refused.push(...unreadable.map(({ name, error }) => (error?.includes(name) ? error : `${name}: ${error ?? "it cannot be read"}`)));
     result.placed = state.project.pictures.filter(({ name, placed }) => placed && !before.has(name)).length;
     const where = result.pictures && ` The added ${result.pictures === 1 ? "picture is" : "pictures are"} copied into ${state.project.folder}.`;
-    toast(`${summary(result)}${where || ""}`, result.refused.length ? "bad" : "good");
+    const scale = await scaleFor(added);
+    toast(`${summary(result)}${where || ""}${scale.said}`, result.refused.length ? "bad" : "good", scale.action);
     app.list.sortByQuality();
     if (result.pictures && !state.guest) app.openTab("annotate");
     return sent;
+  }
+
+  /** What is said of new pictures without a scale if all others share one, and the action that sets it. */
+  async function scaleFor(names) {
+    if (!names.length) return { said: "", action: null };
+    const { bar, of, without } = await api.get(api.url("scale"), { quiet: true });
+    const bare = names.filter((name) => without.includes(name));
+    if (!bare.length) return { said: "", action: null };
+    const onclick = () => app.list.bulk.run("scaled", bare, { more: { bar, of } }).catch(complain);
+    return {
+      said: ` ${bare.length === 1 ? "One has" : `${bare.length} have`} no scale, and all others have the same.`,
+      action: { label: "Use that scale", onclick },
+    };
   }
 
   async function openModel(file) {

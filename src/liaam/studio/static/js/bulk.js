@@ -43,8 +43,8 @@ const ACTIONS = {
   "left out": { label: "Leave out of training", done: (of) => `${of} left out of training`, undo: "taken in" },
   "taken in": { label: "Use for training", done: (of) => `${of} used for training`, undo: "left out" },
   deleted: { label: "Delete landmarks", done: (of) => `Landmarks of ${of} deleted`, undo: "undeleted" },
-  scaled: { done: (_, count) => `Scale set in this picture and ${several(count, "other")}`, undo: "unscaled" },
-  unscaled: { done: (_, count) => `Scale of ${several(count + 1, "picture")} as before`, undo: "" }, // one is where it was drawn
+  scaled: { done: (_, count) => `Scale set in ${several(count, "further picture")}`, undo: "unscaled" },
+  unscaled: { done: (_, count) => `Scale of ${several(count, "further picture")} as before`, undo: "" },
   restored: { done: (of) => `Proposed points of ${of} restored`, undo: "discarded" },
   undeleted: { done: (of) => `Landmarks of ${of} restored`, undo: "deleted" },
 };

@@ -1,14 +1,16 @@
 // Several sets of landmarks in a folder: which one the page shows, new ones, and the agreement between observers.
 
 import { calledSet, percent, several } from "./annotate-words.js";
-import { COLOURS } from "./drawing.js";
+import { COLOURS, drawNames } from "./drawing.js";
 import { numberText } from "./measures.js";
 import { createLeftOut } from "./left-out.js";
-import { discs, stroked } from "./overlays.js";
+import { discs, lines, stroked } from "./overlays.js";
+import { distance } from "./points.js";
 import { shapeFacts, shapeNote } from "./shape-agreement.js";
 import { button, dialog, h, press, relist, saveFile, toast } from "./ui.js";
 
 const NEW = "+"; // no name of a set
+const APART = 12; // css pixels from which on a point of another observer is named
 const SHOWN = 12; // rows of a table
 
 /** Open the page of a set, with the same tab and picture. @param {App} app */
@@ -65,6 +67,11 @@ export async function makeSet(app) {
   if ((await dialog("New set of landmarks", body, [{ label: "Cancel", value: null }, make])) === "make") go(app, name.value);
 }
 
+/** Indices of the points that two observers placed so far apart on the screen that one may ask which is which.
+ *  @param {Point[]} own; @param {Point[]} others; @param {{toScreen: (point: any) => number[]}} viewer */
+export const far = (own, others, viewer) => [...own.keys()].filter((i) =>
+  own[i] && others[i] && distance(viewer.toScreen(own[i]), viewer.toScreen(others[i])) > APART);
+
 /** The buttons that compare observers, for the review. @param {import("./annotate.js").Tab} tab */
 export function createAgreement(tab) {
   const { app, state, viewer } = tab;
@@ -74,8 +81,9 @@ export function createAgreement(tab) {
     small: true, pressed: false, testid: "show-others", onclick: (event) => tab.act(event, turn),
     title: "Show where other observers placed these points, once all of yours are placed",
   });
-  const open = button("Agreement…", { small: true, testid: "agreement", onclick: () => showAgreement(app) });
+  const open = button("Agreement…", { small: true, testid: "agreement", onclick: () => showAgreement(app, onopen) });
   const element = h("div.row", open, toggle);
+  const onopen = () => { press(toggle, true); follow(); }; // a picture in which observers are far apart
   const turn = () => { press(toggle, toggle.getAttribute("aria-pressed") === "false"); follow(); };
 
   /** Fetch the points of others whenever the picture or its points change. */
@@ -97,10 +105,17 @@ export function createAgreement(tab) {
   }
 
   viewer.addLayer((ctx) => {
-    if (tab.name !== state.current || tab.editing) return;
-    for (const points of Object.values(others)) {
+    if (tab.name !== state.current || tab.editing || !tab.marking.book) return;
+    const { points: own } = tab.marking.state;
+    const names = state.project.template?.names ?? [];
+    for (const [set, points] of Object.entries(others)) {
+      const apart = far(own, points, viewer);
+      lines(ctx, apart.map((i) => [own[i], points[i]].map((point) => viewer.toScreen(point))));
+      stroked(ctx, COLOURS.axis, 1.2);
       discs(ctx, viewer, points, 5);
       stroked(ctx, COLOURS.axis, 1.8);
+      const whose = Object.keys(others).length > 1 ? ` (${calledSet(set)})` : "";
+      drawNames(ctx, viewer, points, names.map((name) => `${name}${whose}`), apart);
     }
   });
   for (const event of ["project", "select"]) state.addEventListener(event, follow);
@@ -122,15 +137,16 @@ export function notCompared(all, { pictures, unconfirmed, alone }) {
   ].filter(({ names }) => names.length);
 }
 
-/** Show how far observers are apart, and the pictures and points where most. @param {App} app */
-export async function showAgreement({ api, state }) {
+/** Show how far observers are apart, and the pictures and points where most; onopen(): a picture was chosen there.
+ *  @param {App} app; @param {() => void} onopen */
+export async function showAgreement({ api, state }, onopen) {
   const found = await api.get(api.url("agreement"));
   const { observers, sd, percent: share, repeatability, points, pictures, file, table: text, shapes, pixel } = found;
   const inUnit = (value) => (pixel ? ` (${numberText(value * pixel.length, pixel.unit)})` : "");
   const pixels = (value) => `${value.toFixed(2)} px${inUnit(value)}`;
   const table = (title, head, rows) => h("section.agreement-table", h("h3", title), h("table",
     h("thead", h("tr", head.map((what) => h("th", { scope: "col" }, what)))), h("tbody", rows.slice(0, SHOWN))));
-  const openPicture = (name) => (event) => { event.target.closest("dialog").close(); state.select(name); };
+  const openPicture = (name) => (event) => { event.target.closest("dialog").close(); state.select(name); onopen(); };
   const without = createLeftOut((name) => { body.closest("dialog").close(); state.select(name); }, "agreement-left-out");
   const all = state.project.pictures;
   without.show(pictures.length === all.length ? `All ${several(all.length, "picture")} count.`

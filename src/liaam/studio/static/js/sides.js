@@ -30,6 +30,8 @@ export function createSideList({ app, state }) {
     show(); // what is still said
     app.toast(error, "bad");
   });
+  let found = { side: "", both: false }; // of the open picture, by its name or shape
+  let asked = "";
   const list = h("select.text.side-list", {
     "aria-label": "Side of the object", testid: "picture-side", onchange,
     title: "Which side of the object this picture shows. Pictures of one side are trained and measured reflected",
@@ -37,11 +39,27 @@ export function createSideList({ app, state }) {
   const element = h("div.row.begin-with", h("span.small.muted.grow", "Side"), list);
   const show = () => {
     const { model, pictures } = state.project;
-    element.hidden = !model?.sides && !pictures.some(({ side }) => side);
-    list.value = state.picture()?.side ?? "";
-    list.disabled = state.readOnly || !state.picture();
+    const picture = state.picture();
+    element.hidden = !model?.sides && !found.both && !pictures.some(({ side }) => side);
+    list.options[0].textContent = picture?.side || !found.side ? SIDES[""] : `${SIDES[""]}: ${found.side}`;
+    list.value = picture?.side ?? "";
+    list.disabled = state.readOnly || !picture;
   };
-  for (const event of ["project", "select"]) state.addEventListener(event, show);
-  show();
+
+  /** Ask which side the open picture shows whenever it, its points or what is said of it change. */
+  async function follow() {
+    show();
+    const { name, revision, side, placed } = state.picture() ?? {};
+    const wanted = JSON.stringify([state.project.folder, name, revision, side, placed]);
+    if (!name || wanted === asked) return;
+    asked = wanted;
+    const answer = await app.api.get(app.api.url("pictures/{name}/side", { name }), { quiet: true }).catch(() => null);
+    if (wanted !== asked) return;
+    found = answer ?? { side: "", both: found.both };
+    show();
+  }
+
+  for (const event of ["project", "select"]) state.addEventListener(event, follow);
+  follow();
   return element;
 }
