@@ -12,7 +12,7 @@ from liaam import datasets
 from liaam.fitting import Fitter
 from liaam.io import Landmarks, read_image, read_landmarks, write_image, write_landmarks
 from liaam.studio.background import Background
-from liaam.studio.model_store import ModelStore
+from liaam.studio.model_store import MODEL_FILE, ModelStore, is_set_aside, load_studio_model, set_aside
 from liaam.studio.project import Project
 from liaam.studio.training import Trainer, Training
 
@@ -89,6 +89,29 @@ def test_in_a_folder_of_faces_the_face_model_proposes(faces, begin):
     write_image(faces / "c.png", read_image(FACE)[:, ::-1])
     again.fit_new()
     assert states(again.project) == {"a.png": "done", "b.png": "proposed", "c.png": "proposed"}
+
+
+def test_a_person_goes_back_to_the_face_model_from_one_that_was_trained_here(faces, begin, head_model):
+    background, _ = begin(faces)
+    background.fit_new()
+    project, models = background.project, background.models
+    marks = project.marks("a.png")
+    put(project, "a.png", marks["points"], marks["revision"])
+    assert not background.may_return  # it is in use
+    head_model.save(project.store.path(MODEL_FILE))
+    facts = {"trained": "2026-12-01", "pictures": {}, "order": project.templates.order}
+    project.store.put("model", {MODEL_FILE: facts})
+    load_studio_model(project, models)
+    background.fit_new()
+    assert models.current.facts["source"] == "studio" and background.may_return
+    set_aside(project, models, True)
+    background.fit_new()
+    assert models.current.facts["source"] == "face" and states(project)["b.png"] == "proposed"
+    restarted = ModelStore()
+    load_studio_model(project, restarted)
+    assert restarted.own is None and is_set_aside(project.store)
+    set_aside(project, models, False)
+    assert models.current.facts["source"] == "studio" and not is_set_aside(project.store)
 
 
 def test_the_page_knows_while_faces_are_looked_for(faces, begin, monkeypatch):

@@ -37,7 +37,14 @@ from liaam.studio.folder import Folder, checked_folder, plain_name, status_of
 from liaam.studio.found_scale import found_scale
 from liaam.studio.live import LiveVideos
 from liaam.studio.measuring import kept_in
-from liaam.studio.model_store import ModelStore, load_dropped_model, load_studio_model, model_json
+from liaam.studio.model_store import (
+    ModelStore,
+    is_set_aside,
+    load_dropped_model,
+    load_studio_model,
+    model_json,
+    set_aside,
+)
 from liaam.studio.pictures import Pictures, PictureSource, Uploads, jpeg_bytes
 from liaam.studio.project import Project
 from liaam.studio.refusal import Refusal
@@ -193,6 +200,7 @@ class Studio:
             Route("/api/events", self._events, methods=["GET"]),
             route("POST", FILES, self._take_in, data, status=201),
             route("DELETE", "/api/model/face", self._decline_face),
+            route("PUT", "/api/model", self._use_model, read_json),
             route("POST", UPLOADS, self._upload, data, status=201),
             route("GET", UPLOADS + "/{id}/image", self._image, limiter=shown),
             route("GET", UPLOADS + "/{id}/chroma", self._chroma, limiter=shown),
@@ -234,6 +242,8 @@ class Studio:
             "offered": project.templates.is_offered,
             "looking": self.background.looking,
             "model": model_json(self.models.current, overview.done, overview.unread, overview.sides),
+            "face_again": self.background.may_return,
+            "set_aside": self.models.own is None and is_set_aside(project.store),
             "checked": self.background.has_checked(overview.done),
             "training": training.state.as_json(),
             "versions": training.versions.as_json(project.templates.order),
@@ -392,6 +402,12 @@ class Studio:
 
     def _decline_face(self, request: Request) -> None:
         self.background.decline()
+
+    def _use_model(self, request: Request, data: Any) -> None:
+        asked = self.project.checked(contract.UseModel, data, "source, face or studio")
+        if asked.source == "face" and not self.background.may_return:
+            raise Refusal(409, "the face model does not know the points of this folder, or is in use: reload the page")
+        set_aside(self.project, self.models, asked.source == "face")
 
     def _receive_guest(self, request: Request, asked: contract.FileQuery, data: bytes) -> None:
         name = plain_name(asked.name)

@@ -113,6 +113,12 @@ class Background:
         if model is not None and (waiting := self.project.unfitted(model.key)):
             self._propose(model, waiting)
 
+    @property
+    def may_return(self) -> bool:
+        """Whether the face model can be used instead of one that was trained here."""
+        own = self.models.own
+        return own is not None and own.facts["source"] == "studio" and self.models.spare is not None
+
     def decline(self) -> None:
         """Do without the points of the face model in this folder."""
         self.project.store.put("declined", {"": True})

@@ -415,6 +415,13 @@ class SaveMeasuring(Request):
 
 
 @dataclass(frozen=True, kw_only=True)
+class UseModel(Request):
+    """A request to use the face model instead of the folder's own, or that one again."""
+
+    source: Literal["face", "studio"]
+
+
+@dataclass(frozen=True, kw_only=True)
 class SaveWho(Request):
     """A request to keep the name of the person who works in the page."""
 
@@ -443,6 +450,8 @@ class Project(TypedDict):
     offered: Annotated[bool, "Whether a model offers the template, and it was not accepted yet."]
     looking: Annotated[bool, "Whether faces are being looked for: then the face model offers its points."]
     model: Model | None
+    face_again: Annotated[bool, "Whether the face model can be used instead of the folder's own."]
+    set_aside: Annotated[bool, "Whether a person went back to the face model: none is trained by itself."]
     checked: Annotated[bool, "Whether slips were looked for in the landmarks as they are."]
     training: Training
     versions: Annotated[list[Version], "Oldest first."]
@@ -931,6 +940,7 @@ ROUTES = {
     "DELETE training": Endpoint(Training, body=StopTraining),
     "GET model/file": Endpoint(bytes),
     "DELETE model/face": Endpoint(),
+    "PUT model": Endpoint(body=UseModel),
     "POST model/guest": Endpoint(None, FileQuery, bytes),
     "DELETE model/guest": Endpoint(),
     "POST uploads": Endpoint(Upload, UploadQuery, bytes),

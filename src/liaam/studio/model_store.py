@@ -129,8 +129,23 @@ def _usual_error(version: Mapping[str, Any]) -> float:
     return float(np.median(errors or list(version["errors"].values())))
 
 
+def is_set_aside(store: Store) -> bool:
+    """Return whether a person went back to the model that comes with liaam from that of the folder."""
+    return bool((store.get("model", MODEL_FILE) or {}).get("set_aside"))
+
+
+def set_aside(project: Project, models: ModelStore, aside: bool) -> None:
+    """Use the model of the folder no longer, or again; a training of another one ends that."""
+    facts = project.store.get("model", MODEL_FILE) or {}
+    project.store.put("model", {MODEL_FILE: facts | {"set_aside": aside}})
+    models.publish(None)
+    load_studio_model(project, models)
+
+
 def load_studio_model(project: Project, models: ModelStore) -> None:
     """Publish the model that the studio trained here before, if there is one; errors are noted in the state."""
+    if is_set_aside(project.store):
+        return
     project.store.note(MODEL_FILE, None)
     try:
         path = project.store.path(MODEL_FILE)

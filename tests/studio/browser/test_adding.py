@@ -133,6 +133,19 @@ def test_faces_are_fitted_as_they_arrive_worst_first(serve, page, empty, faces, 
     page.locator("[data-testid=tab-fit]").click()  # the model fits at once
     wait_for(page, "() => window.liaamStudio.fit.fit?.ok !== undefined")
     page.locator("[data-testid=tab-annotate]").click()
+    used = []
+    page.route("**/api/project*", lambda route: route.fulfill(json=route.fetch().json() | {"face_again": True}))
+
+    def use(route):
+        used.append(route.request.post_data_json["source"])
+        route.fulfill(body="null", content_type="application/json")
+
+    page.route("**/api/model", use)
+    page.evaluate("() => window.liaamStudio.state.refresh()")
+    page.locator("[data-testid=face-again]").click()
+    page.locator(".toast", has_text="The face model places points again.").get_by_text("Undo").click()
+    wait_until(page, lambda: used == ["face", "studio"])
+    page.unroute_all(behavior="wait")
     page.locator("[data-testid=decline-face]").click()
     wait_for(page, "() => window.liaamStudio.annotate.source() === 'template'")
     assert page.evaluate("() => window.liaamStudio.state.project.template") is None

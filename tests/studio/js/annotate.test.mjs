@@ -898,6 +898,7 @@ test("the first model comes with four pictures, the next after three more", () =
   assert.ok(!assist.shouldTrain(project(four.slice(1)), auto));
   assert.ok(assist.shouldTrain(project(four), auto));
   assert.ok(!assist.shouldTrain(project(four), { auto: false }));
+  assert.ok(!assist.shouldTrain({ ...project(four), set_aside: true }, auto)); // a person went back to the face model
   const withSlip = (states) => {
     const all = project([...states, "done"]);
     all.pictures.at(-1).slip = "?";

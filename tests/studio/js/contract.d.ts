@@ -404,6 +404,13 @@ interface SaveMeasuring {
   seen?: boolean;
 }
 
+/** A request to use the face model instead of the folder's own, or that one again. */
+interface UseModel {
+  /** Id of the folder that the page shows. */
+  folder?: string;
+  source: "face" | "studio";
+}
+
 /** A request to keep the name of the person who works in the page. */
 interface SaveWho {
   /** Id of the folder that the page shows. */
@@ -437,6 +444,10 @@ interface Project {
   /** Whether faces are being looked for: then the face model offers its points. */
   looking: boolean;
   model: Model | null;
+  /** Whether the face model can be used instead of the folder's own. */
+  face_again: boolean;
+  /** Whether a person went back to the face model: none is trained by itself. */
+  set_aside: boolean;
   /** Whether slips were looked for in the landmarks as they are. */
   checked: boolean;
   training: Training;
@@ -1074,6 +1085,10 @@ interface Routes {
   "model/face": {
     fields: {};
     DELETE: { answer: null };
+  };
+  "model": {
+    fields: {};
+    PUT: { body: UseModel; answer: null };
   };
   "model/guest": {
     fields: FileQuery;

@@ -26,6 +26,7 @@ const isOwn = (/** @type {Picture} */ { placed = 0, unconfirmed = 0 }) => 2 * un
  *  @param {Project} project; @param {{auto: boolean, failedAt?: string | null}} when */
 export function shouldTrain(project, { auto, failedAt = null }) {
   const { model, training, pictures } = project;
+  if (project.set_aside) return false; // a person went back to the face model
   if (!auto || !project.template || training?.state === "running") return false;
   if (model && !["studio", "face"].includes(model.source)) return false; // a model given by the user is replaced only on request
   if (project.checked === false) return false; // possible slips are left out
@@ -193,13 +194,22 @@ export function createAssist(app, commands, onexport) {
   const other = button("Use other points…", {
     small: true, hidden: true, testid: "decline-face", onclick: decline, title: "Make a template of your own",
   });
+  const use = (source) => state.send((folder) => api.put(api.url("model"), { source, folder })).then(() => state.refresh());
+  const again = button("Use the face model again", {
+    small: true, kind: "ghost", hidden: true, testid: "face-again",
+    title: "Let the face model that comes with liaam place points, instead of that of this folder. All landmarks stay",
+    onclick: async () => {
+      await use("face");
+      app.toast("The face model places points again. Train uses a model of this folder.", "good", { label: "Undo", onclick: () => use("studio") });
+    },
+  });
   const element = h("section.panel.assist", { "aria-label": "The model's help" },
     h("div.row.assist-head", icon("spark"), count, h("span.grow"),
       h("label.check.small", { title: `Train automatically: ${often}` }, auto, "auto"), train),
     h("div.row.assist-go", next, pass),
     h("div.assist-talk",
       h("div.assist-words", { tabindex: "0", role: "group", "aria-label": "What to do next" }, why, failure, end),
-      running, sure, other));
+      running, sure, other, again));
 
   async function mayTrain() {
     const wrong = slipped(state.project.pictures);
@@ -275,6 +285,7 @@ export function createAssist(app, commands, onexport) {
     const isOffered = Boolean(project.offered) && model?.source === "face";
     other.hidden = !isOffered;
     const runs = training?.state === "running";
+    again.hidden = !project.face_again || runs;
     running.hidden = !runs;
     const { total = 0, done: ready = 0, what: doing = "" } = training ?? {};
     if (total) progress.value = Math.round((100 * ready) / total);
