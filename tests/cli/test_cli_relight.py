@@ -94,8 +94,9 @@ def test_a_start_for_each_picture(relight, tmp_path):
     ("options", "message"),
     [
         (("--light", "0,0,0"), "not all 0"),
-        (("--light", "1,nan,0"), "give flat, the direction of a lamp as x,y,z"),
-        (("--light", "1,2"), "give flat, the direction of a lamp as x,y,z"),
+        (("--light", "1,nan,0"), "give flat, own, the direction of a lamp as x,y,z"),
+        (("--light", "1,2"), "give flat, own, the direction of a lamp as x,y,z"),
+        (("--light", "own", "--no-balance"), "which --no-balance keeps"),
         (("-o", "lit.png"), "lit.png is one of the input images"),
         (("--light", "other.png", "-o", "other.png"), "other.png is one of the input images"),
         (("-o", "lit.txt"), "name of an image file, such as lit.png"),

@@ -6,7 +6,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+import liaam
 from liaam.datasets import load_face
+from liaam.errors import LiaamError
 from liaam.fitting import FitStatus, Fitter
 from liaam.io import read_image, write_image
 from liaam.model import load_model
@@ -125,6 +127,21 @@ def test_strength_takes_a_part_of_the_colour(relit):
     np.testing.assert_allclose(half, 0.5 * (own + whole), atol=0.03)
 
 
+def test_the_colour_alone_is_corrected(relit, fitter, photograph):
+    relighter = relit["warm"]
+    made, flat = relighter.colour_corrected(), relighter.flat()
+    np.testing.assert_array_equal(made[WALL], flat[WALL])  # which keeps its light but for the colour
+    brightness = [each.astype(float) @ LUMINANCE[0] for each in (relighter.picture, made, flat)]
+    kept, changed = (np.corrcoef(brightness[0].ravel(), each.ravel())[0, 1] for each in brightness[1:])
+    assert kept > 0.999 > changed  # the shading stays
+    np.testing.assert_array_equal(relighter.colour_corrected(0.0), relighter.picture)
+    np.testing.assert_array_equal(relit[""].colour_corrected(), relit[""].picture)  # its tint is below the limit
+    warm = tinted(photograph, TINTS["warm"])
+    np.testing.assert_array_equal(liaam.relight(fitter.model, warm, "own"), made)
+    with pytest.raises(LiaamError, match="balance=False keeps it"):
+        liaam.relight(fitter.model, warm, "own", balance=False)
+
+
 def test_a_tone_and_a_doubtful_fit_have_no_colour_of_light(fitter, photograph, relit):
     grey = srgb_to_linear(photograph / 255.0) @ LUMINANCE[0]
     sepia = np.rint(255 * linear_to_srgb(grey[..., None] * (1.0, 0.8, 0.55))).astype(np.uint8)
@@ -218,6 +235,10 @@ def test_what_is_clipped_takes_no_false_colour():
 
 
 def test_the_command_says_what_it_found(run, photograph, tmp_path):
+    write_image(tmp_path / "usual.png", photograph)
+    code, _, err = run("relight", tmp_path / "usual.png", "--light", "own", "-o", tmp_path / "own.png")
+    assert code == 0 and "no clear colour" in err
+    np.testing.assert_array_equal(read_image(tmp_path / "own.png"), photograph)
     write_image(tmp_path / "cold.png", tinted(photograph, TINTS["cold"]))
     pictures = {}
     for options, done in (((), "corrected in the whole image"), (("--no-balance",), "kept")):

@@ -3,7 +3,7 @@
 from collections import defaultdict
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Literal
 
 import numpy as np
 import typer
@@ -21,7 +21,9 @@ if TYPE_CHECKING:
     from liaam.fitting import FitResult, Fitter
     from liaam.relighting import Lamp, Relighter
 
-FLAT = "flat"  # Value of --light for the training light, and the ending of such images' names
+# Values of --light, and endings of such images' names
+FLAT = "flat"  # the training light
+OWN: Literal["own"] = "own"  # that of the image, of which only the colour is corrected
 
 
 def relight(
@@ -29,10 +31,10 @@ def relight(
     light: Annotated[
         str,
         typer.Option(
-            metavar="flat|left|right|above|below|front|X,Y,Z|IMAGE",
-            help="Light to show the objects under: flat, that of the training images, without shading; a lamp from the "
-            "left, right, above, below or front, or in direction x,y,z (right, down, towards the viewer), such as "
-            "-1,-0.5,0.5; or that of another image of such an object.",
+            metavar="flat|own|left|right|above|below|front|X,Y,Z|IMAGE",
+            help="Light to show the objects under: flat, that of the training images, without shading; own, that of "
+            "the image, with its colour corrected; a lamp from the left, right, above, below or front, or in direction "
+            "x,y,z (right, down, towards the viewer), such as -1,-0.5,0.5; or that of another image of such an object.",
         ),
     ] = FLAT,
     strength: Annotated[
@@ -84,8 +86,11 @@ def relight(
 ) -> None:
     """Show the objects in images under the training light, a lamp, or the light of another image."""
     model_file, images = inputs.model_and_inputs(files, "relight")
-    lamps, like = light_of(light, colour)  # neither of both for the training light
-    outputs = output_paths(images, output, FLAT if light == FLAT else "relit")
+    wanted = light_of(light, colour)
+    if wanted == OWN and not balance:
+        raise LiaamError("--light own corrects the colour of the light, which --no-balance keeps: give one of them")
+    like = wanted if isinstance(wanted, Path) else None
+    outputs = output_paths(images, output, light if light in (FLAT, OWN) else "relit")
     maps = [map_of(path) for path in outputs] if certainty else []
     images_read = images if like is None else [*images, like]
     inputs.refuse_inputs([*outputs, *maps], images_read)
@@ -113,7 +118,7 @@ def relight(
             other, result = separated(fitter, read_image(like), None, str(like))
             report.add_fit(like, result, "its light was used although the fit may be wrong")
             n_done = 1
-        change = Change(lamps, other, ambient, strength, balance, init, certainty)
+        change = Change(other if isinstance(wanted, Path) else wanted, ambient, strength, balance, init, certainty)
         for image, path in zip(images, outputs, strict=True):
             progress(n_done, n_images, image.name)
             n_done += 1
@@ -133,9 +138,8 @@ class Change:
 
     Attributes
     ----------
-    lamps : list of Lamp, optional
-    other : Relighter, optional
-        The image whose light is used. Without lamps or such an image, the light is that of training.
+    light : list of Lamp, Relighter or "own", optional
+        Lamps, the image whose light is used, or the image's own light of corrected colour. By default that of training.
     ambient : float
         Fraction of ambient light beside lamps.
     strength : float
@@ -148,8 +152,7 @@ class Change:
         Whether to write a map of how well the light is known.
     """
 
-    lamps: "list[Lamp] | None"
-    other: "Relighter | None"
+    light: "list[Lamp] | Relighter | Literal['own'] | None"
     ambient: float
     strength: float
     balance: bool
@@ -187,11 +190,13 @@ class RelightReport:
         if self.strict:
             self.failed = True
 
-    def add_colour(self, image: Path, relighter: "Relighter", balance: bool) -> None:
+    def add_colour(self, image: Path, relighter: "Relighter", change: Change) -> None:
         """Add that the light of an image has another colour than that of training, and what was done about it."""
         if relighter.colour.is_found:
-            done = "corrected in the whole image" if balance else "kept"
+            done = "corrected in the whole image" if change.balance else "kept"
             self.advice[f"the light is {relighter.colour}: {done}"].append(image.name)
+        elif change.light == OWN:
+            self.advice["the light has no clear colour, so the image was written as it is"].append(image.name)
 
     def show(self, output: Path | None) -> None:
         """Print where the results are, and the advice."""
@@ -211,9 +216,8 @@ def relight_file(fitter: "Fitter", image: Path, path: Path, change: Change, repo
         action = "nothing was written"
     else:
         action = "the image was relit all the same: check it"
-        light = change.lamps, change.other, change.ambient
-        write_image(path, shown(relighter, *light, change.strength, change.balance))
-        report.add_colour(image, relighter, change.balance)
+        write_image(path, shown(relighter, change.light, change.ambient, change.strength, change.balance))
+        report.add_colour(image, relighter, change)
         report.written.append(path)
         if change.certainty:
             write_image(map_of(path), picture_of_certainty(relighter))
@@ -230,27 +234,26 @@ def picture_of_certainty(relighter: "Relighter") -> np.ndarray:
     return grey[..., None].repeat(3, axis=2)
 
 
-def light_of(text: str, colour: str) -> "tuple[list[Lamp] | None, Path | None]":
-    """Return the lamp that ``--light`` and its colour mean, or the image whose light is meant.
-
-    Of these two, one is None; both are for the training light.
-    """
+def light_of(text: str, colour: str) -> "list[Lamp] | Path | Literal['own'] | None":
+    """Return the lamp that ``--light`` and its colour mean, or the image whose light is meant; None for training's."""
     from liaam.relighting.lamp import DIRECTIONS, Lamp
 
     if text == FLAT:
-        return None, None
+        return None
+    if text == OWN:
+        return OWN
     if text in DIRECTIONS:
-        return [Lamp(DIRECTIONS[text], _colour_of(colour))], None
+        return [Lamp(DIRECTIONS[text], _colour_of(colour))]
     if inputs.names_file(text, (*PICTURE_SUFFIXES, *UNREAD_SUFFIXES)):
-        return None, existing_file(text, ImageError, "image")
+        return existing_file(text, ImageError, "image")
     try:
         direction = tuple(inputs.numbers_in(text, 3, "--light"))
     except CameraError:
         raise LiaamError(
-            f"--light {text}: give flat, the direction of a lamp as x,y,z, such as -1,0,1, or its name "
+            f"--light {text}: give flat, own, the direction of a lamp as x,y,z, such as -1,0,1, or its name "
             f"({', '.join(DIRECTIONS)}), or an image under that light"
         ) from None
-    return [Lamp(direction, _colour_of(colour))], None
+    return [Lamp(direction, _colour_of(colour))]
 
 
 def _colour_of(text: str) -> tuple[float, ...]:

@@ -4,6 +4,7 @@ import warnings
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from typing import Literal
 
 import cv2
 import numpy as np
@@ -39,6 +40,8 @@ UNCERTAIN = 0.6  # Certainty of the light, of 1, below which a warning is given
 LONGEST = 1.5  # Largest exposure relative to frontal light; a lamp from behind leaves the object dark
 MOST_NOISE = 3.0  # Largest amplification of the noise of stored values
 GRAIN = 1.0  # Standard deviation of the Gaussian that separates the noise, pixels
+
+OWN: Literal["own"] = "own"  # Name of the light of the image itself, of which only the colour is corrected
 
 LampsLike = str | Sequence[float] | Lamp | Sequence[Lamp]
 Steadied = Callable[[Shading], Shading]
@@ -179,6 +182,15 @@ class Relighter:
         colour of the light (:attr:`colour`) is taken off the whole image; else it stays, on the object as well.
         """
         return self._changed(None, strength, self._correction(balance))
+
+    def colour_corrected(self, strength: float = 1.0) -> np.ndarray:
+        """Return the image in its own light, with the colour of the light (:attr:`colour`) corrected, (h, w, 3) uint8.
+
+        ``strength`` is the share of the change, from 0 for the image as it is to 1.
+        """
+        check_strength(strength)
+        correction = strength * self.colour.correction()
+        return balanced_picture(self.picture, correction, self.response) if correction.any() else self.picture.copy()
 
     def shading(self) -> np.ndarray:
         """Return the removed shading, (h, w, 3) float32: log(image / flat image), 0 outside the mesh."""
@@ -423,7 +435,8 @@ def relight(
     image : (h, w, 3) uint8, uint16 or float array, or path
     light : str, (3,) float, Lamp, or sequence of Lamp, optional
         Direction to a distant lamp (x to the right, y down, z to the viewer), its name (``left``, ``right``, ``above``,
-        ``below`` or ``front``), or lamps. By default the light of the training images, which removes the shading.
+        ``below`` or ``front``), or lamps. ``own`` keeps the light of the image and corrects its colour. By default the
+        light of the training images, which removes the shading.
     like : image, optional
         Another image of such an object, whose light is used; not together with ``light``.
     ambient : float
@@ -461,20 +474,27 @@ def relight(
     """
     if light is not None and like is not None:
         raise LiaamError("light and like cannot be combined; give one of them")
-    lamps = None if light is None else lamps_of(light)
+    wanted: list[Lamp] | Relighter | Literal["own"] | None
+    if isinstance(light, str) and light == OWN:
+        if not balance:
+            raise LiaamError(
+                "light='own' corrects the colour of the light, and balance=False keeps it; give one of them"
+            )
+        wanted = OWN
+    else:
+        wanted = None if light is None else lamps_of(light)
     check_ambient(ambient)
     check_strength(strength)
     fitter = Fitter.of(model, method, caller=relight, **settings)
     check_colour(fitter.model)
-    other = None
     if like is not None:
-        other, result = separated(fitter, like, like_init, "like")
+        wanted, result = separated(fitter, like, like_init, "like")
         _warn(result, "like")
     relighter, result = separated(fitter, image, init)
     _warn(result, "image")
     if relighter.certain < UNCERTAIN:
         warnings.warn(f"image: {uncertainty_of(relighter)}", stacklevel=2)
-    return shown(relighter, lamps, other, ambient, strength, balance)
+    return shown(relighter, wanted, ambient, strength, balance)
 
 
 def lamps_of(light: LampsLike) -> list[Lamp]:
@@ -492,18 +512,19 @@ def lamps_of(light: LampsLike) -> list[Lamp]:
 
 def shown(
     relighter: Relighter,
-    lamps: Sequence[Lamp] | None = None,
-    other: Relighter | None = None,
+    light: Sequence[Lamp] | Relighter | Literal["own"] | None = None,
     ambient: float = AMBIENT,
     strength: float = 1.0,
     balance: bool = True,
 ) -> np.ndarray:
-    """Show an object under lamps, or the light of another image, or that of training."""
-    if other is not None:
-        return relighter.like(other, strength, balance)
-    if lamps is not None:
-        return relighter.under(lamps, ambient, strength, balance)
-    return relighter.flat(strength, balance)
+    """Show an object under lamps, or the light of another image, its own of corrected colour, or that of training."""
+    if light is None:
+        return relighter.flat(strength, balance)
+    if isinstance(light, Relighter):
+        return relighter.like(light, strength, balance)
+    if isinstance(light, str):
+        return relighter.colour_corrected(strength)
+    return relighter.under(light, ambient, strength, balance)
 
 
 def separated(fitter: Fitter, image, init=None, name: str = "image") -> tuple[Relighter, FitResult]:
