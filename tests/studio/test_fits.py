@@ -536,11 +536,12 @@ class TestLight:
             )
             assert np.abs(kept[wall].astype(int) - blue[wall]).max() <= 1, what
             assert corrected[wall][..., 2].mean() < 0.85 * kept[wall][..., 2].mean(), what
-        for balance in (False, True):
-            drawn, facts = fits.layer(fitted, "flat", 615, balance)
-            assert (facts or {}).get("colour") == "blue"
-            exported = decode_image(fits.export(fitted, "flat", (FRONT, 0.25), balance=balance)[2])
+        for what, balance in (("flat", False), ("flat", True), ("balanced", True)):
+            drawn, facts = fits.layer(fitted, what, 615, balance)
+            assert facts is not None and (facts.get("colour"), facts.get("even")) == ("blue", False)
+            exported = decode_image(fits.export(fitted, what, (FRONT, 0.25), balance=balance)[2])
             assert np.array_equal(decode_image(drawn), exported)
+        assert np.array_equal(exported[wall], corrected[wall])
 
     def test_from_the_front_is_flat(self, fits, fitted):
         flat = decode_image(fits.layer(fitted, "flat", 320)[0]).astype(int)

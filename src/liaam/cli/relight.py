@@ -21,9 +21,9 @@ if TYPE_CHECKING:
     from liaam.fitting import FitResult, Fitter
     from liaam.relighting import Lamp, Relighter
 
-# Values of --light, and endings of such images' names
-FLAT = "flat"  # the training light
-OWN: Literal["own"] = "own"  # that of the image, of which only the colour is corrected
+FLAT = "flat"  # Value of --light for the training light
+OWN: Literal["own"] = "own"  # that for the light of the image, of which only the colour is corrected
+ENDINGS = {FLAT: "flat", OWN: "balanced"}  # of the names of images; of others "relit"
 
 
 def relight(
@@ -60,7 +60,8 @@ def relight(
         typer.Option(
             "--output",
             "-o",
-            help="Image to write, or folder for several images. By default IMAGE_flat.png or IMAGE_relit.png here.",
+            help="Image to write, or folder for several images. By default IMAGE_flat.png, IMAGE_balanced.png "
+            "or IMAGE_relit.png here.",
         ),
     ] = None,
     init: Annotated[
@@ -90,7 +91,7 @@ def relight(
     if wanted == OWN and not balance:
         raise LiaamError("--light own corrects the colour of the light, which --no-balance keeps: give one of them")
     like = wanted if isinstance(wanted, Path) else None
-    outputs = output_paths(images, output, light if light in (FLAT, OWN) else "relit")
+    outputs = output_paths(images, output, ENDINGS.get(light, "relit"))
     maps = [map_of(path) for path in outputs] if certainty else []
     images_read = images if like is None else [*images, like]
     inputs.refuse_inputs([*outputs, *maps], images_read)

@@ -719,7 +719,7 @@ class ColourScale(TypedDict):
 
 
 class LayerChange(TypedDict):
-    """What the flat picture changes, sent beside it."""
+    """What the flat picture, or that of corrected colour, changes, sent beside it."""
 
     even: Annotated[bool, "Whether the light is so much as in training that nothing that can be seen is taken off."]
     colour: Annotated[str, "Name of the colour of the light, such as orange; empty: as in training."]
@@ -871,7 +871,7 @@ class FitFileQuery(Query):
 
     what: str = ""
     light: Annotated[str | None, "A SentLight as JSON, for a relit picture."] = None
-    opacity: Annotated[str | None, "Of a flat or relit picture over the picture, 0 to 1; null: 1."] = None
+    opacity: Annotated[str | None, "Of the changed picture over the picture, 0 to 1; null: 1."] = None
     balance: Annotated[str, "0: a flat or relit picture keeps the colour of its own light."] = ""
 
 

@@ -63,6 +63,7 @@ FILES = {
     "json": "application/json",
     "overlay": "image/png",
     "flat": "image/png",
+    "balanced": "image/png",
     "shading": "image/png",
     "relit": "image/png",
     "crop": "image/png",
@@ -426,8 +427,9 @@ class Fits:
     ) -> tuple[np.ndarray, LayerFacts]:
         """Draw a layer of the whole picture as (h, w, 4) or (h, w, 3) uint8, its longest side at most ``size``.
 
-        Also return its colours, or its place. The ``light`` is for ``relit``; the ``opacity``, over the picture itself,
-        and the ``balance`` of the colour of the light are for ``relit`` and ``flat``.
+        Also return its colours, or its place. The ``light`` is for ``relit``; the ``opacity`` over the picture
+        itself is for ``relit``, ``flat`` and ``balanced``, and the ``balance`` of the colour of the light for the first
+        two.
         """
         if what == "overlay":
             from liaam.plotting import overlay_of_fit  # heavy: imported when first needed
@@ -447,7 +449,10 @@ class Fits:
             even = layers.is_even(relighter, relighter.flat(balance=False))
             return layers.shading_layer(relighter, to), {"limit": layers.SHADING_LIMIT, "what": "light", "even": even}
         facts: LayerFacts = None
-        if what == "relit" and light:
+        if what == "balanced":
+            image = relighter.colour_corrected()
+            facts = {"even": not relighter.colour.is_found, "colour": relighter.colour.name}
+        elif what == "relit" and light:
             image = relighter.under(*light, balance=balance)
         else:
             image = relighter.flat(balance=balance)
@@ -467,8 +472,8 @@ class Fits:
     ) -> tuple[str, str, bytes]:
         """Return the name, media type and content of a file, one of :data:`FILES`.
 
-        The light is for ``relit``, and the opacity and the balance are for ``relit`` and ``flat``. With the length of a
-        ``pixel`` and its unit, the overlay has a scale bar.
+        The light, the opacity and the balance are those of :meth:`draw`. With the length of a ``pixel`` and its unit,
+        the overlay has a scale bar.
         """
         if what not in FILES:
             raise Refusal(422, f"a fit cannot be exported as '{what[:40]}': choose one of {', '.join(FILES)}")

@@ -22,8 +22,9 @@ from liaam.studio.contract import ColourScale
 from liaam.studio.pictures import averaged, read_for_work, work_size
 from liaam.tracking.motion import rescaled
 
-LAYERS = ("residual", "shading", "flat", "normals")
-"""Names of the layers, as the page asks for them; flat is the picture without its shading."""
+LAYERS = ("residual", "shading", "flat", "balanced", "normals")
+"""Names of the layers, as the page asks for them; flat is the picture without its shading, balanced that with its own
+light, of which the colour is corrected."""
 
 RESIDUAL_COLOURS = ((33, 102, 172), (247, 247, 247), (178, 24, 43))
 """Colours below, at and above 0: the picture is darker than, equal to, or brighter than the model."""

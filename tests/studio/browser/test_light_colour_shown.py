@@ -55,7 +55,17 @@ def test_the_colour_of_the_light_is_named_and_corrected_or_kept(page, serve, tmp
         assert np.abs(read_image(tmp_path / f"{view}.png")[20, 20] - kept).max() <= 6
         box.check()
         assert np.abs(shown(page) - corrected).max() <= 3
+    page.locator("[data-testid=layer-balanced]").click()  # the colour alone
+    assert box.is_checked() and box.is_disabled()
+    corrected = shown(page)
+    assert corrected[2] / corrected[0] < 0.85 * kept[2] / kept[0]
+    with page.expect_download() as saved:
+        page.locator("[data-testid=fit-save]").click()
+    saved.value.save_as(tmp_path / saved.value.suggested_filename)
+    assert np.abs(read_image(tmp_path / "a_balanced.png")[20, 20] - corrected).max() <= 6
     page.locator("[data-testid=strip] [data-name='b.png']").click()
+    page.locator("[data-testid=fit-state]", has_text="No colour to correct").wait_for()
+    assert page.locator("[data-testid=fit-save]").is_disabled()
     wait_for(page, "() => document.querySelector('[data-testid=light-colour]').textContent === 'neutral'")
     assert colour.inner_text() == "neutral"
     assert box.is_disabled()

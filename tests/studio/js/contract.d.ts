@@ -767,7 +767,7 @@ interface ColourScale {
   even?: boolean;
 }
 
-/** What the flat picture changes, sent beside it. */
+/** What the flat picture, or that of corrected colour, changes, sent beside it. */
 interface LayerChange {
   /** Whether the light is so much as in training that nothing that can be seen is taken off. */
   even: boolean;
@@ -922,7 +922,7 @@ interface FitFileQuery {
   what?: string | number;
   /** A SentLight as JSON, for a relit picture. */
   light?: string | number;
-  /** Of a flat or relit picture over the picture, 0 to 1; null: 1. */
+  /** Of the changed picture over the picture, 0 to 1; null: 1. */
   opacity?: string | number;
   /** 0: a flat or relit picture keeps the colour of its own light. */
   balance?: string | number;

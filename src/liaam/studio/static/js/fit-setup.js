@@ -235,19 +235,20 @@ export const specimenText = (/** @type {Fit} */ fit, isExpert = true) => `${fit.
 const EXPORTS = {
   Landmarks: { pts: "Landmarks .pts", ljson: "Landmarks .ljson", csv: "Table .csv", json: "Fit .json" },
   Pictures: {
-    overlay: "Picture with its points", flat: "Picture without shading", shading: "Shading", relit: "Relit picture",
+    overlay: "Picture with its points", flat: "Picture without shading", balanced: "Picture with corrected colour", shading: "Shading", relit: "Relit picture",
     crop: "Part around the object",
   },
 };
 const ABOUT = {
   pts: "Its coordinates count from 1, as usual for .pts files; those of the other files count from 0",
   flat: "In the strength that the panel shows, without points and contours",
+  balanced: "In the strength that the panel shows, without points and contours",
   shading: "Only the shading: the surroundings are transparent",
   relit: "In the strength that the panel shows, without points and contours",
 };
-const SHOWN_OVER = ["flat", "relit"]; // the picture, in a strength
-const WHOLE = ["flat", "shading", "relit"]; // that are computed in so many pixels at most
-const NEEDS = { flat: "flat", shading: "shading", relit: "flat" }; // a layer of the fit
+const SHOWN_OVER = ["flat", "balanced", "relit"]; // the picture, in a strength
+const WHOLE = ["flat", "balanced", "shading", "relit"]; // that are computed in so many pixels at most
+const NEEDS = { flat: "flat", balanced: "balanced", shading: "shading", relit: "flat" }; // a layer of the fit
 
 /** Width and height in the head of a PNG file; null for other files. @param {Blob} blob */
 async function sizeOfPng(blob) {

@@ -18,6 +18,8 @@ const VIEWS = [
   { name: "picture", label: "Picture", hint: `For another picture, ${IS_TOUCH ? "" : "drop or paste it here, or "}press “Open…”.` },
   { name: "flat", label: "Remove shading", after: "Without shading", work: "Removing the shading…", saves: `The whole picture without its shading, ${AS_SHOWN}`,
     hint: "The picture without its shading: in the even light of the pictures that the model was trained on." },
+  { name: "balanced", label: "White balance", after: "Colour corrected", work: "Correcting the colour of the light…",
+    saves: `The whole picture with the colour of its light corrected, ${AS_SHOWN}`, hint: "Only the colour of the light is corrected, in the whole picture. The shading stays." },
   { name: "shading", label: "Shading", after: "Shading", work: "Computing the shading…", saves: "Only the shading: the surroundings are transparent",
     hint: "The effect of the light alone." },
   { name: "residual", label: "Residual", after: "Residual", work: "Computing the residual…", hint: "The difference between the picture and the model.",
@@ -28,20 +30,22 @@ const VIEWS = [
     splitHint: "Drag the lamp over the picture, and the line between before and after." },
 ];
 
-/** What is said where the light is that of training, by view: then neither has anything to show or to save. */
+/** What is said where the light is that of training, by view: then none has anything to show or to save. */
 const EVEN = {
+  balanced: "The light here has no clear colour: there is nothing to correct.",
   flat: "The light here is as even as in the pictures that the model was trained on: nothing is taken off.",
   shading: "The light here is as even as in the pictures that the model was trained on: there is no shading to show.",
 };
-const EVENLY_LIT = "Already in even light"; // over the picture
+/** The same over the picture. */
+const evenly = (view) => (view === "balanced" ? "No colour to correct" : "Already in even light");
 
-const RELIGHT = "Remove the shading, or relight the picture, by the buttons above it. ";
+const RELIGHT = "Remove the shading, correct the colour, or relight the picture, by the buttons above it. ";
 const NOTHING_TO_SAVE = "To save a picture here, remove its shading or relight it first. Export has other files";
 
-const LIKE_PICTURES = ["flat", "relit"]; // brightness and contrast change them, too; in the others, colours are values
+const LIKE_PICTURES = ["flat", "balanced", "relit"]; // brightness and contrast change them, too; in the others, colours are values
 
 /** Layers fetched from the server for a view, once per fit. */
-const FETCHED = { flat: ["flat"], shading: ["shading"], residual: ["residual"], relit: ["flat", "normals"] };
+const FETCHED = { flat: ["flat"], balanced: ["balanced"], shading: ["shading"], residual: ["residual"], relit: ["flat", "normals"] };
 const LAYER_SIZE = 1600;
 const REST = 150; // milliseconds after the last move of a lamp until the exact picture is fetched
 
@@ -347,7 +351,7 @@ export class FitView {
     if (this.#why(this.#name)) return "";
     const { work = "" } = VIEWS.find(({ name }) => name === this.#name);
     if (!image) return work;
-    return this.#isEven && !this.#split.has(this.#name) ? EVENLY_LIT : "";
+    return this.#isEven && !this.#split.has(this.#name) ? evenly(this.#name) : "";
   }
 
   /** What is said of further objects in the picture, as long as only one is fitted. */
@@ -387,9 +391,9 @@ export class FitView {
     this.#explain(scale?.limit && !isEven ? scale : null);
     this.light.show(this.#name === "relit", Boolean(why));
     this.light.note(this.#note());
-    this.balance.show(this.#scales.get("flat")?.colour);
+    this.balance.show((this.#scales.get("flat") ?? this.#scales.get("balanced"))?.colour, this.#name === "balanced");
     press(this.splitter, isSplit);
-    if (isSplit) this.#divider.label("Picture", isEven ? EVENLY_LIT : view.after);
+    if (isSplit) this.#divider.label("Picture", isEven ? evenly(view.name) : view.after);
     this.viewer.redraw();
   }
 

@@ -266,7 +266,7 @@ export class Tab extends SourceTab {
   /** Opacity of a view. */
   opacityOf(view) { return this.#view.opacityOf(view); }
 
-  /** Save the picture of a view: "flat", "shading" or "relit". */
+  /** Save the picture of a view: "flat", "balanced", "shading" or "relit". */
   save(view) { return this.#exports.save(view); }
 
   /** Let a person choose a picture to fit. */

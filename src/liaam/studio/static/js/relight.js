@@ -111,15 +111,15 @@ export class Balance extends EventTarget {
   #corrects = true; // as chosen, also while there is nothing to correct
   get corrects() { return this.#corrects; }
 
-  /** Show the name of the colour that was found, "" if it is as in training; null: not known.
-   *  @param {string | null | undefined} colour */
-  show(colour) {
+  /** Show the name of the colour that was found, "" if it is as in training; null: not known. isGiven: the view corrects it
+   *  in any case. @param {string | null | undefined} colour; @param {boolean} isGiven */
+  show(colour, isGiven = false) {
     this.#found.textContent = colour === "" ? "neutral" : colour ?? "";
-    this.#box.disabled = !colour;
-    this.#box.checked = Boolean(colour) && this.#corrects;
+    this.#box.disabled = !colour || isGiven;
+    this.#box.checked = Boolean(colour) && (isGiven || this.#corrects);
     this.element.title = colour ? "Take the colour of the light off the whole picture, object and background alike"
       : colour === "" ? "The light is neutral, as in the pictures that the model was trained on: there is no colour to correct"
-      : "The colour of the light is measured when the shading is removed, or the picture is relit";
+      : "The colour of the light is measured when it is corrected, the shading is removed, or the picture is relit";
   }
 }
 
