@@ -45,7 +45,7 @@ def side_of_text(text: str) -> str:
 
 
 def stated_side(text: str) -> str:
-    """Return the side that a text states; nothing for ``original`` and ``mirrored``, which shapes have told."""
+    """Return the side that a text states; nothing for ``original`` and ``mirrored``, which were found by shapes."""
     side = side_of_text(text)
     return "" if side in (ORIGINAL, MIRRORED) else side
 

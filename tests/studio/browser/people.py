@@ -171,7 +171,9 @@ def picture(page, name: str) -> dict:
 
 
 def shoot(page, folder: Path, name: str) -> None:
-    """Keep a screenshot."""
+    """Keep a screenshot, and see that no value of the scripts is shown as text."""
+    lines = {line.strip() for line in page.locator("body").inner_text().splitlines()}
+    assert not lines & {"false", "true", "null", "undefined", "NaN", "[object Object]"}, name
     page.screenshot(path=folder / f"{name}.png")
 
 

@@ -668,7 +668,8 @@ test("a side that could not be saved is not shown as said", async () => {
     send: () => Promise.reject(new Error("no connection")),
   });
   const told = [];
-  createSideList({ app: { api: null, state, toast: (error) => told.push(error.message) }, state });
+  const api = { url: () => "", get: () => Promise.reject(new Error("no connection")) };
+  createSideList({ app: { api, state, toast: (error) => told.push(error.message) }, state });
   const list = made.find(({ tag }) => tag === "select");
   list.value = "right";
   list.dispatchEvent(new Event("change"));

@@ -314,11 +314,11 @@ export class Tab {
     }));
   }
 
-  /** Number, mean, standard deviation and range of each group; null without groups. @param {Column} column */
+  /** Number, mean, standard deviation and range of each group; "" without groups. @param {Column} column */
   #factsOfGroups(column) {
     const { names, of } = this.groups;
     const line = (name, k) => h("li", groupMark(k), ` ${name}: ${summaryText(column, column.values.filter((_, i) => of[i] === k))}`);
-    return names.length > 1 && h("ul.measure-groups.small.muted", { testid: "measure-groups" }, names.slice(0, MOST_GROUPS).map(line));
+    return names.length > 1 ? h("ul.measure-groups.small.muted", { testid: "measure-groups" }, names.slice(0, MOST_GROUPS).map(line)) : "";
   }
 
   /** Select the picture of a bin that follows the selected one, or else its first. */

@@ -3,7 +3,8 @@
 import { several } from "./annotate-words.js";
 import { h, optionsOf } from "./ui.js";
 
-const SIDES = { "": "by name or shape", left: "left", right: "right" };
+const SIDES = { left: "left", right: "right" };
+const NOT_SAID = "by name or shape";
 
 /** What training has done about the sides of the objects. @param {Sides} sides */
 export function sidesInWords({ own, other, n_own: n, n_other: nOther }) {
@@ -21,7 +22,7 @@ export async function saySide({ api, state, toast }, names, side) {
     return answer;
   };
   const { before } = await put(Object.fromEntries(names.map((name) => [name, side])));
-  toast(`Side of ${several(names.length, "picture")}: ${SIDES[side]}.`, "good", { label: "Undo", onclick: () => put(before) });
+  toast(`Side of ${several(names.length, "picture")}: ${SIDES[side] ?? NOT_SAID}.`, "good", { label: "Undo", onclick: () => put(before) });
 }
 
 /** The list that shows and changes the side of the open picture, if objects have sides. @param {import("./annotate.js").Tab} tab */
@@ -32,16 +33,17 @@ export function createSideList({ app, state }) {
   });
   let found = { side: "", both: false }; // of the open picture, by its name or shape
   let asked = "";
+  const unsaid = h("option", { value: "" });
   const list = h("select.text.side-list", {
     "aria-label": "Side of the object", testid: "picture-side", onchange,
     title: "Which side of the object this picture shows. Pictures of one side are trained and measured reflected",
-  }, optionsOf(SIDES));
+  }, unsaid, optionsOf(SIDES));
   const element = h("div.row.begin-with", h("span.small.muted.grow", "Side"), list);
   const show = () => {
     const { model, pictures } = state.project;
     const picture = state.picture();
     element.hidden = !model?.sides && !found.both && !pictures.some(({ side }) => side);
-    list.options[0].textContent = picture?.side || !found.side ? SIDES[""] : `${SIDES[""]}: ${found.side}`;
+    unsaid.textContent = picture?.side || !found.side ? NOT_SAID : `${NOT_SAID}: ${found.side}`;
     list.value = picture?.side ?? "";
     list.disabled = state.readOnly || !picture;
   };
