@@ -646,6 +646,17 @@ def test_a_full_disk_ends_a_fit_with_one_error(run, model_file, portraits, tmp_p
     assert not list((tmp_path / "fits").iterdir())  # no results without their pictures
 
 
+def test_fits_of_earlier_runs_in_the_folder_are_named(run, portraits, model_file, tmp_path):
+    for image in ("one.png", "two.png"):
+        write_image(tmp_path / image, read_image(portraits[1]))
+    out = tmp_path / "fits"
+    _, said, err = run("fit", model_file, tmp_path / "one.png", tmp_path / "two.png", "-o", out)
+    assert "earlier runs" not in said + err
+    (out / "other.json").write_bytes(b"\xff\xfe")
+    _, said, err = run("fit", model_file, tmp_path / "two.png", "-o", out)
+    assert "fits also holds 1 fit of earlier runs: one" in " ".join((said + err).split())
+
+
 def test_overlays_of_large_images_are_jpeg_and_replace_earlier_ones(run, portraits, model_file, tmp_path):
     box = box_around(read_landmarks(portraits[2]).points)
     image = tmp_path / "new.png"

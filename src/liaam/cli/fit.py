@@ -1,8 +1,8 @@
 """The command ``liaam fit``."""
 
 from collections import Counter, defaultdict
-from collections.abc import Iterator
-from contextlib import closing, contextmanager
+from collections.abc import Container, Iterator
+from contextlib import closing, contextmanager, suppress
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -193,6 +193,8 @@ def fit(
     outputs.write_report(model, paths)
     is_written = outputs.only is None or outputs.only.exists()
     report.show(output if is_written else None, on_page=outputs.report is not None)
+    if earlier := outputs.earlier_fits(report.names):
+        say(f"{outputs.folder} also holds {count_of(len(earlier), 'fit')} of earlier runs: {some_names(earlier)}")
     if model.scale is not None and report.rows:
         say(f"images that state no scale have that of the training images, {model.scale} per pixel")
     if report.failed:
@@ -216,6 +218,7 @@ class FitReport:
     on_absent: str  # what is said of absent landmarks
     on_unusable: str  # what is said of fits that may not be used and are not written, or empty
     rows: list[dict[str, str]] = field(default_factory=list)  # cells by the name of their column
+    names: set[str] = field(default_factory=set)  # of the files of the fits, without suffixes
     advice: defaultdict[str, list[str]] = field(default_factory=lambda: defaultdict(list))
     statuses: Counter[str] = field(default_factory=Counter)
     uncalibrated: bool = False  # whether the quality of a fit is unknown
@@ -231,6 +234,7 @@ class FitReport:
         """Add the fits of an image, whose files have these names."""
         for fault in fitted.faults:
             self.advice[fault].append(image.name)
+        self.names.update(stems)
         for stem, result in zip(stems, fitted.results, strict=True):
             # The only object of an image is named as the image. Of several, each is named as its files.
             name = image.name if stem == image.stem else stem
@@ -414,6 +418,17 @@ class Outputs:
     def path_of(self, name: str, suffix: str) -> Path:
         """Return the path of a landmark file for the fit of a name."""
         return self.only or self.folder / f"{name}{suffix}"
+
+    def earlier_fits(self, names: Container[str]) -> list[str]:
+        """Return the fits in the folder that have other names than these: those of earlier runs."""
+        if self.only is not None or self.report is not None:
+            return []
+        earlier = []
+        for path in sorted(self.folder.glob("*.json")):
+            with suppress(LiaamError):  # of a file that is no text
+                if path.stem not in names and read_fit(path) is not None:
+                    earlier.append(path.stem)
+        return earlier
 
     def write_picture(self, name: str, picture: np.ndarray) -> None:
         """Write the overlay image of the fit of a name: as JPEG if it is large, and else as PNG."""
