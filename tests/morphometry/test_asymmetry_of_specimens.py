@@ -198,7 +198,7 @@ def test_the_figure_marks_individuals_with_estimated_landmarks(rng) -> None:
     fitted = faces(rng, 6, covariances=np.tile(0.09 * np.eye(2), (6, 1, 1)))
     given = [*fitted[:2], replace(fitted[2], estimated=(0, 4)), *fitted[3:]]
     found = analysed(given, "object")
-    assert found.estimated == ("", "", "left_eye top", "", "", "")
+    assert found.estimated == ("", "", "left_eye; top", "", "", "")
     axis = figure_of_asymmetry(**found.drawing()).axes[2]
     marked = next(line for line in axis.lines if line.get_label() == "with estimated landmarks")
     np.testing.assert_allclose(marked.get_ydata(), found.analysis.fluctuating_distances[2])

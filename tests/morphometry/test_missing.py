@@ -106,7 +106,7 @@ def test_estimates_are_marked_and_have_no_standard_errors(rng) -> None:
     assert [specimen.estimated for specimen in found] == [(), (0, 4), *[()] * 6]
     assert np.isfinite(found[1].points).all()
     table = measure(found, ["distance:1-2", "distance:3-4"])
-    assert table["estimated"] == ["", "1 5", *[""] * 6]
+    assert table["estimated"] == ["", "1; 5", *[""] * 6]
     assert np.isfinite(table["distance_1_2"]).all()
     assert np.isnan(table["distance_1_2_se"][1])
     assert table["distance_3_4_se"][1] == pytest.approx(np.sqrt(2))

@@ -168,7 +168,7 @@ def test_positions_of_absent_landmarks_of_fits_are_estimates(tmp_path: Path, of:
         "whole": (), "torn": (0, 2), "empty": (), "doubtful": ()
     }  # fmt: skip
     columns = measure(specimens.values())
-    assert dict(zip(columns["specimen"], columns["estimated"], strict=True))["torn"] == "1 3"
+    assert dict(zip(columns["specimen"], columns["estimated"], strict=True))["torn"] == "1; 3"
 
 
 def test_estimates_that_a_person_has_moved_are_none(tmp_path: Path) -> None:

@@ -71,7 +71,7 @@ class AsymmetryResult:
     n_estimated : int
         Number of records with estimated landmarks, which do not count in the error term.
     estimated : tuple of str
-        Of each individual, the landmarks that are estimated on either side, by name or number, with blanks between
+        Of each individual, the landmarks that are estimated on either side, by name or number, with semicolons between
         them. The differences between its sides include the error of these estimates.
     by_covariances : liaam.morphometry.symmetry.Asymmetry, optional
         The analysis of the means of replicates with the error that the landmarks' covariances state, if there are
@@ -451,7 +451,7 @@ def _labels_of_estimates(specimens: Sequence[Specimen]) -> str:
     """Return the names or numbers of the landmarks that are estimated in any of the records of an individual."""
     indices = sorted({index for specimen in specimens for index in specimen.estimated})
     named = next((specimen for specimen in specimens if specimen.names), specimens[0])
-    return " ".join(named.labels[index] for index in indices)
+    return named.list_of(indices)
 
 
 _STATE_INDIVIDUALS = (

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -169,6 +170,10 @@ class Specimen:
     def labels(self) -> tuple[str, ...]:
         """Names of its landmarks; without names, their numbers from 1."""
         return self.names or tuple(str(number) for number in range(1, len(self.points) + 1))
+
+    def list_of(self, indices: Iterable[int]) -> str:
+        """Return names or numbers of landmarks as a cell of a table: with semicolons, as names may hold blanks."""
+        return "; ".join(self.labels[index] for index in indices)
 
     def to_columns(self, name: str | None = None) -> Columns:
         """Return the landmarks as a table of lists, one row per landmark; see :func:`liaam.to_dataframe`."""

@@ -316,7 +316,7 @@ def _row(
         of_points = float(_standard_errors(specimen.covariances, gradient[None])[0])
         row[f"{item.column}_se"] = math.hypot(of_points, by_length * length_se)
     row |= {"individual": specimen.individual, "side": specimen.side}
-    row["estimated"] = " ".join(specimen.labels[index] for index in specimen.estimated)
+    row["estimated"] = specimen.list_of(specimen.estimated)
     inside = items[-1].indices
     if mean is not None and has_shape(specimen.points[inside]):
         row |= _shape(specimen, inside, mean)
