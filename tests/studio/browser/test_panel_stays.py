@@ -144,6 +144,56 @@ def test_a_phone_is_told_to_tap_and_saves_without_scrolling(open_page, serve, tm
     assert "Enter" not in page.locator("body").inner_text()
 
 
+COVERED = """() => [...document.querySelectorAll("#tab-fit :is(.toolbar, .viewer-zoom) :is(button, input, summary)")]
+  .filter((each) => each.checkVisibility())
+  .filter((each) => {
+    const { left, top, width, height } = each.getBoundingClientRect();
+    const places = [0.1, 0.5, 0.9].map((share) => [left + share * width, top + share * height]);
+    const at = ([x, y]) => document.elementFromPoint(x, y)?.closest("button, input, summary");
+    return places.some((place) => at(place) !== each);
+  }).map((each) => each.outerHTML.slice(0, 90))"""
+"""Buttons of Fit that something lies over."""
+
+UNREACHABLE = """() => [...document.querySelectorAll(".fit-menu a, .fit-menu button")]
+  .filter((each) => each.offsetParent)
+  .filter((each) => {
+    each.scrollIntoView({ block: "nearest", behavior: "instant" });
+    const { left, top, width, height } = each.getBoundingClientRect();
+    return document.elementFromPoint(left + width / 2, top + height / 2) !== each;
+  }).map((each) => each.textContent)"""
+
+
+@pytest.mark.parametrize("height", [844, 664])
+def test_all_of_fit_is_reached_and_seen_on_a_phone(open_page, serve, tmp_path, height):
+    folder = tmp_path / "faces"
+    folder.mkdir()
+    shutil.copy(load_face().image, folder / "lisa.jpg")
+    page = open_page(390, height, has_touch=True, is_mobile=True)
+    page.goto(serve(folder, face=True).address)
+    page.locator("[data-testid=tab-fit]").click()
+    wait_for(page, "() => window.liaamStudio.fit.fit")
+    for view in ("picture", "flat", "balanced", "shading", "relit"):
+        page.locator(f"[data-testid=layer-{view}]").click()
+        wait_for(page, f"() => '{view}' === 'picture' || window.liaamStudio.fit.hasLayer")
+        assert page.evaluate(COVERED) == [], view
+        bar = page.locator("#tab-fit .fit-bar")
+        assert bar.evaluate("bar => bar.scrollHeight <= bar.clientHeight"), bar.inner_text()
+    (save,) = rects(page, ["[data-testid=fit-save]"])
+    right = page.evaluate("() => window.liaamStudio.fit.viewer.toClient([window.liaamStudio.fit.viewer.width, 0])[0]")
+    assert height < 800 or save[0] >= right, "Save lies over the picture"
+    page.locator("[data-testid=export-menu]").click()
+    assert page.evaluate(UNREACHABLE) == []
+    page.keyboard.press("Escape")
+    page.locator("[data-testid=fit-viewer] [data-testid=look]").click()
+    box = page.locator("[data-testid=fit-viewer] .look-box").bounding_box()
+    picture = page.locator("[data-testid=fit-viewer]").bounding_box()
+    assert box["y"] >= picture["y"] + picture["height"] - 1, "the sliders lie over the picture that they change"
+    assert box["y"] + box["height"] <= height
+    page.locator("[data-testid=fit-viewer] [data-testid=look]").click()
+    page.locator("#tab-fit [data-testid=expert]").check()
+    assert page.evaluate(COVERED) == [], "expert"
+
+
 def test_names_of_points_are_whole_on_a_tablet(open_page, serve, marked):
     names = [f"left_eyelid_upper_{i}" for i in range(5)]
     for name in NAMES:

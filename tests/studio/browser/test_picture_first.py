@@ -4,7 +4,7 @@ import hashlib
 
 import numpy as np
 import pytest
-from people import NAMES, annotate, as_expert, client, kill, opened, points_of, saved, shoot, wait_for
+from people import NAMES, annotate, as_expert, client, kill, open_picture, opened, points_of, saved, shoot, wait_for
 
 from liaam.io import Landmarks, read_image, write_image, write_landmarks
 
@@ -106,8 +106,9 @@ THUMBNAILS = (
 
 
 def test_brightness_changes_what_is_seen_and_never_the_file(page, serve, tiles, artefacts):
+    write_image(tiles / NAMES[1], np.full((240, 320, 3), 90, np.uint8))
     page.goto(serve(tiles).address)
-    opened(page, NAMES[0])
+    open_picture(page, NAMES[0])
     files = {path: hashlib.sha256(path.read_bytes()).hexdigest() for path in tiles.iterdir() if path.is_file()}
     at = client(page, [123.5, 83.5])
     wait_for_pixel(page, at, read_image(tiles / NAMES[0])[83, 123], within=25)  # the page has it as a JPEG
@@ -127,7 +128,21 @@ def test_brightness_changes_what_is_seen_and_never_the_file(page, serve, tiles, 
     wait_for_pixel(page, at, 255 * np.clip((bright - 0.5) * 2**-0.5 + 0.5, 0, 1))
     keys = page.evaluate("() => Object.keys(localStorage).filter((key) => key.startsWith('liaam-look:'))")
     assert keys == [f"liaam-look:{page.evaluate('() => window.liaamStudio.state.project.id')}"]
+    # It holds for all pictures, says so over each of them, and is taken back there.
+    page.keyboard.press("]")
+    opened(page, NAMES[1])
+    for tab in ("annotate", "fit"):
+        page.locator(f"[data-testid=tab-{tab}]").click()
+        notice = page.locator(f"[data-testid={tab}-viewer] [data-testid=look-notice]")
+        assert notice.inner_text().split("\n")[0] == "Shown with brightness ×1.32, contrast ×0.71, gamma ×1.52"
+    shoot(page, artefacts, "31-brightness-in-fit")
+    notice.locator("[data-testid=look-off]").click()
+    assert page.locator("[data-testid=look-notice]:visible").count() == 0
+    page.locator("[data-testid=tab-annotate]").click()
+    open_picture(page, NAMES[0])
+    wait_for_pixel(page, at, plain)
     page.locator("[data-testid=annotate-viewer] [data-testid=look]").click()
+    page.locator("[data-testid=annotate-viewer] [data-testid=look-brightness]").fill("0.4")
     reset = page.locator("[data-testid=annotate-viewer] [data-testid=look-reset]")
     assert reset.evaluate("(button) => getComputedStyle(button).writingMode") == "horizontal-tb"
     reset.click()

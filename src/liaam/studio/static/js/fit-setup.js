@@ -337,7 +337,7 @@ export class ExportMenu {
 
   #place() {
     const { right, bottom } = this.#button.getBoundingClientRect();
-    Object.assign(this.#panel.style, { right: `${innerWidth - right}px`, top: `${bottom + 6}px` });
+    Object.assign(this.#panel.style, { right: `${innerWidth - right}px`, top: `${bottom + 6}px`, maxHeight: `${innerHeight - bottom - 14}px` });
     const { fit } = this.#tab;
     const { fits } = this.#tab.specimens;
     for (const link of fit ? this.#panel.querySelectorAll("a") : []) {

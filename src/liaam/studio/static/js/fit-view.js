@@ -39,8 +39,8 @@ const EVEN = {
 /** The same over the picture. */
 const evenly = (view) => (view === "balanced" ? "No colour to correct" : "Already in even light");
 
-const RELIGHT = "Remove the shading, correct the colour, or relight the picture, by the buttons above it. ";
-const NOTHING_TO_SAVE = "To save a picture here, remove its shading or relight it first. Export has other files";
+const RELIGHT = "Change its light by the buttons above it. ";
+const NOTHING_TO_SAVE = "To save a picture here, remove its shading, correct its colour or relight it first. Export has other files";
 
 const LIKE_PICTURES = ["flat", "balanced", "relit"]; // brightness and contrast change them, too; in the others, colours are values
 

@@ -8,6 +8,10 @@ const NEUTRAL = { brightness: 0, contrast: 0, gamma: 0 }; // exponents of 2, so 
 const LABELS = { brightness: "Brightness", contrast: "Contrast", gamma: "Gamma" };
 const LIMIT = 2; // largest exponent of a slider: from a quarter to four times
 
+const ABOUT = "For looking only, in all pictures of this folder: files and fits are not changed";
+
+const factorOf = (/** @type {number} */ exponent) => `×${(2 ** exponent).toFixed(2)}`;
+
 /** How a stored value of a picture is shown, both 0 to 1: brightness is a factor, gamma a power, and contrast a factor
  *  about middle grey. */
 export function shownValue(value, { brightness, contrast, gamma }) {
@@ -50,6 +54,24 @@ class Look extends EventTarget {
       <feComponentTransfer>${curves}</feComponentTransfer></filter></svg>`;
   }
 
+  /** What is changed, in words: "brightness ×1.32, gamma ×0.50"; "" if nothing. */
+  get words() {
+    const changed = Object.keys(LABELS).filter((name) => this.values[name] !== 0);
+    return changed.map((name) => `${LABELS[name].toLowerCase()} ${factorOf(this.values[name])}`).join(", ");
+  }
+
+  /** What says over a picture that it is not shown as it is, and resets that. It holds for all pictures. */
+  notice() {
+    const text = h("span");
+    const element = h("div.look-notice.glass", { role: "status", title: ABOUT, testid: "look-notice" }, text,
+      button("Reset", { small: true, title: "Show pictures as they are", testid: "look-off", onclick: () => this.set(NEUTRAL) }));
+    this.#follow(() => {
+      element.hidden = this.isNeutral;
+      text.textContent = this.isNeutral ? "" : `Shown with ${this.words}`;
+    });
+    return element;
+  }
+
   /** Call `show` now, and after each change. */
   #follow(show) {
     this.addEventListener("change", show);
@@ -62,7 +84,7 @@ class Look extends EventTarget {
       const { element, show } = labelledSlider(label, (value) => this.set({ ...this.values, [name]: value }), {
         min: String(-LIMIT), max: String(LIMIT), step: "0.05", "aria-label": label, testid: `look-${name}`,
       });
-      this.#follow(() => show(this.values[name], `×${(2 ** this.values[name]).toFixed(2)}`));
+      this.#follow(() => show(this.values[name], factorOf(this.values[name])));
       return element;
     });
     const reset = button("Reset", { small: true, testid: "look-reset", onclick: () => this.set(NEUTRAL) });

@@ -65,7 +65,7 @@ export class Viewer extends EventTarget {
     });
     container.classList.add("viewer");
     this.#bar = this.#viewButtons(mirrors);
-    container.append(this.#glow, this.canvas, this.#bar);
+    container.append(this.#glow, this.canvas, look.notice(), this.#bar);
     look.addEventListener("change", () => this.redraw());
     const watch = new ResizeObserver(() => this.#resize());
     for (const element of [container, this.canvas]) watch.observe(element);
