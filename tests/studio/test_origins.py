@@ -44,6 +44,17 @@ def test_a_picture_with_proposed_points_keeps_its_place_by_quality(small):
     assert by_name(small)["p1.png"]["quality"] is None
 
 
+def test_points_that_are_moved_together_stay_as_proposed(small):
+    save(small, "p1.png", origins=["proposed", "proposed", "accepted"])
+    revision = small.marks("p1.png")["revision"]
+    moved = [[x + 1.5, y] for x, y in POINTS[:2]] + POINTS[2:]
+    request = {"points": moved, "invisible": [], "revision": revision, "origins": ["proposed", "proposed", "accepted"]}
+    small.save_marks("p1.png", request)
+    for project in (small, Project(small.root)):
+        assert origins(project) == ["proposed", "proposed", "accepted"]
+        assert by_name(project)["p1.png"]["unconfirmed"] == 3
+
+
 def test_a_request_without_origins_places_what_it_changes(small):
     save(small, "p1.png", origins=ACCEPTED)
     save(small, "p1.png", [[5.0, 6.0], None, POINTS[2]])

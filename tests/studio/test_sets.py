@@ -215,6 +215,32 @@ def test_agreement_of_two_observers(first):
     assert agreement(anna)["pixel"] == {"length": 0.5, "unit": "mm"}
 
 
+def test_mirrored_specimens_do_not_make_observers_agree(tmp_path):
+    base = np.array([[40, 40], [280, 50], [260, 190], [60, 200], [150, 120], [200, 80]], float)
+    found = []
+    for n_mirrored in (0, 3):
+        rng = np.random.default_rng(3)
+        root = tmp_path / f"wings{n_mirrored}"
+        root.mkdir()
+        second = {}
+        for i in range(10):
+            write_image(root / f"w{i}.png", np.full((240, 320, 3), 120, np.uint8))
+            truth = base + rng.normal(0, 4, base.shape)
+            both = np.array([truth, truth + rng.normal(0, 3, base.shape)])
+            own, second[f"w{i}.ljson"] = both * (-1, 1) + (319, 0) if i < n_mirrored else both
+            write_landmarks(root / f"w{i}.ljson", Landmarks(own, (), tuple("abcdef")))
+        project = Project(root)
+        make_set(project, {"name": "anna", "same": True})
+        for name, points in second.items():
+            write_landmarks(root / "anna" / name, Landmarks(points, (), tuple("abcdef")))
+        found.append(agreement(project))
+    plain, mirrored = found
+    assert mirrored["repeatability"] == pytest.approx(plain["repeatability"], abs=1e-3)
+    assert plain["repeatability"] < 0.9
+    assert mirrored["shapes"][0]["slope"] == pytest.approx(plain["shapes"][0]["slope"], abs=1e-3)
+    assert mirrored["sd"] == pytest.approx(plain["sd"], abs=1e-3)
+
+
 def _all(first, anna, names):
     return [np.array(project.marks(name)["points"]) for project in (first, anna) for name in names]
 

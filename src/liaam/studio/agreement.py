@@ -3,10 +3,12 @@
 It is what ``liaam evaluate`` and ``liaam measure --compare`` say (:func:`liaam.evaluation.compare_shapes`).
 """
 
+from collections import Counter
 from collections.abc import Mapping, Sequence
 
 import numpy as np
 
+from liaam.datasets.sides import reflected_shapes
 from liaam.errors import LiaamError
 from liaam.formatting import finite_or_none
 from liaam.morphometry import groups_of
@@ -14,10 +16,27 @@ from liaam.studio import contract
 from liaam.studio.measuring import GROUPS
 from liaam.studio.project import Project
 from liaam.studio.refusal import Refusal, refusing
+from liaam.studio.sides import for_measuring
 from liaam.studio.training import HELD_OUT
 
 Points = Mapping[str, np.ndarray]
 """Points (n, 2) by the name of the picture."""
+
+
+def mirrored_pictures(project: Project, points: Points) -> set[str]:
+    """Return the pictures whose objects are of the other side than most, as stated, or by their names or points.
+
+    Their shapes have to be reflected: the differences between the sides would count as those of specimens otherwise, so
+    that all observers agree.
+    """
+    stated = project.overview().sides
+    sides = for_measuring(
+        [stated.get(picture, "") for picture in points],
+        [picture.rpartition(".")[0] for picture in points],
+        np.array([*points.values()]),
+    )
+    usual = Counter(filter(None, sides)).most_common(1)
+    return {picture for picture, side in zip(points, sides, strict=True) if usual and side not in ("", usual[0][0])}
 
 
 def shape_agreement(
@@ -30,9 +49,11 @@ def shape_agreement(
     from liaam.evaluation import compare_shapes  # heavy: imported when first needed
 
     pictures = sorted(ours.keys() & labels.keys())
-    shapes = [np.array([each[picture] for picture in pictures]) for each in (ours, labels)]
     if not pictures:
         return None
+    mirrored = mirrored_pictures(project, {picture: labels[picture] for picture in pictures})
+    are_mirrored = np.array([picture in mirrored for picture in pictures])
+    shapes = [reflected_shapes(np.array([each[name] for name in pictures]), are_mirrored) for each in (ours, labels)]
     try:
         found = compare_shapes(*shapes, groups=_groups(project, pictures))
     except LiaamError:  # too few pictures, or too few in groups

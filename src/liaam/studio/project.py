@@ -658,7 +658,7 @@ class Project:
         is_rescaled = wanted.rescales(current)
         if is_rescaled:
             self._landmarks.set_bar(file, wanted.bar)
-        if wanted.has_points and wanted.origins != current["origins"]:
+        if wanted.has_points and (has_moved or wanted.origins != current["origins"]):  # they belong to positions
             self._origins.save(file.name, wanted.points, wanted.origins)  # first, as it belongs to what is written
         if wanted.absent != (self._absent.get(file.name) or []):  # the model may have found others
             self._absent.save({file.name: wanted.absent or None})

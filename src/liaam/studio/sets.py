@@ -16,7 +16,7 @@ from liaam.io.images import PICTURE_SUFFIXES
 from liaam.io.table_writer import columns_text
 from liaam.morphometry import Specimen, measure, measurement_error
 from liaam.studio import contract
-from liaam.studio.agreement import shape_agreement
+from liaam.studio.agreement import mirrored_pictures, shape_agreement
 from liaam.studio.folder import ADDED, SET_NAME, disk_errors, plain_name
 from liaam.studio.measuring import MEASURING, kept_in
 from liaam.studio.project import Project
@@ -108,7 +108,12 @@ def agreement(project: Project) -> contract.Agreement:
             some = count_of(len(unconfirmed), "picture")
             remedy = f"in {some}, points were accepted as they were proposed; move or confirm each"
         raise Refusal(422, f"no picture was placed in two sets of the same points yet: {remedy}")
-    every = [(picture, points) for picture, values in pictures.items() for points in values.values()]
+    mirrored = mirrored_pictures(project, {picture: next(iter(values.values())) for picture, values in placed.items()})
+    every = [
+        (picture, points * (-1.0, 1.0) if picture in mirrored else points)
+        for picture, values in pictures.items()
+        for points in values.values()
+    ]
     names = project.templates.needed.names
     specimens = [Specimen(f"{picture}#{i}", points, names=names) for i, (picture, points) in enumerate(every)]
     table = measurement_error(specimens, measure(specimens), "image")
