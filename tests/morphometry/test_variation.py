@@ -5,9 +5,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from scipy.stats import t as student
 
 from liaam.errors import LiaamError
-from liaam.morphometry import Specimen, groups_of, measure, read_groups, shape_variation
+from liaam.morphometry import Specimen, groups_of, measure, p_of_means, read_groups, shape_variation
 
 MEAN = 100 * np.array([[-2.0, -1], [0, -1.4], [2, -1], [2.2, 1], [0, 1.5], [-2.1, 1.2], [0.3, 0.2]])
 
@@ -74,6 +75,25 @@ def records_of(rng, individuals: np.ndarray, n: int, sd: float) -> list[Specimen
         for i, points in enumerate(individuals)
         for j in range(n)
     ]
+
+
+def test_means_of_measures_are_compared_by_individuals(rng):
+    values = np.r_[rng.normal(10, 1, 20), rng.normal(11.5, 3, 12), np.nan]
+    groups = ["a"] * 20 + ["b"] * 13
+    names = [f"{i}" for i in range(33)]
+    a, b = values[:20], values[20:32]
+    t = (a.mean() - b.mean()) / np.hypot(a.std(ddof=1) / 20**0.5, b.std(ddof=1) / 12**0.5)
+    parts = np.array([a.var(ddof=1) / 20, b.var(ddof=1) / 12])
+    freedom = parts.sum() ** 2 / (parts[0] ** 2 / 19 + parts[1] ** 2 / 11)  # Welch & Satterthwaite
+    expected = 2 * student.sf(abs(t), freedom)
+    assert p_of_means(values, groups, names) == pytest.approx(expected, rel=1e-6)
+    doubled = p_of_means(np.tile(values, 2), groups * 2, names * 2)  # each specimen twice, which tells nothing new
+    assert doubled == pytest.approx(expected, rel=1e-6)
+    assert p_of_means(np.tile(values, 2), groups * 2, [f"{i}" for i in range(66)]) < expected
+    three = np.r_[values[:32], rng.normal(20, 1, 5)]
+    assert p_of_means(three, groups[:32] + ["c"] * 5, [f"{i}" for i in range(37)]) < 1e-6
+    assert np.isnan(p_of_means(values[:21], groups[:21], names[:21]))  # one individual in b
+    assert np.isnan(p_of_means(np.ones(4), ["a", "a", "b", "b"], names[:4]))  # that do not vary
 
 
 def test_groups_are_compared_by_individuals_of_which_there_are_several_records(rng):

@@ -9,6 +9,7 @@ from small_projects import POINTS, TRIANGLE, by_name, proposal, put, refused, st
 
 from liaam.io import Landmarks, read_landmarks, write_landmarks
 from liaam.studio.contract import ShapesQuery
+from liaam.studio.fits import error_of, truth_of
 from liaam.studio.origins import ORIGINS
 from liaam.studio.project import Project
 from liaam.studio.sets import agreement, make_set
@@ -42,6 +43,17 @@ def test_a_picture_with_proposed_points_keeps_its_place_by_quality(small):
     assert by_name(small)["p1.png"]["quality"] == 0.9
     save(small, "p1.png", origins=["moved", "confirmed", "accepted"])
     assert by_name(small)["p1.png"]["quality"] is None
+
+
+def test_only_points_of_a_person_are_truth_for_the_error_of_a_fit(small):
+    save(small, "p1.png", origins=["moved", "accepted", "confirmed"])
+    points = small.own_landmarks("p1.png").points
+    assert np.isnan(points[1]).all() and points[[0, 2]].tolist() == [POINTS[0], POINTS[2]]
+    save(small, "p1.png", origins=ACCEPTED)
+    found = np.array(POINTS)
+    assert error_of(found, truth_of(small.own_landmarks("p1.png"))) is None
+    assert error_of(found, truth_of(small.landmarks("p1.png"))) == (0.0, 0.0)
+    assert small.own_landmarks("p2.png") is None
 
 
 def test_points_that_are_moved_together_stay_as_proposed(small):

@@ -43,6 +43,8 @@ def test_each_picture_with_landmarks_has_measures_and_those_that_are_complete_a_
     assert found["columns"][2]["values"][5] is None  # the centroid size of the incomplete one
     (test,) = found["tests"]
     assert test["groups"] == "left – right" and 0 < test["p"] <= 1
+    assert all(0 < column["p"] < 1 for column in found["columns"])
+    assert all(column["p"] is None for column in shapes(sample, ShapesQuery())["columns"])
 
 
 def test_missing_points_are_estimated_if_that_is_asked_for(sample):
@@ -94,6 +96,11 @@ def test_groups_come_from_a_table_that_is_kept(sample):
     assert name.endswith("-measurements.csv")
     assert rows[4]["group"] == "y" and float(rows[4]["area_a_b_c_d"]) > 0
     assert rows[5]["PC1"] == "" or rows[5]["PC1"] == "nan"
+    name, data = table(sample, ShapesQuery(by="table", measures="area:1-2-3-4", only="1"))
+    assert name.endswith("-measures.csv")
+    of_measures = [*next(csv.DictReader(data.decode().splitlines()))]
+    assert of_measures[:2] == ["specimen", "group"] and {"area_a_b_c_d", "centroid_size"} <= {*of_measures}
+    assert not {"X1", "Y1", "PC1", "area_a_b_c_d_se"} & {*of_measures}
 
 
 @pytest.mark.parametrize("text", ["a,b\n1,2\n", "specimen,group\nother,x\n", f"specimen,group\n{'x' * 200_000},y\n"])

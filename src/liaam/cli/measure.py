@@ -290,6 +290,8 @@ def measure(
         _complain_of_estimated_differences(asymmetry, output)
     if variation is not None:
         _write_variation(variation, output)
+    if group_of is not None:
+        _say_means(columns, group_of, morphometry.individuals_of(specimens, replicates))
     if agreement is not None:
         _write_agreement(agreement, output)
         _complain_of_absent(specimens)
@@ -476,6 +478,24 @@ def _write_variation(variation: "ShapeVariation", output: Path) -> None:
         write_columns(by_group, variation.by_group())
         say(f"{by_group}: mean shapes of {count_of(len(variation.means), 'group')}")
     write_text_atomically(_beside(output, VARIATION_JSON), variation.to_json())
+
+
+def _say_means(columns: Columns, groups: Sequence[str], individuals: Sequence[str]) -> None:
+    """Print the mean of each measure in each group, and whether they differ."""
+    from liaam.morphometry import measures_in, p_of_means
+    from liaam.morphometry.table import comparable
+
+    for name in measures_in(columns):
+        values = comparable(columns, name)
+        p = p_of_means(values, groups, individuals)
+        if math.isnan(p):
+            continue
+        means = []
+        for group in sorted({*groups} - {""}):
+            known = [value for value, of in zip(values.tolist(), groups, strict=True) if of == group and value == value]
+            if known:
+                means.append(f"{group} {float(np.mean(known)):.4g} (n {len(known)})")
+        say(f"{name}: {', '.join(means)}; P = {p:.3f} that the means differ so by chance (unequal variances)")
 
 
 def _write_asymmetry(asymmetry: "AsymmetryResult", output: Path) -> None:

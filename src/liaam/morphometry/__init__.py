@@ -3,6 +3,7 @@
 from liaam.morphometry.asymmetry import MATCHING, OBJECT, AsymmetryResult, asymmetry
 from liaam.morphometry.curves import with_even_curves
 from liaam.morphometry.groups import groups_in, groups_of, read_groups
+from liaam.morphometry.means import p_of_means
 from liaam.morphometry.measures import Measure, ScaleBar
 from liaam.morphometry.missing import estimated_on_a_side, far_estimates, with_estimated_landmarks
 from liaam.morphometry.reading import read_specimens
@@ -14,7 +15,7 @@ from liaam.morphometry.space import Grid, ShapeSpace, shape_space, thin_plate_we
 from liaam.morphometry.specimen_tables import SpecimenTable, read_specimen_table
 from liaam.morphometry.specimens import Specimen
 from liaam.morphometry.symmetry import Asymmetry, matching_asymmetry, object_asymmetry
-from liaam.morphometry.table import alike, measure, with_groups
+from liaam.morphometry.table import alike, measure, measures_in, with_groups
 from liaam.morphometry.variation import ShapeVariation, shape_variation
 
 __all__ = [
@@ -40,8 +41,10 @@ __all__ = [
     "matching_asymmetry",
     "measure",
     "measurement_error",
+    "measures_in",
     "object_asymmetry",
     "of_one_side",
+    "p_of_means",
     "read_groups",
     "read_lengths",
     "read_specimen_table",

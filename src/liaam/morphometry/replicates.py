@@ -14,7 +14,7 @@ from liaam.io.files import some_names
 from liaam.morphometry.curves import semilandmarks
 from liaam.morphometry.sides import object_name, refuse_uneven, structure_name
 from liaam.morphometry.specimens import Specimen
-from liaam.morphometry.table import comparable, scale_column, scales_in, sizes_in, unit_of_table
+from liaam.morphometry.table import comparable, measures_in, scales_in, sizes_in
 from liaam.tables import Columns
 
 _FEWEST_PAIRS = 2  # objects that two files share, to compare the orders of their landmarks: one may be an outlier
@@ -104,7 +104,7 @@ def measurement_error(specimens: Sequence[Specimen], columns: Columns, by: str, 
         | stated(_joint(errors))
     ]
 
-    for name in _measures_in(columns):
+    for name in measures_in(columns):
         values = comparable(columns, name)
         unknown = np.full(len(specimens), math.nan)
         of_measure = comparable(columns, f"{name}_se") if f"{name}_se" in columns else unknown
@@ -170,13 +170,6 @@ def _count_semilandmarks(specimens: Sequence[Specimen]) -> int:
     curves = next((specimen.curves for specimen in specimens if specimen.curves), ())
     _, sliding = semilandmarks(curves)
     return len(sliding)
-
-
-def _measures_in(columns: Columns) -> list[str]:
-    """Return the names of the columns that hold measures, without their standard errors."""
-    others = {scale_column(unit_of_table(columns)), *(f"{name}_se" for name in columns)}
-    others |= {name for name, cells in columns.items() if any(isinstance(cell, str) for cell in cells)}
-    return [name for name in columns if name not in others and not re.fullmatch(r"[XY]\d+", name)]
 
 
 def _sizes_in_pixels(columns: Columns) -> np.ndarray:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 import warnings
 from collections import Counter
 from collections.abc import Callable, Iterable, Sequence
@@ -186,6 +187,13 @@ def comparable(columns: Columns, name: str) -> np.ndarray:
     scales = scales_in(columns)
     is_angle = name.startswith("angle_") or name.endswith(DEGREES)
     return values if scales is None or is_angle else np.where(np.isfinite(scales), values, np.nan)
+
+
+def measures_in(columns: Columns) -> list[str]:
+    """Return the names of the columns that hold measures, without their standard errors."""
+    others = {scale_column(unit_of_table(columns)), *(f"{name}_se" for name in columns)}
+    others |= {name for name, cells in columns.items() if any(isinstance(cell, str) for cell in cells)}
+    return [name for name in columns if name not in others and not re.fullmatch(r"[XY]\d+", name)]
 
 
 def _in_one_unit(

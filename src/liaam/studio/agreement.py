@@ -29,7 +29,7 @@ def mirrored_pictures(project: Project, points: Points) -> set[str]:
     Their shapes have to be reflected: the differences between the sides would count as those of specimens otherwise, so
     that all observers agree.
     """
-    stated = project.overview().sides
+    stated = project.stated_sides()
     sides = for_measuring(
         [stated.get(picture, "") for picture in points],
         [picture.rpartition(".")[0] for picture in points],

@@ -507,7 +507,7 @@ class Studio:
     def _fit(self, request: Request, data: Any) -> contract.Fit:
         asked = self.project.checked(contract.FitOne, data, "picture or upload, method and start")
         source, of, method = self._to_fit(asked)
-        truth = None if of[0] == "upload" else truth_of(self.project.landmarks(of[1]))
+        truth = None if of[0] == "upload" else truth_of(self.project.own_landmarks(of[1]))
         start = parse_start(asked.start)
         return self.fits.fit(source, of, method, start, truth, parse_side(asked.side)).as_json()
 

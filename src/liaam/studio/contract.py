@@ -481,6 +481,7 @@ class Column(TypedDict):
     name: str
     unit: Annotated[str, "px, °, or a unit of length or area."]
     values: Annotated[list[float | None], "null: a landmark is missing, or the picture has no scale."]
+    p: Annotated[float | None, "That the means of the groups differ so by chance; null without two groups."]
 
 
 class Grid(TypedDict):
@@ -832,6 +833,7 @@ class ShapesQuery(Query):
     scale: str | None = None
     by: Annotated[str, "Groups: folder, name or table."] = ""
     estimate: Annotated[str | None, "Whether missing points are estimated."] = None
+    only: Annotated[str | None, "Whether a table has the measures only, without coordinates, scores and errors."] = None
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -583,6 +583,16 @@ class Project:
         with self._lock:
             return self._landmarks.of(self._find(name)).landmarks
 
+    def own_landmarks(self, name: str) -> Landmarks | None:
+        """Return the landmarks of a picture that a person has placed, moved or confirmed; the others are missing."""
+        with self._lock:
+            file = self._find(name)
+            marks = self._landmarks.of(file)
+            if marks.landmarks is None:
+                return None
+            is_own = own_points(self._states.origins_of(file, marks))
+            return replace(marks.landmarks, points=np.where(is_own[:, None], marks.landmarks.points, np.nan))
+
     def pixel_length(self, name: str) -> tuple[float, str] | None:
         """Return the length of a pixel of a picture and its unit; None if it has no scale, or none with a unit."""
         with self._lock:
@@ -713,6 +723,13 @@ class Project:
         step = max(1, math.ceil(len(others) / MOST_COMPARED))
         sides = _sides_of([*own, *others[::step]])
         return {"side": sides[0] if own else "", "both": len({*sides} - {""}) > 1}
+
+    def stated_sides(self) -> dict[str, str]:
+        """Return the sides of the objects that people or landmark files state, by picture."""
+        with self._lock:
+            self._rescan()
+            sides = {file.name: self._landmarks.side_of(file) for file in self._listing.pictures}
+            return {name: side for name, side in sides.items() if side}
 
     def save_sides(self, data: Any) -> contract.SidesBefore:
         """Say the ``sides`` of the objects in pictures, by name (:func:`liaam.studio.sides.parse_sides`)."""

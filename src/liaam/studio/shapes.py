@@ -19,8 +19,10 @@ from liaam.morphometry import (
     Specimen,
     groups_in,
     groups_of,
+    individuals_of,
     measure,
     of_one_side,
+    p_of_means,
     shape_space,
     shape_variation,
     with_estimated_landmarks,
@@ -128,6 +130,10 @@ def table(project: Project, asked: ShapesQuery) -> tuple[str, bytes]:
     if any(sample.groups):
         columns["group"] = [*sample.groups]
     columns |= _named_columns(sample)
+    if asked.only:
+        of_shapes = re.compile(r"[XY]\d+(_se)?|.*_se")
+        columns = {name: cells for name, cells in columns.items() if not of_shapes.fullmatch(name)}
+        return f"{plain_name(project.title)}-measures.csv", columns_text(columns).encode()
     try:
         space = _space(sample)
     except LiaamError:
@@ -268,6 +274,9 @@ def _column_json(sample: Sample, name: str, wanted: Measure | None, power: int) 
         "name": name,
         "unit": units[power],
         "values": finite_list(comparable(sample.columns, name)),
+        "p": finite_or_none(
+            p_of_means(comparable(sample.columns, name), sample.groups, individuals_of(sample.specimens))
+        ),
     }
 
 

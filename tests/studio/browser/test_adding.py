@@ -240,8 +240,14 @@ def test_points_that_were_placed_anew_since_a_look_are_not_accepted(serve, page,
     page.keyboard.press("g")
     assert order.input_value() == "name"  # as before the wall
     items = page.locator("[data-testid=strip] [data-name]")
+    in_order = "items => items.map((item) => item.dataset.name)"
     items.first.wait_for()
-    shown = items.evaluate_all("items => items.map((item) => item.dataset.name)")
+    shown = items.evaluate_all(in_order)
+    assert shown == sorted(shown)
+    page.keyboard.press("g")
+    order.select_option("name")  # on the wall
+    wait_until(page, lambda: len(items.evaluate_all(in_order)) == 12)
+    shown = items.evaluate_all(in_order)
     assert shown == sorted(shown)
 
 

@@ -34,13 +34,18 @@ def test_a_picture_is_checked_and_its_history_shown(annotating):
     page = annotating
     check = page.locator("[data-testid=check]")
     check.click()
-    page.keyboard.press("Enter")  # without a name, which is asked for again
+    page.keyboard.press("Enter")  # without a name, which is not asked for again
     checked(page, NAMES[0], "someone")
     check.click()
     checked(page, NAMES[0], None)
     check.click()
+    checked(page, NAMES[0], "someone")
+    page.get_by_role("button", name="Your name…").click()
     page.keyboard.type("Ann")
     page.keyboard.press("Enter")
+    check.click()
+    checked(page, NAMES[0], None)
+    check.click()
     checked(page, NAMES[0], "Ann")
     assert page.locator("dialog").count() == 0
     page.locator("[data-testid=review-state]", has_text="Checked by Ann").wait_for()

@@ -483,6 +483,8 @@ interface Column {
   unit: string;
   /** null: a landmark is missing, or the picture has no scale. */
   values: (number | null)[];
+  /** That the means of the groups differ so by chance; null without two groups. */
+  p: number | null;
 }
 
 /** A grid over the mean shape, and how its points move with each principal component. */
@@ -886,6 +888,8 @@ interface ShapesQuery {
   by?: string | number;
   /** Whether missing points are estimated. */
   estimate?: string | number;
+  /** Whether a table has the measures only, without coordinates, scores and errors. */
+  only?: string | number;
 }
 
 /** Says the name of the file that is sent. */

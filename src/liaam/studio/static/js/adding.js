@@ -156,7 +156,7 @@ export function createAdding(app) {
     const onclick = () => app.list.bulk.run("scaled", bare, { more: { bar, of } }).catch(complain);
     return {
       said: ` ${bare.length === 1 ? "One has" : `${bare.length} have`} no scale, and all others have the same.`,
-      action: { label: "Use that scale", onclick },
+      action: { label: "Use that scale", onclick, stays: true }, // it is not offered again
     };
   }
 

@@ -39,6 +39,7 @@ export class Tab {
   #waiting = null; // timer of an announcement
   #container = h("div", { testid: "annotate-viewer" });
   #prompt = h("div.annotate-prompt", { hidden: true });
+  #saidTogether = false;
   #hint = h("canvas.annotate-hint", { hidden: true, "aria-hidden": "true" });
   #spoken = h("p.visually-hidden", { role: "status", "aria-live": "polite" });
   #alternative = h("p.visually-hidden", { id: "annotate-text" });
@@ -68,6 +69,7 @@ export class Tab {
       onselect: () => this.#chosen(),
       onpreview: () => viewer.redraw(),
       onplaced: (index) => this.#placed(index),
+      ontogether: () => this.#sayTogether(),
     });
     this.ruler = new ScaleBar(this.marking, {
       onchange: () => this.refresh(),
@@ -199,6 +201,12 @@ export class Tab {
   #changed() {
     this.saving.change(this.name, this.marking.state);
     this.refresh();
+  }
+
+  /** Say once what points that are moved together count as. */
+  #sayTogether() {
+    if (!this.#saidTogether) this.app.toast("Points that are moved together still count as proposed, since nobody looked at each of them. Y confirms a selected one.");
+    this.#saidTogether = true;
   }
 
   /** A point was placed: select the next missing one. */

@@ -111,7 +111,8 @@ export function reason(picture, pictures, model) {
   if (picture.nothing_found) return nothingIn(model);
   if (picture.uncertainty == null) return "The model has not been fitted to it yet.";
   const text = `uncertainty of its points: ${uncertain(picture.uncertainty)} of the object's size`;
-  if (picture.doubtful) return `The model has low confidence here (${text}), so correcting it helps most.`;
+  const isFace = model.source === "face";
+  if (picture.doubtful) return `The model has low confidence here (${text}): if there is no ${isFace ? "face" : "object"}, skip or remove the picture. Else correct it, which helps most.`;
   // Compare with confident fits only: the uncertainty of the others is unreliable.
   const known = pictures
     .filter((each) => each.uncertainty != null && !each.doubtful && each.state !== "done")
@@ -168,7 +169,10 @@ export function createAssist(app, commands, onexport) {
       refresh();
     },
   });
-  const often = `when ${AUTO_FIRST} pictures are done, and again after every ${AUTO_AGAIN} more`;
+  const often = (isFace) => (isFace
+    ? `once a person has placed, moved or confirmed (Y) half of the points of ${AUTO_FIRST} pictures: until then, the face model stays`
+    : `when ${AUTO_FIRST} pictures are done, and again after every ${AUTO_AGAIN} more`);
+  const autoLabel = h("label.check.small", auto, "auto");
   const next = button(state.readOnly ? "Next picture" : "Accept and continue", {
     icon: "check", kind: "primary", shortcut: "Enter", testid: "accept-next", onclick: commands.accept,
     title: "Accept these points and open the picture with the star",
@@ -205,7 +209,7 @@ export function createAssist(app, commands, onexport) {
   });
   const element = h("section.panel.assist", { "aria-label": "The model's help" },
     h("div.row.assist-head", icon("spark"), count, h("span.grow"),
-      h("label.check.small", { title: `Train automatically: ${often}` }, auto, "auto"), train),
+      autoLabel, train),
     h("div.row.assist-go", next, pass),
     h("div.assist-talk",
       h("div.assist-words", { tabindex: "0", role: "group", "aria-label": "What to do next" }, why, failure, end),
@@ -295,7 +299,9 @@ export function createAssist(app, commands, onexport) {
     what.title = doing;
     train.disabled = runs || asking || done < LEAST;
     const stale = model?.stale && `${several(model.stale, "picture")} completed or changed since the last training`;
-    train.title = done < LEAST ? whenItHelps(project, { auto: auto.checked })
+    const isFace = model?.source === "face";
+    autoLabel.title = `Train automatically: ${often(isFace)}`;
+    train.title = done < LEAST ? (isFace ? `Train a model of your own pictures, from ${LEAST} done ones on, in place of the face model` : whenItHelps(project, { auto: auto.checked }))
       : stale || "Train the model on all done pictures";
     train.classList.toggle("primary", !model && done >= LEAST && !runs && !auto.checked);
     end.hidden = !pictures.length || done < LEAST || nextToTeach(pictures, null) !== null || slipped(pictures).length > 0;
@@ -314,7 +320,9 @@ export function createAssist(app, commands, onexport) {
     const without = model?.left_out?.[here?.name];
     // What to do comes first: the place is small.
     const slip = here?.slip && `${SLIP} Possible slip${without ? ", left out of training" : ""}: ${here.slip}.`;
-    const fault = slip || (without ? `The model leaves this picture out, because ${without}.` : here?.state !== "broken" && here?.error); // the place of the picture says that
+    const isSettled = without && here?.checked; // a person has looked at it since
+    const fault = slip || (isSettled ? "The model was trained without this picture. The next training uses it, since it is checked."
+      : without ? `The model leaves this picture out, because ${without}.` : here?.state !== "broken" && here?.error); // the place of the picture says that
     pass.disabled = !then;
     why.classList.toggle("warn-text", Boolean(fault));
     const isOpen = here && here.state !== "done" && (here.uncertainty != null || here.nothing_found) && model;

@@ -13,11 +13,11 @@ const keyOf = (project) => [KEY, observerOf(project)].filter(Boolean).join(":");
  *  set. @param {any} project */
 export const whoAmI = (project) => localStorage.getItem(keyOf(project)) ?? (project?.who || observerOf(project));
 
-/** The name, asked for if it is needed and was never given; "" if it is not given, null if the dialog was closed.
+/** The name, asked for once if it is needed; "" if it is not given, null if the dialog was closed.
  *  @param {App} app */
 async function myName(needed, app) {
   const name = whoAmI(app.state.project);
-  return needed && !name ? askName(app) : name;
+  return needed && !name && localStorage.getItem(keyOf(app.state.project)) === null ? askName(app) : name;
 }
 
 /** Ask for the name, and keep it in the browser and with the folder. @param {App} app */

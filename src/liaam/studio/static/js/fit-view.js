@@ -350,7 +350,7 @@ export class FitView {
   #stateOf(image) {
     if (this.#why(this.#name)) return "";
     const { work = "" } = VIEWS.find(({ name }) => name === this.#name);
-    if (!image) return work;
+    if (!image && !this.#isEven) return work;
     return this.#isEven && !this.#split.has(this.#name) ? evenly(this.#name) : "";
   }
 
@@ -428,7 +428,7 @@ export class FitView {
   }
 
   #image() {
-    if (this.#why(this.#name)) return null;
+    if (this.#why(this.#name) || (this.#isEven && this.#name === "shading")) return null; // a grey mask says nothing
     if (this.#name === "invariant") return this.invariant.image;
     return (this.#name === "relit" ? this.#relitImage() : this.#images.get(this.#name)) ?? null;
   }

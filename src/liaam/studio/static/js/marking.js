@@ -25,7 +25,7 @@ export class Marking extends Editable {
   #template;
 
   /** template() -> template of the project, or null; locked: whether the folder can only be read; handlers: those of
-   *  Editable, and onplaced(index): a click placed a missing point. */
+   *  Editable; onplaced(index): a click placed a missing point; ontogether(): proposed points were moved together. */
   constructor({ template, locked = false, ...handlers }) {
     super(handlers);
     this.#template = template;
@@ -33,6 +33,7 @@ export class Marking extends Editable {
   }
 
   onplaced(_index) {}
+  ontogether() {}
   get book() { return this.#book; }
   /** Whether the folder can only be read. */
   get locked() { return this.#locked; }
@@ -136,6 +137,8 @@ export class Marking extends Editable {
     if (this.#isFramed(before) && moved.length && moved.length === placed(points).length) this.#whole = state;
     this.history.push(state, what, key, context, beyond);
     this.changed();
+    const isPart = moved.length > 1 && moved.length < placed(points).length;
+    if (isPart && this.selection.size > 1 && moved.some((i) => !isOwn(origins[i]))) this.ontogether();
   }
 
   changed() {

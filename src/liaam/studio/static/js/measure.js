@@ -15,7 +15,7 @@ const MOST_GROUPS = 8; // in the legend
 const MEASURE_AFTER = 300; // milliseconds after a change
 const VIEWS = [{ value: "measures", label: "Measures" }, { value: "shapes", label: "Shapes" }];
 const GROUPED_BY = { "": "No groups", folder: "By subfolder", name: "By name", table: "By a table…" };
-const EXPORTS = { csv: "Table (.csv)", svg: "Plots (.svg)" };
+const EXPORTS = { csv: "Table (.csv)", only: "Measures only (.csv)", svg: "Plots (.svg)" };
 const ABOUT_GROUPS =
   "By the letters in which names differ, such as male of male_07.jpg, or B of wing16_B.jpg; or by a table with the columns picture and group";
 const NO_GROUPS = { name: "No groups: the names have no letters in which pictures differ", table: "No groups: the table names none of these pictures" };
@@ -209,16 +209,17 @@ export class Tab {
   }
 
   async #save(kind) {
-    if (kind === "csv") return this.#saveTable();
+    if (kind !== "svg") return this.#saveTable(kind === "only");
     const shown = this.#views.value === "shapes" ? this.#space.element : this.#measures;
     const name = `${this.state.project.folder}-${this.#views.value}`;
     saveFiles(plotFiles(shown).map((file, i) => [file, `${name}-${i + 1}.svg`]));
     return undefined;
   }
 
-  async #saveTable() {
+  /** only: without coordinates, scores and standard errors. */
+  async #saveTable(only) {
     const { api } = this.app;
-    const [blob, name] = await api.file(api.url("measurements", this.#query));
+    const [blob, name] = await api.file(api.url("measurements", { ...this.#query, only: only ? "1" : null }));
     saveFile(blob, name);
   }
 
@@ -318,7 +319,8 @@ export class Tab {
   #factsOfGroups(column) {
     const { names, of } = this.groups;
     const line = (name, k) => h("li", groupMark(k), ` ${name}: ${summaryText(column, column.values.filter((_, i) => of[i] === k))}`);
-    return names.length > 1 ? h("ul.measure-groups.small.muted", { testid: "measure-groups" }, names.slice(0, MOST_GROUPS).map(line)) : "";
+    const test = column.p !== null && h("li", `The means ${names.length > 2 ? "of all groups " : ""}differ: P = ${column.p.toFixed(3)} (${names.length > 2 ? "Alexander and Govern" : "Welch’s t test"})`);
+    return names.length > 1 ? h("ul.measure-groups.small.muted", { testid: "measure-groups" }, names.slice(0, MOST_GROUPS).map(line), test) : "";
   }
 
   /** Select the picture of a bin that follows the selected one, or else its first. */

@@ -32,7 +32,10 @@ export function mountStrip(root, app) {
     h("select.text", {
       "aria-label": label, title, testid: `strip-${name}`,
       onchange: ({ target }) => {
-        if (target === order) ownOrder = null;
+        if (target === order) {
+          ownOrder = null;
+          pictures = []; // they keep no places
+        }
         state.showFolder(folders.value);
         wall.forget();
         show();

@@ -248,7 +248,7 @@ export function toast(message, kind = "info", action = null) {
     const others = [...box.children].filter((other) => other !== item);
     others.reduce((least, other) => (weight(other) < weight(least) ? other : least)).remove();
   }
-  if (kind !== "bad") setTimeout(remove, action ? 10_000 : 5000);
+  if (kind !== "bad" && !action?.stays) setTimeout(remove, action ? 10_000 : 5000);
   return remove;
 }
 
