@@ -428,7 +428,7 @@ export class FitView {
   }
 
   #image() {
-    if (this.#why(this.#name) || (this.#isEven && this.#name === "shading")) return null; // a grey mask says nothing
+    if (this.#why(this.#name) || (this.#isEven && this.#name === "shading")) return null; // it would be a grey mask
     if (this.#name === "invariant") return this.invariant.image;
     return (this.#name === "relit" ? this.#relitImage() : this.#images.get(this.#name)) ?? null;
   }
