@@ -495,7 +495,7 @@ def _say_means(columns: Columns, groups: Sequence[str], individuals: Sequence[st
             known = [value for value, of in zip(values.tolist(), groups, strict=True) if of == group and value == value]
             if known:
                 means.append(f"{group} {float(np.mean(known)):.4g} (n {len(known)})")
-        say(f"{name}: {', '.join(means)}; P = {p:.3f} that the means differ so by chance (unequal variances)")
+        say(f"{name}: {', '.join(means)}; difference between the means: P = {p:.3g}")
 
 
 def _write_asymmetry(asymmetry: "AsymmetryResult", output: Path) -> None:

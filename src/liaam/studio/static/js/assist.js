@@ -301,8 +301,9 @@ export function createAssist(app, commands, onexport) {
     const stale = model?.stale && `${several(model.stale, "picture")} completed or changed since the last training`;
     const isFace = model?.source === "face";
     autoLabel.title = `Train automatically: ${often(isFace)}`;
-    train.title = done < LEAST ? (isFace ? `Train a model of your own pictures, from ${LEAST} done ones on, in place of the face model` : whenItHelps(project, { auto: auto.checked }))
-      : stale || "Train the model on all done pictures";
+    const early = isFace ? `Train a model of your own pictures, from ${LEAST} done ones on, in place of the face model`
+      : whenItHelps(project, { auto: auto.checked });
+    train.title = done < LEAST ? early : stale || "Train the model on all done pictures";
     train.classList.toggle("primary", !model && done >= LEAST && !runs && !auto.checked);
     end.hidden = !pictures.length || done < LEAST || nextToTeach(pictures, null) !== null || slipped(pictures).length > 0;
     next.disabled = !end.hidden; // there is nothing to accept and no picture to continue with
@@ -320,9 +321,10 @@ export function createAssist(app, commands, onexport) {
     const without = model?.left_out?.[here?.name];
     // What to do comes first: the place is small.
     const slip = here?.slip && `${SLIP} Possible slip${without ? ", left out of training" : ""}: ${here.slip}.`;
-    const isSettled = without && here?.checked; // a person has looked at it since
-    const fault = slip || (isSettled ? "The model was trained without this picture. The next training uses it, since it is checked."
-      : without ? `The model leaves this picture out, because ${without}.` : here?.state !== "broken" && here?.error); // the place of the picture says that
+    const leftOut = without && (here?.checked // by a person since
+      ? "The model was trained without this picture. The next training uses it, since it is checked."
+      : `The model leaves this picture out, because ${without}.`);
+    const fault = slip || leftOut || (here?.state !== "broken" && here?.error); // the place of the picture says that
     pass.disabled = !then;
     why.classList.toggle("warn-text", Boolean(fault));
     const isOpen = here && here.state !== "done" && (here.uncertainty != null || here.nothing_found) && model;

@@ -319,7 +319,8 @@ export class Tab {
   #factsOfGroups(column) {
     const { names, of } = this.groups;
     const line = (name, k) => h("li", groupMark(k), ` ${name}: ${summaryText(column, column.values.filter((_, i) => of[i] === k))}`);
-    const test = column.p !== null && h("li", `The means ${names.length > 2 ? "of all groups " : ""}differ: P = ${column.p.toFixed(3)} (${names.length > 2 ? "Alexander and Govern" : "Welch’s t test"})`);
+    const how = names.length > 2 ? "Alexander and Govern’s test" : "Welch’s t test";
+    const test = column.p !== null && h("li", `Difference between the means: P ${column.p < 0.001 ? "< 0.001" : `= ${column.p.toFixed(3)}`} (${how})`);
     return names.length > 1 ? h("ul.measure-groups.small.muted", { testid: "measure-groups" }, names.slice(0, MOST_GROUPS).map(line), test) : "";
   }
 
